@@ -1,0 +1,18 @@
+"""Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
+
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
+from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+from openmm_exactrb.rotors import ROTORS, free_rotor
+from openmm_exactrb.schemes import CATALOGUE as SCHEMES
+from openmm_exactrb.systems import dipole_fluid
+
+__all__ = [
+    "ROTORS",
+    "SCHEMES",
+    "ExactRigidBodyIntegrator",
+    "NonFiniteError",
+    "dipole_fluid",
+    "dipole_strength",
+    "free_rotor",
+    "soft_dipole_force",
+]

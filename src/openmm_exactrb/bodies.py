@@ -1,0 +1,370 @@
+"""Rigid bodies in an OpenMM System: where they are, and their state as particle positions and velocities.
+
+The state of N bodies is one set of component-first float64 arrays. Bodies of one kind are neighbours, and kinds that
+turn come before single particles, which have no attitude.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from openmm_exactrb.quaternions import from_matrix, matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# A principal moment smaller than this part of the largest belongs to a linear body.
+_LINEAR = 1e-9
+#: Positions further than this from a rigid body, in nm, are refused.
+RIGIDITY = 1e-4
+
+
+class BodyState(NamedTuple):
+    """Positions and momenta of N bodies, the first K of which turn.
+
+    Attributes
+    ----------
+    R, P : (3, N) arrays
+        Centres of mass (nm) and linear momenta (amu nm/ps).
+    q : (4, K) array
+        Attitudes, scalar first, from the principal axes of the body into space.
+    m : (3, K) array
+        Angular momenta in the principal axes of the body (amu nm²/ps).
+    """
+
+    R: Array
+    P: Array
+    q: Array
+    m: Array
+
+    def finite(self) -> NDArray[np.bool_]:
+        """Tell which bodies have finite momenta, (N,)."""
+        fine: NDArray[np.bool_] = np.isfinite(self.P).all(axis=0)
+        fine[: self.m.shape[1]] &= np.isfinite(self.m).all(axis=0)
+        return fine
+
+
+@dataclass(frozen=True)
+class Kind:
+    """All bodies of one shape.
+
+    Attributes
+    ----------
+    particles : (n, k) array
+        The k particles with mass of each of the n bodies.
+    bodies : slice
+        Where they stand among all bodies.
+    masses : (k,) array
+    sites : (k, 3) array
+        Places of the particles in the principal axes of the body, about the centre of mass.
+    mass : float
+    inertia : (3,) array
+        Principal moments; the last is 0 for a linear body, all are for a single particle.
+    """
+
+    particles: Indices
+    bodies: slice
+    masses: Array
+    sites: Array
+    mass: float
+    inertia: Array
+
+    @property
+    def turns(self) -> bool:
+        """Whether the bodies have an attitude: all but single particles."""
+        return len(self.sites) > 1
+
+    @property
+    def linear(self) -> bool:
+        """Whether all sites lie on axis 3."""
+        return self.turns and self.inertia[2] == 0.0
+
+
+class RigidBodies:
+    """The rigid bodies of a System and their free particles, as one set of arrays.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+    n_particles : int
+        Particles of the System, virtual sites included.
+    """
+
+    def __init__(self, kinds: Sequence[Kind], n_particles: int) -> None:
+        self.kinds = tuple(kinds)
+        self.n_particles = n_particles
+        self.n_turning = sum(len(kind.particles) for kind in kinds if kind.turns)
+        self.mass: Array = np.concatenate([np.full(len(kind.particles), kind.mass) for kind in kinds])
+        self.first_particle: Indices = np.concatenate([kind.particles[:, 0] for kind in kinds])
+        turning = [kind for kind in kinds if kind.turns]
+        moments = [np.where(kind.linear, kind.inertia[0], kind.inertia) for kind in turning]
+        # A linear body turns as a sphere does whose momentum has no component along the axis.
+        self.inertia: Array = (
+            moments[0][None]
+            if len(turning) == 1
+            else np.concatenate(
+                [np.tile(i, (len(kind.particles), 1)) for i, kind in zip(moments, turning, strict=True)]
+            )
+        )
+
+    def __len__(self) -> int:
+        """Return the number of bodies, single particles included."""
+        return len(self.mass)
+
+    def positions(self, state: BodyState, out: Array) -> Array:
+        """Write the positions of all particles with mass into `out` (n_particles, 3)."""
+        Q = np.ascontiguousarray(matrix(state.q).transpose(2, 0, 1))
+        for kind in self.kinds:
+            centre = state.R.T[kind.bodies, None]
+            out[kind.particles] = centre + _turned(Q[kind.bodies], kind.sites) if kind.turns else centre
+        return out
+
+    def velocities(self, state: BodyState, out: Array) -> Array:
+        """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
+        Q = np.ascontiguousarray(matrix(state.q).transpose(2, 0, 1))
+        V = (state.P / self.mass).T
+        omega = state.m.T / self.inertia
+        for kind in self.kinds:
+            velocity = V[kind.bodies, None]
+            if kind.turns:
+                relative = np.cross(omega[kind.bodies, None], kind.sites)
+                velocity = velocity + np.einsum("nij,nsj->nsi", Q[kind.bodies], relative)
+            out[kind.particles] = velocity
+        return out
+
+    def forces(self, q: Array, forces: Array) -> tuple[Array, Array]:
+        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles."""
+        Q = matrix(q)
+        total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
+        for kind in self.kinds:
+            F = forces[kind.particles.T]
+            total[:, kind.bodies] = F.sum(axis=0).T
+            if kind.turns:
+                k, n = kind.particles.shape[1], kind.particles.shape[0]
+                moment = (kind.sites.T @ F.reshape(k, 3 * n)).reshape(3, n, 3)
+                # W[d, e] = sum over sites of b_d (Q^T F)_e, and the torque is its antisymmetric part.
+                W = np.einsum("dnc,cen->den", moment, Q[:, :, kind.bodies])
+                out = torque[:, kind.bodies]
+                out[0] = W[1, 2] - W[2, 1]
+                out[1] = W[2, 0] - W[0, 2]
+                out[2] = 0.0 if kind.linear else W[0, 1] - W[1, 0]
+        return total, torque
+
+    def fit(
+        self, x: Array, v: Array, known: BodyState | None = None, moved: NDArray[np.bool_] | None = None
+    ) -> BodyState:
+        """Find the state of bodies from the positions and velocities of their particles.
+
+        Parameters
+        ----------
+        x, v : (n_particles, 3) arrays
+        known : BodyState, optional
+            Positions and attitudes to keep where `moved` is false.
+        moved : (N,) array of bool, optional
+
+        Raises
+        ------
+        ValueError
+            If positions are not finite, or further than `RIGIDITY` from a rigid body.
+        """
+        n = len(self)
+        moved = np.ones(n, dtype=bool) if known is None or moved is None else moved
+        R, P = np.empty((3, n)), np.empty((3, n))
+        q, m = np.empty((4, self.n_turning)), np.zeros((3, self.n_turning))
+        for kind in self.kinds:
+            X, V = x[kind.particles], v[kind.particles]
+            self._check_finite(kind, X, V)
+            weights = kind.masses / kind.mass
+            centre = np.einsum("s,nsi->ni", weights, X)
+            keep = ~moved[kind.bodies]
+            if known is not None:
+                centre[keep] = known.R.T[kind.bodies][keep]
+            R[:, kind.bodies] = centre.T
+            P[:, kind.bodies] = np.einsum("s,nsi->in", kind.masses, V)
+            if kind.turns:
+                relative = X - centre[:, None]
+                attitude = _attitudes(kind, relative)
+                if known is not None:
+                    attitude[:, keep] = known.q[:, kind.bodies][:, keep]
+                Q = matrix(attitude)
+                self._check_rigid(kind, relative - _turned(Q.transpose(2, 0, 1), kind.sites))
+                spin = np.einsum("s,nsi->ni", kind.masses, np.cross(relative, V))
+                q[:, kind.bodies] = attitude
+                m[:, kind.bodies] = np.einsum("jin,nj->in", Q, spin)
+                if kind.linear:
+                    m[2, kind.bodies] = 0.0
+        return BodyState(R, P, q, m)
+
+    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
+        """Return the translational and rotational kinetic energies in kJ/mol."""
+        translational = 0.5 * float(np.sum(state.P * state.P / self.mass))
+        return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
+
+    def name(self, body: int) -> str:
+        """Say which particles a body consists of."""
+        for kind in self.kinds:
+            if kind.bodies.start <= body < kind.bodies.stop:
+                return (
+                    f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
+                )
+        raise IndexError(f"there is no body {body}")
+
+    def _check_finite(self, kind: Kind, X: Array, V: Array) -> None:
+        bad = ~(np.isfinite(X) & np.isfinite(V)).all(axis=(1, 2))
+        if bad.any():
+            raise ValueError(
+                f"positions or velocities of {self.name(kind.bodies.start + int(np.argmax(bad)))} are not finite: "
+                "set finite ones before the next step"
+            )
+
+    def _check_rigid(self, kind: Kind, misfit: Array) -> None:
+        distance = np.sqrt((misfit**2).sum(axis=2).max(axis=1))
+        worst = int(np.argmax(distance))
+        if distance[worst] > RIGIDITY:
+            raise ValueError(
+                f"{self.name(kind.bodies.start + worst)} is {distance[worst]:.2g} nm away from the rigid shape that its "
+                f"constraints give, more than {RIGIDITY:g} nm: call context.applyConstraints(1e-6) after setPositions, "
+                "and do not let a periodic box split molecules"
+            )
+
+
+def find_bodies(system: openmm.System, positions: Array) -> RigidBodies:
+    """Find the rigid bodies of a System: clusters of particles that constraints hold rigid.
+
+    Parameters
+    ----------
+    system : openmm.System
+    positions : (n_particles, 3) array
+        In nm. They tell a body from its mirror image, which has the same distances.
+
+    Raises
+    ------
+    ValueError
+        If there is no rigid body, or constraints do not fix a cluster fully.
+    """
+    masses = np.array(
+        [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
+    )
+    groups: dict[tuple[bytes, bytes], list[Indices]] = {}
+    for particles, distances in _clusters(system, masses):
+        groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
+    shapes = []
+    for (mass_bytes, distance_bytes), members in groups.items():
+        body_masses = np.frombuffer(mass_bytes)
+        distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
+        shapes += _split_by_handedness(np.stack(members), body_masses, distances, positions)
+    if not any(shape.turns for shape in shapes):
+        raise ValueError(
+            "the System has no rigid bodies: constrain all distances within each molecule, "
+            "for example with createSystem(rigidWater=True)"
+        )
+    kinds, start = [], 0
+    for shape in sorted(shapes, key=lambda shape: not shape.turns):
+        stop = start + len(shape.particles)
+        kinds.append(replace(shape, bodies=slice(start, stop)))
+        start = stop
+    return RigidBodies(kinds, len(masses))
+
+
+def _split_by_handedness(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kind of these bodies, or it and its mirror image."""
+    kind = _kind(particles, masses, distances)
+    if not kind.sites.any(axis=0).all():
+        return [kind]
+    X = positions[particles]
+    relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+    mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", masses, relative, kind.sites)) < 0.0
+    image = replace(kind, sites=kind.sites * (-1.0, 1.0, 1.0))
+    return [
+        replace(k, particles=particles[chosen])
+        for k, chosen in ((kind, ~mirrored), (image, mirrored))
+        if chosen.any()
+    ]
+
+
+def _clusters(system: openmm.System, masses: Array) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles of each cluster of constraints and all their distances."""
+    n = len(masses)
+    count = system.getNumConstraints()
+    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
+    for i in range(count):
+        p, q, length = system.getConstraintParameters(i)
+        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
+    graph = coo_array((np.ones(count), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    place = np.empty(n, dtype=np.intp)
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
+    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+        place[order[start:stop]] = np.arange(stop - start)
+    constraints = np.argsort(label[pairs[:, 0]], kind="stable")
+    limits = np.searchsorted(label[pairs[constraints, 0]], np.arange(len(bounds)))
+    for cluster, (start, stop) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+        particles = order[start:stop]
+        if len(particles) == 1 and masses[particles[0]] == 0.0:
+            continue
+        distances = np.full((len(particles), len(particles)), np.nan)
+        np.fill_diagonal(distances, 0.0)
+        for c in constraints[limits[cluster] : limits[cluster + 1]]:
+            i, j = place[pairs[c]]
+            distances[i, j] = distances[j, i] = lengths[c]
+        if np.isnan(distances).any():
+            raise ValueError(
+                f"the constraints between particles {', '.join(map(str, particles))} do not hold them rigid: "
+                "constrain every distance between them, or none"
+            )
+        yield particles, distances
+
+
+def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
+    """Place the particles of a body in its principal axes, from all their distances."""
+    mass = float(masses.sum())
+    if len(masses) == 1:
+        return Kind(particles, slice(0), masses, np.zeros((1, 3)), mass, np.zeros(3))
+    # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
+    # eigenvalues and the places as its eigenvectors.
+    weights = masses / mass
+    square = distances**2
+    to_centre = square @ weights
+    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
+    root = np.sqrt(masses)
+    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
+    spread = np.zeros(3)
+    axes = np.zeros((len(masses), 3))
+    found = min(3, len(masses))
+    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
+    axes[:, :found] = vectors[:, ::-1][:, :found]
+    spread[spread < _LINEAR * spread[0]] = 0.0
+    sites = axes * np.sqrt(spread) / root[:, None]
+    misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
+    if misfit > 1e-6 * distances.max() or not spread[0] > 0.0:
+        raise ValueError(
+            f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
+            f"a distance is missed by {misfit:.2g} nm"
+        )
+    # Largest spread on axis 3, so that a linear body lies on it.
+    sites, spread = sites[:, ::-1], spread[::-1]
+    return Kind(particles, slice(0), masses, np.ascontiguousarray(sites), mass, spread.sum() - spread)
+
+
+def _turned(Q: Array, sites: Array) -> Array:
+    """Return Q b for attitudes (n, 3, 3) and sites (k, 3), as (n, k, 3)."""
+    n = len(Q)
+    return (Q.reshape(3 * n, 3) @ sites.T).reshape(n, 3, len(sites)).swapaxes(1, 2)
+
+
+def _attitudes(kind: Kind, relative: Array) -> Array:
+    """Return the attitudes (4, n) that fit sites to places about the centre best (Kabsch, doi:10.1107/S0567739476001873)."""
+    correlation = np.einsum("s,nsi,sj->nij", kind.masses, relative, kind.sites)
+    U, _, Vt = np.linalg.svd(correlation)
+    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+    return from_matrix((U @ Vt).transpose(1, 2, 0))

@@ -1,0 +1,186 @@
+"""Jacobi's elliptic functions and the integral of the third kind that a free rigid body needs.
+
+Everything is expressed by the *complementary* parameter kc² = 1 - k², because near the separatrix of the
+rigid body kc is tiny and k has lost its digits. `scipy.special.ellipj` takes k² and is of no use there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import elliprj
+
+Array = NDArray[np.float64]
+
+# Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
+_SEPARATRIX_LIMIT = 345.0
+# Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
+_TINY_PHASE = 1e-60
+
+
+def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
+    """Jacobi's sn, cn and dn from the complementary parameter, by the arithmetic-geometric mean.
+
+    Parameters
+    ----------
+    v : (N,) array
+        Argument, of any sign and size.
+    kc2 : (N,) array
+        Complementary parameter 1 - k², between 0 (tanh and sech) and 1 (sine and cosine).
+
+    Returns
+    -------
+    sn, cn, dn : (N,) arrays
+        cn and dn keep their relative accuracy where they are small.
+    half_turns : (N,) array
+        The integer N nearest to v / 2K, odd where cn is negative and even elsewhere (0 where kc = 0).
+
+    Notes
+    -----
+    R. Bulirsch, Numer. Math. 7, 78 (1965), doi:10.1007/BF01397975: descending Landen transformations with the
+    recurrence in cot(am v), so that no inverse function is needed.
+    """
+    separatrix = kc2 == 0.0
+    a = np.ones_like(v)
+    g = np.where(separatrix, 1.0, np.sqrt(kc2))
+    means = []
+    while True:
+        means.append((a, g))
+        converged = not np.any(np.abs(a - g) > 1e-8 * a)
+        a, g = 0.5 * (a + g), np.sqrt(a * g)
+        if converged:
+            break
+    phase = v * a
+    sine, cosine = np.sin(phase), np.cos(phase)
+
+    tiny = np.abs(sine) < _TINY_PHASE
+    t = cosine / np.where(tiny, 1.0, sine)
+    c = a * t
+    dn = np.ones_like(v)
+    for a_i, g_i in reversed(means):
+        t = c * t
+        c = dn * c
+        dn = (g_i + t) / (a_i + t)
+        t = c / a_i
+    sn = np.copysign(1.0 / np.hypot(1.0, c), sine)
+    cn = c * sn
+
+    if tiny.any():
+        sn, cn, dn = (
+            np.where(tiny, v, sn),
+            np.where(tiny, np.copysign(1.0, cosine), cn),
+            np.where(tiny, 1.0, dn),
+        )
+    odd = np.where(cn < 0.0, 1.0, 0.0)
+    half_turns = odd + 2.0 * np.rint(0.5 * (phase / np.pi - odd))
+    if separatrix.any():
+        bounded = np.clip(v, -_SEPARATRIX_LIMIT, _SEPARATRIX_LIMIT)
+        sech = 1.0 / np.cosh(bounded)
+        sn = np.where(separatrix, np.tanh(bounded), sn)
+        cn, dn = np.where(separatrix, sech, cn), np.where(separatrix, sech, dn)
+        half_turns = np.where(separatrix, 0.0, half_turns)
+    return sn, cn, dn, half_turns
+
+
+def third_kind(
+    v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array
+) -> Array:
+    """Integrate b w² / (1 + b w²) over v/c, where w = sn(v)/c, from 0 to v, past any number of half periods.
+
+    Parameters
+    ----------
+    v, kc2 : (N,) arrays
+        As in `jacobi`.
+    c : (N,) array
+        Frequency, not negative; zero is allowed and means that v is zero and sn(v)/c has its limit w.
+    b : (N,) array
+        Not negative, so that nothing cancels.
+    w, cn, dn, half_turns : (N,) arrays
+        sn(v)/c, and what `jacobi` returned for v and kc2.
+
+    Returns
+    -------
+    (N,) array
+
+    Notes
+    -----
+    Within half a period it is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and it is
+    elementary where kc = 0.
+    """
+    separatrix = kc2 == 0.0
+    reduced = np.where(cn < 0.0, -w, w)
+    integral = (
+        b / 3.0 * reduced**3 * elliprj(np.where(separatrix, 1.0, cn * cn), dn * dn, 1.0, 1.0 + b * w * w)
+    )
+    turned = half_turns != 0.0
+    if turned.any():
+        frequency = np.where(turned, c, 1.0)
+        beta = b / (frequency * frequency)
+        complete = beta / frequency * elliprj(0.0, np.where(turned, kc2, 1.0), 1.0, 1.0 + beta)
+        integral = integral + np.where(turned, 2.0 / 3.0 * half_turns * complete, 0.0)
+    if separatrix.any():
+        frequency = np.where(separatrix, c, 1.0)
+        beta = b / (frequency * frequency)
+        root = np.sqrt(np.where(beta > 0.0, b, 1.0))
+        elementary = beta / (1.0 + beta) * (v / frequency - np.arctan(root * w) / root)
+        integral = np.where(separatrix, elementary, integral)
+    return integral
+
+
+def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
+    """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for |w| <= 0.3.
+
+    Gauss's rule with ten nodes on [-w, w]: the integrand is even, so five are evaluated. With x, z and b in [0, 1]
+    its singularities are at least 1 away from zero and the rule is exact to roundoff.
+
+    Parameters
+    ----------
+    w, x, z, b : (N,) arrays
+
+    Returns
+    -------
+    (N,) array
+    """
+    square = _NODES_SQUARED * (w * w)
+    bs, root = b * square, (1.0 - x * square) * (1.0 - z * square)
+    np.sqrt(root, out=root)
+    root *= 1.0 + bs
+    bs /= root
+    integral: Array = w * (_WEIGHTS @ bs)
+    return integral
+
+
+_NODES, _WEIGHTS = (a[5:] for a in np.polynomial.legendre.leggauss(10))
+_NODES_SQUARED = (_NODES**2)[:, None]
+
+
+def sine_short(s: Array, x: Array, z: Array) -> Array:
+    """Return w = sn(v)/c at s = v/c for |s| <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
+
+    The Taylor series to the eleventh order at s/2, and one duplication.
+
+    Parameters
+    ----------
+    s, x, z : (N,) arrays
+        x and z in [0, 1]; dn² = 1 - z w² and cn² = 1 - x w², or the other way round.
+
+    Returns
+    -------
+    (N,) array
+    """
+    half = 0.5 * s
+    u = half * half
+    P, q = (x + z) * u, (x * z) * (u * u)
+    P2 = P * P
+    w = half * (
+        1.0
+        - P / 6.0
+        + (P2 + 12.0 * q) / 120.0
+        - P * (P2 + 132.0 * q) / 5040.0
+        + (P2 * (P2 + 1224.0 * q) + 3024.0 * (q * q)) / 362880.0
+        - P * (P2 * (P2 + 11064.0 * q) + 132624.0 * (q * q)) / 39916800.0
+    )
+    u = w * w
+    xu, zu = x * u, z * u
+    doubled: Array = 2.0 * w * np.sqrt((1.0 - xu) * (1.0 - zu)) / (1.0 - xu * zu)
+    return doubled

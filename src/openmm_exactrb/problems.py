@@ -1,0 +1,146 @@
+"""Rigid bodies that turn about a fixed point in a potential: energies, torques, and the paper's initial values.
+
+All arrays are component-first: attitudes q (4, N), body-frame angular momenta m (3, N), so that many copies of a
+problem move as one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.propagate import compose
+from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.rotors import rotor
+from openmm_exactrb.schemes import Scheme
+
+Array = NDArray[np.float64]
+State = tuple[Array, Array]
+
+
+class Problem(Protocol):
+    """Bodies with principal moments `inertia` (3, N) or (3, 1), a potential V(Q) and its torque."""
+
+    inertia: Array
+
+    def potential(self, q: Array) -> Array:
+        """Return V, (N,)."""
+
+    def torque(self, q: Array) -> Array:
+        """Return the torque in the body frame, (3, N)."""
+
+
+def kinetic_energy(inertia: Array, m: Array) -> Array:
+    """Return T = m . I^-1 m / 2 of component-first momenta, equation (3)."""
+    energy: Array = 0.5 * np.sum(m * m / inertia, axis=0)
+    return energy
+
+
+def energy(problem: Problem, state: State) -> Array:
+    """Return the total energy T + V of each body."""
+    q, m = state
+    return kinetic_energy(problem.inertia, m) + problem.potential(q)
+
+
+def integrate(
+    problem: Problem, state: State, h: float, n: int, scheme: Scheme, method: str = "exact"
+) -> State:
+    """Move a problem by n steps of size h.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : tuple
+        (q, m), not changed.
+    h : float
+        Step size.
+    n : int
+        Number of steps.
+    scheme : Scheme
+    method : str, optional
+        A key of `openmm_exactrb.rotors.ROTORS`.
+
+    Returns
+    -------
+    tuple
+        (q, m) after the last step.
+    """
+    flow = rotor(method, problem.inertia.T)
+
+    def drift(state: State, tau: float) -> State:
+        return flow(*state, np.float64(tau))
+
+    def kick(state: State, tau: float) -> State:
+        q, m = state
+        return q, m + tau * problem.torque(q)
+
+    return compose(scheme, drift, kick)(state, h, n)
+
+
+@dataclass(frozen=True)
+class HeavyTop:
+    """The heavy top (43) as a perturbed free body: V = epsilon e3 . Q^T u0.
+
+    Attributes
+    ----------
+    inertia : (3, N) array
+    epsilon : float
+        Size of the perturbation.
+    direction : (3, N) array
+        The unit vectors u0.
+    """
+
+    inertia: Array
+    epsilon: float
+    direction: Array
+
+    def _u(self, q: Array) -> Array:
+        u: Array = np.einsum("ijn,in->jn", matrix(q), self.direction)
+        return u
+
+    def potential(self, q: Array) -> Array:
+        """Return V, (N,)."""
+        potential: Array = self.epsilon * self._u(q)[2]
+        return potential
+
+    def torque(self, q: Array) -> Array:
+        """Return the torque epsilon (u2, -u1, 0), (3, N)."""
+        u = self._u(q)
+        return self.epsilon * np.stack([u[1], -u[0], np.zeros_like(u[0])])
+
+
+@dataclass(frozen=True)
+class Satellite:
+    """A satellite on a circular orbit, (44) and (45): V = 3 mu/(2 r³) u . I u with u = Q^T e3.
+
+    Attributes
+    ----------
+    inertia : (3, N) array
+    gravity : float
+        mu = gM, m³/s².
+    radius : float
+        r, in the paper's unit.
+    """
+
+    inertia: Array
+    gravity: float = 3.986e14
+    radius: float = 1.5e5
+
+    @property
+    def strength(self) -> float:
+        """The factor 3 mu/r³."""
+        return 3.0 * self.gravity / self.radius**3
+
+    def potential(self, q: Array) -> Array:
+        """Return V, (N,)."""
+        u = matrix(q)[2]
+        potential: Array = 0.5 * self.strength * np.sum(u * self.inertia * u, axis=0)
+        return potential
+
+    def torque(self, q: Array) -> Array:
+        """Return the torque 3 mu/r³ u x I u, (3, N)."""
+        u = matrix(q)[2]
+        return self.strength * np.cross(u, self.inertia * u, axis=0)

@@ -1,0 +1,1 @@
+"""Reporters for openmm.app.Simulation."""

@@ -1,0 +1,162 @@
+"""Flows of the free rigid body under one interface.
+
+A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `ROTORS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from openmm_exactrb.rotors import exact, mclachlan_reich
+from openmm_exactrb.rotors.flow import Array, Flow
+
+__all__ = ["ROTORS", "Flow", "Rotor", "free_rotor", "rotor"]
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """A way to advance free rigid bodies.
+
+    Attributes
+    ----------
+    name : str
+    order : int or None
+        Order in the step; None if exact.
+    factory : callable
+        factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
+    reference : str
+    """
+
+    name: str
+    order: int | None
+    factory: Callable[[Array], Flow]
+    reference: str
+
+
+ROTORS: Mapping[str, Rotor] = MappingProxyType(
+    {
+        entry.name: entry
+        for entry in (
+            Rotor("exact", None, exact.rotor, "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"),
+            Rotor(
+                "mclachlan_reich",
+                2,
+                mclachlan_reich.rotor,
+                "Dullweber, Leimkuhler and McLachlan (1997), doi:10.1063/1.474310",
+            ),
+        )
+    }
+)
+
+
+def rotor(name: str, inertia: ArrayLike) -> Flow:
+    """Prepare the flow of free bodies.
+
+    Parameters
+    ----------
+    name : str
+        A key of `ROTORS`.
+    inertia : (3,) or (N, 3) array_like
+        Principal moments of inertia in any order: one body's for all, or one row a body.
+
+    Returns
+    -------
+    flow : callable
+        flow(q, m, t) -> (q, m), with component-first q (4, N), m (3, N), and t a scalar or (N,).
+
+    Raises
+    ------
+    ValueError
+        If there is no such rotor, or moments are not positive and finite or not of this shape.
+    """
+    if name not in ROTORS:
+        raise ValueError(f"unknown rotor {name!r}: choose one of {', '.join(ROTORS)}")
+    moments = np.asarray(inertia, dtype=np.float64)
+    if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
+        raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
+    if not (np.isfinite(moments).all() and (moments > 0.0).all()):
+        raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
+    return ROTORS[name].factory(np.ascontiguousarray(np.atleast_2d(moments).T))
+
+
+def free_rotor(
+    inertia: ArrayLike, q0: ArrayLike, m0: ArrayLike, t: ArrayLike, method: str = "exact"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Advance free rigid bodies by the time t.
+
+    Solves mdot = m x I^-1 m, qdot = q (0, I^-1 m)/2: equations (1) and (19) of the paper.
+
+    Parameters
+    ----------
+    inertia : (3,) or (N, 3) array_like
+        Principal moments of inertia, in any order.
+    q0 : (4,) or (N, 4) array_like
+        Attitudes, scalar first, which turn body coordinates into space coordinates. They are normalised.
+    m0 : (3,) or (N, 3) array_like
+        Angular momenta in the body frame; zero is allowed.
+    t : float or (N,) array_like
+        Time, of any sign and size.
+    method : str, optional
+        A key of `ROTORS`.
+
+    Returns
+    -------
+    q1 : (4,) or (N, 4) array
+    m1 : (3,) or (N, 3) array
+        New arrays; those handed in are not changed. A body with a number that is not finite becomes nan,
+        its neighbours are not touched.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit together, the method is unknown, moments are not positive, or an attitude is zero.
+
+    Examples
+    --------
+    >>> q, m = free_rotor([1.0, 1.88, 2.88], [1, 0, 0, 0], [0.3, 0.2, 0.1], 5.0)
+    >>> bool(abs(m @ m - 0.14) < 1e-15)
+    True
+    """
+    inertia, q, m, t = (np.asarray(a, dtype=np.float64) for a in (inertia, q0, m0, t))
+    if q.shape[-1:] != (4,) or m.shape[-1:] != (3,):
+        raise ValueError(f"q0 must have the shape (N, 4) and m0 (N, 3), not {q.shape} and {m.shape}")
+    try:
+        shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
+    except ValueError:
+        raise ValueError(
+            f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} are not of one number of bodies"
+        ) from None
+    if len(shape) > 1:
+        raise ValueError(f"bodies must be listed along one axis, not along {len(shape)}")
+    n = int(np.prod(shape))
+    flow = rotor(method, inertia)
+    attitudes = _normalised(_columns(q, n, 4))
+    with np.errstate(all="ignore"):  # what is not finite stays in its own body
+        q1, m1 = flow(attitudes, _columns(m, n, 3), np.broadcast_to(t, (n,)))
+    return np.ascontiguousarray(q1.T).reshape(*shape, 4), np.ascontiguousarray(m1.T).reshape(*shape, 3)
+
+
+def _columns(rows: Array, n: int, k: int) -> Array:
+    """Return (n, k) or (k,) rows as contiguous columns (k, n)."""
+    return np.ascontiguousarray(np.broadcast_to(rows, (n, k)).T)
+
+
+def _normalised(q: Array) -> Array:
+    """Return attitudes of norm one; those that are already are not touched."""
+    largest = np.abs(q).max(axis=0, initial=0.0)
+    if (largest == 0.0).any():
+        raise ValueError(
+            "an attitude q0 is zero: quaternions must have a direction, (1, 0, 0, 0) turns nothing"
+        )
+    norm = np.sqrt(np.einsum("in,in->n", q, q))
+    off = ~(np.abs(norm - 1.0) < 1e-12)
+    if not off.any():
+        return q
+    with np.errstate(invalid="ignore"):
+        scaled = q / np.where(off, largest, 1.0)
+        return scaled / np.where(off, np.sqrt(np.einsum("in,in->n", scaled, scaled)), 1.0)

@@ -1,0 +1,268 @@
+"""The exact flow of the free rigid body, any number of bodies at once.
+
+Euler's equations are solved without a phase and without an inverse function: the addition theorem of Jacobi's
+functions carries the momentum itself from 0 to h. The attitude follows from one incremental integral of the
+third kind and the argument of a complex number.
+
+With inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
+
+    b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
+
+Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They do not change when the axes 1 and 3
+and rho and sigma change places, so one formula serves both families of orbits: y = (x_l, x2, x_j), where j is the
+axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S = 0 is the separatrix), and
+(r, s) = (sigma, rho) or (rho, sigma). A turn by pi about axis 2 makes y3 >= 0.
+
+Exchanging two axes mirrors the body, so angles change sign where j = 1.
+"""
+
+from __future__ import annotations
+
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
+from openmm_exactrb.quaternions import multiply, renormalise
+from openmm_exactrb.rotors.flow import Array, Flow
+
+
+# Up to this b G h the series of `_short` are exact to roundoff.
+_SHORT = 0.3
+# Where the squares of a momentum are safe from over- and underflow.
+_SAFE = (1e-70, 1e70)
+
+
+def rotor(inertia: Array) -> Flow:
+    """Return the exact flow of free bodies with these principal moments of inertia.
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Positive moments in any order: one body's for all, or one column a body.
+
+    Returns
+    -------
+    flow : callable
+        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
+    """
+    order = np.argsort(inertia, axis=0, kind="stable")
+    back = np.argsort(order, axis=0)
+    # An odd permutation is a reflection; momenta and vector parts of quaternions are pseudovectors.
+    handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
+    body = _constants(np.take_along_axis(inertia, order, axis=0))
+    shared = inertia.shape[1] == 1
+
+    def arrange(v: Array, places: NDArray[np.intp]) -> Array:
+        arranged = v[places[:, 0]] if shared else np.take_along_axis(v, places, axis=0)
+        return arranged * handedness
+
+    def flow(q: Array, m: Array, t: Array) -> tuple[Array, Array]:
+        turn, m1 = _flow(body, arrange(m, order), np.broadcast_to(t, m.shape[1:]))
+        turn[1:] = arrange(turn[1:], back)
+        return renormalise(multiply(q, turn)), arrange(m1, back)
+
+    return flow
+
+
+def _constants(inertia: Array) -> Array:
+    """Stack b, rho, sigma, 1/I3 and the three moments, scaled by a power of two, of sorted moments."""
+    scale = np.ldexp(1.0, np.frexp(inertia[2])[1])
+    I1, I2, I3 = inertia = inertia / scale
+    width = I3 - I1
+    b = width / (I1 * I3 * scale)
+    width[width == 0.0] = 1.0
+    rho = I3 * (I2 - I1) / (I2 * width)
+    sigma = np.where(b == 0.0, 1.0, I1 * (I3 - I2) / (I2 * width))
+    return np.stack([b, rho, sigma, 1.0 / (I3 * scale), *inertia])
+
+
+def _flow(body: Array, m: Array, t: Array) -> tuple[Array, Array]:
+    """Return the rotation of the step as a quaternion (4, N), and the new momentum, in sorted principal axes."""
+    G = np.sqrt(np.einsum("in,in->n", m, m))
+    short = (np.abs(body[0] * t) * G <= _SHORT) & (G > _SAFE[0]) & (G < _SAFE[1])
+    if short.all():
+        return _short(body, m, G, t)
+    long = ~short
+    turn, m1 = np.empty((4, m.shape[1])), np.empty_like(m)
+    for chosen, path in ((short, _short), (long, _long)):
+        if chosen.any():
+            part = body if body.shape[1] == 1 else body[:, chosen]
+            turn[:, chosen], m1[:, chosen] = path(part, m[:, chosen], G[chosen], t[chosen])
+    return turn, m1
+
+
+def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
+    """Step with b G h <= 0.3: series instead of elliptic functions, and either family by the one form j = 3."""
+    b, rho, sigma, inverse_I3 = body[:4]
+    flip = np.copysign(1.0, m[2])
+    y = m / G
+    y[0] *= flip
+    y[2] *= flip
+    hG = t * G
+
+    square = y * y
+    x = sigma * (square[2] + rho * square[1])
+    B = sigma * (square[0] + sigma * square[1])
+    z = rho * (square[0] + sigma * square[1])
+    w = sine_short(b * hG, x, z)
+    u = w * w
+    cn, dn = np.sqrt(1.0 - x * u), np.sqrt(1.0 - z * u)
+    angle = hG * inverse_I3 + third_kind_short(w, x, z, B)
+    turn, y1 = _rotate(y, cn, dn, w, sigma, rho, angle, _complex(cn * dn, w))
+    return _unflip(turn, y1, flip, G)
+
+
+def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
+    """Step of any length, from any momentum."""
+    b, rho, sigma, inverse_I3 = body[:4]
+    exponent = np.frexp(np.abs(m).max(axis=0))[1]
+    m = np.ldexp(m, -exponent)
+    G = np.sqrt(np.einsum("in,in->n", m, m))
+    resting = G == 0.0
+    y = m / np.where(resting, 1.0, G)
+    y[2] += resting
+    hG = t * np.ldexp(G, exponent)
+
+    S = _separatrix_distance(body[4:], m) / np.where(resting, 1.0, G * G)
+    mirrored = S >= 0.0
+    B = sigma * (y[0] * y[0] + sigma * y[1] * y[1])
+    r, s = np.where(mirrored, (rho, sigma), (sigma, rho)) * np.ones_like(G)
+    y[::2] = np.where(mirrored, y[::-2], y[::2])
+    flip = np.copysign(1.0, y[2])
+    y[::2] *= flip
+
+    rA = r * (y[2] * y[2] + s * y[1] * y[1])
+    kc2 = np.minimum(np.abs(S) / np.where(rA > 0.0, rA, 1.0), 1.0)
+    kc2 = np.where(rA > 0.0, kc2, 1.0)
+    c = np.sqrt(rA)
+    v = b * hG * c
+    sn, cn, dn, half_turns = jacobi(v, kc2)
+    w = np.where(c > 0.0, sn / np.where(c > 0.0, c, 1.0), b * hG)
+    angle = hG * inverse_I3 + third_kind(v, kc2, c, B, w, cn, dn, half_turns)
+    turn, y1 = _rotate(
+        y, cn, dn, w, r, s, np.where(mirrored, -angle, angle), np.where(mirrored, 1.0, _complex(cn * dn, w))
+    )
+    turn, m1 = _unflip(turn, y1, flip, np.ldexp(G, exponent))
+    turn[1:] *= np.where(mirrored, -1.0, 1.0)
+    turn[1::2] = np.where(mirrored, turn[:0:-2], turn[1::2])
+    m1[::2] = np.where(mirrored, m1[::-2], m1[::2])
+    return turn, m1
+
+
+def _rotate(
+    y: Array, cn: Array, dn: Array, w: Array, r: Array, s: Array, angle: Array, extra: NDArray[np.complex128]
+) -> tuple[Array, Array]:
+    """Apply the addition theorem to y and assemble the rotation of the step, around the frame y.
+
+    With xi = y1 + i y2 and a = 1 + y3, p = (a, y2, -y1, 0)/sqrt(2a) is the smallest rotation that takes y to e3, and
+    the step is conj(p(0)) (cos psi, 0, 0, sin psi) p(h).
+    """
+    y1, y2, y3 = y
+    wy3, cd = w * y3, cn * dn
+    inverse = 1.0 / (cn * cn + r * wy3 * wy3)
+    f1, f2, unit = _rescaled(y1, y2)
+    g1 = (f1 * cn - r * wy3 * dn * f2) * inverse
+    g2 = (f2 * cd + wy3 * f1) * inverse
+    twist = _complex(f2 * f2 + f1 * (cn * g1 + wy3 * g2), -s * w * f2 * g2) * extra
+    twist *= _complex(f1, f2) * _complex(g1, -g2)
+    psi = 0.5 * (angle + np.arctan2(twist.imag, twist.real))
+    turned = _complex(np.cos(psi), np.sin(psi))
+
+    new = np.stack([g1 * unit, g2 * unit, (y3 * dn - s * w * cn * y1 * y2) * inverse])
+    renormalise(new)
+    xi0, xi1 = _complex(y1, y2), _complex(new[0], new[1])
+    xi1 *= turned
+    a0, a1 = 1.0 + y3, 1.0 + new[2]
+    product = a0 * a1
+    scale = 0.5 / np.sqrt(product)
+    along = product * turned + xi0 * xi1.conj()
+    across = a0 * xi1 - a1 * (xi0 * turned.conj())
+    turn = np.stack([along.real, across.imag, -across.real, along.imag])
+    turn *= scale
+    return turn, new
+
+
+def _rescaled(y1: Array, y2: Array) -> tuple[Array, Array, Array | float]:
+    """Return (y1, y2)/unit, unit a power of two where fourth powers would vanish; (0, 1) and 0 where both are zero."""
+    size = np.maximum(np.abs(y1), np.abs(y2))
+    vanishing = size < 1e-60
+    if not vanishing.any():
+        return y1, y2, 1.0
+    zero = size == 0.0
+    exponent = np.where(vanishing, np.frexp(size)[1], 0)
+    unit = np.where(zero, 0.0, np.ldexp(1.0, exponent))
+    return np.ldexp(y1, -exponent), np.where(zero, 1.0, np.ldexp(y2, -exponent)), unit
+
+
+def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
+    out = np.empty(real.shape, dtype=np.complex128)
+    out.real = real
+    out.imag = imag
+    return out
+
+
+def _unflip(turn: Array, y: Array, flip: Array, G: Array) -> tuple[Array, Array]:
+    """Undo the turn about axis 2 and the scaling."""
+    turn[1] *= flip
+    turn[3] *= flip
+    m = y * G
+    m[0] *= flip
+    m[2] *= flip
+    return turn, m
+
+
+def _separatrix_distance(inertia: Array, m: Array) -> Array:
+    """Return S norm(m)² = rho m1² - sigma m3², its cancelling part in double-double.
+
+    Near the separatrix a double would lose all digits of it.
+    """
+    I1, I2, I3 = inertia
+    first = _times_squared(_times(I3, _difference(I2, I1)), m[0])
+    third = _times_squared(_times(I1, _difference(I3, I2)), m[2])
+    leading, error = _difference(first[0], third[0])
+    distance = leading + (error + (first[1] - third[1]))
+    # Less than the error of double-double is zero: the momentum was put on the separatrix.
+    on_it = np.abs(distance) <= 1e-30 * (first[0] + third[0])
+    return np.where(on_it, 0.0, distance) / np.where(I3 > I1, I2 * (I3 - I1), 1.0)
+
+
+def _times_squared(factor: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
+    """Return factor x² in double-double."""
+    square, square_error = _product(x, x)
+    leading, error = _product(factor[0], square)
+    return leading, error + (factor[0] * square_error + factor[1] * square)
+
+
+def _times(a: Array, b: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Return a times a double-double b."""
+    leading, error = _product(a, b[0])
+    return _sum_ordered(leading, error + a * b[1])
+
+
+def _difference(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return a - b exactly, as an unevaluated sum (Knuth's TwoSum)."""
+    d = a - b
+    shadow = d - a
+    return d, (a - (d - shadow)) - (b + shadow)
+
+
+def _sum_ordered(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return a + b exactly for abs(a) >= abs(b) (Dekker's FastTwoSum)."""
+    total = a + b
+    return total, b - (total - a)
+
+
+def _product(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return a b exactly, as an unevaluated sum (Dekker, Numer. Math. 18, 224 (1971), doi:10.1007/BF01397083)."""
+    p = a * b
+    a_high, a_low = _halves(a)
+    b_high, b_low = _halves(b)
+    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def _halves(a: Array) -> tuple[Array, Array]:
+    """Split 53 bits into 26 and 27."""
+    t = 134217729.0 * a
+    high = t - (t - a)
+    return high, a - high

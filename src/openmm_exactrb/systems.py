@@ -1,0 +1,189 @@
+"""Systems ready to run: (topology, system, positions)."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+from numpy.typing import ArrayLike, NDArray
+from openmm import app, unit
+
+from openmm_exactrb import quaternions
+from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+
+Array = NDArray[np.float64]
+
+#: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
+BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
+
+_TRIANGLE = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]) * 2.0**0.5
+_TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+
+
+def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
+    """Place equal masses so that they have exactly these principal moments of inertia.
+
+    Parameters
+    ----------
+    mass : float
+        Total mass.
+    inertia : (3,) array_like
+        Principal moments, each at most the sum of the others.
+
+    Returns
+    -------
+    (3, 3) or (4, 3) array
+        A triangle for a planar body, whose largest moment is the sum of the others, else a tetrahedron; equal masses
+        mass/3 or mass/4, the centre of mass in the origin, the principal axes along the coordinates.
+
+    Raises
+    ------
+    ValueError
+        If no body has these moments, or it is linear.
+    """
+    moments = np.asarray(inertia, dtype=np.float64)
+    if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
+        raise ValueError(
+            f"inertia must be three positive moments, not {inertia}: a linear body cannot carry this dipole"
+        )
+    if not (np.isfinite(mass) and mass > 0.0):
+        raise ValueError(f"mass must be positive, not {mass}")
+    spread = 0.5 * moments.sum() - moments
+    flat = np.abs(spread) < 1e-12 * moments.max()
+    if (spread[~flat] < 0.0).any():
+        raise ValueError(
+            f"no body has the moments of inertia {moments.tolist()}: none may be larger than the sum of the others"
+        )
+    if not flat.any():
+        return _TETRAHEDRON * np.sqrt(spread / mass)
+    sites = np.zeros((3, 3))
+    sites[:, ~flat] = _TRIANGLE * np.sqrt(spread[~flat] / mass)
+    return sites
+
+
+def dipole_fluid(
+    n: int = 125,
+    seed: int = 0,
+    *,
+    mass: float = 1.0,
+    inertia: ArrayLike = (1.0, 1.88, 2.88),
+    dipole: ArrayLike = (0.0, 1.0, 1.0),
+    sigma: float = 1.0,
+    epsilon: float = 1.0,
+    spacing: float = BINDING_DISTANCE,
+    perturbation: float = 0.01,
+) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Build a droplet of soft dipolar spheres, section 3.4 of the paper.
+
+    Parameters
+    ----------
+    n : int
+        Number of spheres, on the first places of a cubic lattice with random orientations.
+    seed : int
+    mass : float
+        In amu.
+    inertia : (3,) array_like
+        Principal moments in amu nm².
+    dipole : (3,) array_like or Quantity
+        Dipole moment in the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
+    sigma, epsilon : float
+        Size (nm) and strength (kJ/mol) of the soft sphere.
+    spacing : float
+        Lattice constant in nm.
+    perturbation : float
+        Standard deviation of the positions about the lattice, as a part of its constant.
+
+    Returns
+    -------
+    topology : openmm.app.Topology
+        One residue a sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole), which
+        a bond joins to an arrow.
+    system : openmm.System
+        Constraints hold the sites together, the potential acts on the virtual sites.
+    positions : Quantity
+        (n_particles, 3) in nm.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range or a unit does not fit.
+    """
+    vector = _dipole_vector(dipole)
+    if int(n) != n or n < 1:
+        raise ValueError(f"n must be a positive whole number of spheres, not {n}")
+    for name, value in (("sigma", sigma), ("epsilon", epsilon), ("spacing", spacing)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive, not {value}")
+    if not (np.isfinite(perturbation) and perturbation >= 0.0):
+        raise ValueError(f"perturbation must not be negative, not {perturbation}")
+    n = int(n)
+    sites = rigid_sites(mass, inertia)
+    strength = float(np.linalg.norm(vector))
+    arrow = 0.5 * sigma * (vector / strength)
+
+    system, topology, arrows = openmm.System(), app.Topology(), []
+    chain = topology.addChain()
+    for _ in range(n):
+        arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
+    system.addForce(
+        soft_dipole_force(arrows, strength=strength, length=0.5 * sigma, sigma=sigma, epsilon=epsilon)
+    )
+
+    rng = np.random.default_rng(seed)
+    edge = next(k for k in range(1, n + 1) if k**3 >= n)
+    lattice = spacing * np.argwhere(np.ones((edge, edge, edge)))[:n]
+    centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
+    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
+    shape = np.vstack([sites, np.zeros(3), arrow])
+    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
+    return topology, system, unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
+
+
+def _dipole_vector(dipole: ArrayLike | unit.Quantity) -> Array:
+    values = [dipole_strength(d) for d in dipole]
+    vector = np.asarray(values, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole}")
+    return vector
+
+
+def _add_molecule(
+    system: openmm.System,
+    topology: app.Topology,
+    chain: app.topology.Chain,
+    mass: float,
+    sites: Array,
+    arrow: Array,
+) -> tuple[int, int]:
+    """Add a rigid molecule with the virtual sites C and D; return their particles."""
+    first, k = system.getNumParticles(), len(sites)
+    particles = list(range(first, first + k))
+    residue = topology.addResidue("DIP", chain)
+    for i, particle in enumerate(particles):
+        system.addParticle(mass / k)
+        topology.addAtom(f"M{i + 1}", None, residue)
+        for j in range(i):
+            system.addConstraint(first + j, particle, float(np.linalg.norm(sites[i] - sites[j])))
+    atoms = []
+    for name, place in (("C", np.zeros(3)), ("D", arrow)):
+        site = system.addParticle(0.0)
+        system.setVirtualSite(site, _body_fixed_site(particles, sites, place))
+        atoms.append(topology.addAtom(name, None, residue))
+    topology.addBond(*atoms)
+    return first + k, first + k + 1
+
+
+def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.LocalCoordinatesSite:
+    """Return a virtual site at a place given in the principal axes of the body."""
+    k = len(sites)
+    origin = np.full(k, 1.0 / k)
+    # The local frame: x from site 1 to site 2, y in the plane with site 3.
+    to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
+    x = to_second / np.linalg.norm(to_second)
+    z = np.cross(to_second, to_third)
+    z /= np.linalg.norm(z)
+    local = np.array([x, np.cross(z, x), z]) @ place
+    x_weights, y_weights = np.zeros(k), np.zeros(k)
+    x_weights[:2], y_weights[[0, 2]] = (-1.0, 1.0), (-1.0, 1.0)
+    return openmm.LocalCoordinatesSite(
+        particles, origin.tolist(), x_weights.tolist(), y_weights.tolist(), openmm.Vec3(*map(float, local))
+    )
