@@ -6,6 +6,7 @@ turn come before single particles, which have no attitude.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from openmm import unit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from openmm_exactrb.quaternions import from_matrix, matrix
 
@@ -48,7 +50,7 @@ class BodyState(NamedTuple):
 
     def finite(self) -> NDArray[np.bool_]:
         """Tell which bodies have finite momenta, (N,)."""
-        fine: NDArray[np.bool_] = np.isfinite(self.P).all(axis=0)
+        fine = np.asarray(np.isfinite(self.P).all(axis=0))
         fine[: self.m.shape[1]] &= np.isfinite(self.m).all(axis=0)
         return fine
 
@@ -108,6 +110,7 @@ class RigidBodies:
         turning = [kind for kind in kinds if kind.turns]
         moments = [np.where(kind.linear, kind.inertia[0], kind.inertia) for kind in turning]
         # A linear body turns as a sphere does whose momentum has no component along the axis.
+        #: Moments for the rotor: (1, 3) if all bodies that turn are of one kind, else (K, 3).
         self.inertia: Array = (
             moments[0][None]
             if len(turning) == 1
@@ -160,7 +163,12 @@ class RigidBodies:
         return total, torque
 
     def fit(
-        self, x: Array, v: Array, known: BodyState | None = None, moved: NDArray[np.bool_] | None = None
+        self,
+        x: Array,
+        v: Array,
+        known: BodyState | None = None,
+        moved: NDArray[np.bool_] | None = None,
+        changed: NDArray[np.bool_] | None = None,
     ) -> BodyState:
         """Find the state of bodies from the positions and velocities of their particles.
 
@@ -168,33 +176,25 @@ class RigidBodies:
         ----------
         x, v : (n_particles, 3) arrays
         known : BodyState, optional
-            Positions and attitudes to keep where `moved` is false.
-        moved : (N,) array of bool, optional
+            A state whose positions and attitudes stay where `moved` is false, and momenta where `changed` is.
+        moved, changed : (N,) arrays of bool, optional
 
         Raises
         ------
         ValueError
             If positions are not finite, or further than `RIGIDITY` from a rigid body.
         """
-        n = len(self)
-        moved = np.ones(n, dtype=bool) if known is None or moved is None else moved
-        R, P = np.empty((3, n)), np.empty((3, n))
+        R, P = np.empty((3, len(self))), np.empty((3, len(self)))
         q, m = np.empty((4, self.n_turning)), np.zeros((3, self.n_turning))
         for kind in self.kinds:
             X, V = x[kind.particles], v[kind.particles]
             self._check_finite(kind, X, V)
-            weights = kind.masses / kind.mass
-            centre = np.einsum("s,nsi->ni", weights, X)
-            keep = ~moved[kind.bodies]
-            if known is not None:
-                centre[keep] = known.R.T[kind.bodies][keep]
+            centre = np.einsum("s,nsi->ni", kind.masses / kind.mass, X)
             R[:, kind.bodies] = centre.T
             P[:, kind.bodies] = np.einsum("s,nsi->in", kind.masses, V)
             if kind.turns:
                 relative = X - centre[:, None]
                 attitude = _attitudes(kind, relative)
-                if known is not None:
-                    attitude[:, keep] = known.q[:, kind.bodies][:, keep]
                 Q = matrix(attitude)
                 self._check_rigid(kind, relative - _turned(Q.transpose(2, 0, 1), kind.sites))
                 spin = np.einsum("s,nsi->ni", kind.masses, np.cross(relative, V))
@@ -202,7 +202,24 @@ class RigidBodies:
                 m[:, kind.bodies] = np.einsum("jin,nj->in", Q, spin)
                 if kind.linear:
                     m[2, kind.bodies] = 0.0
-        return BodyState(R, P, q, m)
+        fitted = BodyState(R, P, q, m)
+        if known is None or moved is None or changed is None:
+            return fitted
+        k = self.n_turning
+        return BodyState(
+            np.where(moved, R, known.R),
+            np.where(changed, P, known.P),
+            np.where(moved[:k], q, known.q),
+            np.where(changed[:k], m, known.m),
+        )
+
+    def closest(self, state: BodyState) -> tuple[tuple[int, int], float]:
+        """Return the two bodies whose centres are closest, and their distance in nm."""
+        if len(self) < 2:
+            return (0, 0), np.inf
+        distances, neighbours = map(np.asarray, cKDTree(state.R.T).query(state.R.T, k=2))
+        body = int(np.argmin(distances[:, 1]))
+        return (body, int(neighbours[body, 1])), float(distances[body, 1])
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
         """Return the translational and rotational kinetic energies in kJ/mol."""
@@ -213,9 +230,7 @@ class RigidBodies:
         """Say which particles a body consists of."""
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
-                return (
-                    f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
-                )
+                return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
         raise IndexError(f"there is no body {body}")
 
     def _check_finite(self, kind: Kind, X: Array, V: Array) -> None:
@@ -231,9 +246,9 @@ class RigidBodies:
         worst = int(np.argmax(distance))
         if distance[worst] > RIGIDITY:
             raise ValueError(
-                f"{self.name(kind.bodies.start + worst)} is {distance[worst]:.2g} nm away from the rigid shape that its "
-                f"constraints give, more than {RIGIDITY:g} nm: call context.applyConstraints(1e-6) after setPositions, "
-                "and do not let a periodic box split molecules"
+                f"{self.name(kind.bodies.start + worst)} is {distance[worst]:.2g} nm away from the rigid shape that "
+                f"its constraints give, more than {RIGIDITY:g} nm: call context.applyConstraints(1e-6) after "
+                "setPositions, and do not let a periodic box split molecules"
             )
 
 
@@ -251,9 +266,7 @@ def find_bodies(system: openmm.System, positions: Array) -> RigidBodies:
     ValueError
         If there is no rigid body, or constraints do not fix a cluster fully.
     """
-    masses = np.array(
-        [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
-    )
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     groups: dict[tuple[bytes, bytes], list[Indices]] = {}
     for particles, distances in _clusters(system, masses):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
@@ -285,9 +298,7 @@ def _split_by_handedness(particles: Indices, masses: Array, distances: Array, po
     mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", masses, relative, kind.sites)) < 0.0
     image = replace(kind, sites=kind.sites * (-1.0, 1.0, 1.0))
     return [
-        replace(k, particles=particles[chosen])
-        for k, chosen in ((kind, ~mirrored), (image, mirrored))
-        if chosen.any()
+        replace(k, particles=particles[chosen]) for k, chosen in ((kind, ~mirrored), (image, mirrored)) if chosen.any()
     ]
 
 
@@ -304,11 +315,11 @@ def _clusters(system: openmm.System, masses: Array) -> Iterable[tuple[Indices, A
     order = np.argsort(label, kind="stable")
     place = np.empty(n, dtype=np.intp)
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+    for start, stop in itertools.pairwise(bounds):
         place[order[start:stop]] = np.arange(stop - start)
     constraints = np.argsort(label[pairs[:, 0]], kind="stable")
     limits = np.searchsorted(label[pairs[constraints, 0]], np.arange(len(bounds)))
-    for cluster, (start, stop) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
+    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
         particles = order[start:stop]
         if len(particles) == 1 and masses[particles[0]] == 0.0:
             continue
@@ -363,7 +374,7 @@ def _turned(Q: Array, sites: Array) -> Array:
 
 
 def _attitudes(kind: Kind, relative: Array) -> Array:
-    """Return the attitudes (4, n) that fit sites to places about the centre best (Kabsch, doi:10.1107/S0567739476001873)."""
+    """Return the attitudes (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
     correlation = np.einsum("s,nsi,sj->nij", kind.masses, relative, kind.sites)
     U, _, Vt = np.linalg.svd(correlation)
     U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]

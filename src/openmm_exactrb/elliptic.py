@@ -82,9 +82,7 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
     return sn, cn, dn, half_turns
 
 
-def third_kind(
-    v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array
-) -> Array:
+def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array) -> Array:
     """Integrate b w² / (1 + b w²) over v/c, where w = sn(v)/c, from 0 to v, past any number of half periods.
 
     Parameters
@@ -109,9 +107,7 @@ def third_kind(
     """
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
-    integral = (
-        b / 3.0 * reduced**3 * elliprj(np.where(separatrix, 1.0, cn * cn), dn * dn, 1.0, 1.0 + b * w * w)
-    )
+    integral: Array = b / 3.0 * reduced**3 * elliprj(np.where(separatrix, 1.0, cn * cn), dn * dn, 1.0, 1.0 + b * w * w)
     turned = half_turns != 0.0
     if turned.any():
         frequency = np.where(turned, c, 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import time
 import weakref
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from openmm import unit
 
 from openmm_exactrb.bodies import BodyState, RigidBodies, find_bodies
 from openmm_exactrb.propagate import compose
-from openmm_exactrb.rotors import ROTORS, Flow, rotor
+from openmm_exactrb.rotors import ROTORS, rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _SAME = 1e-9
 # Per-DOF variables, on the first particle of each body, in which the state travels in checkpoints and States.
 _STORED = ("exactrb_R", "exactrb_P", "exactrb_m", "exactrb_q", "exactrb_w")
+_IS_STORED = "exactrb_stored"
 # Forces that change positions or velocities between steps.
 _CHANGING = (
     "AndersenThermostat",
@@ -43,7 +44,7 @@ class NonFiniteError(ArithmeticError):
 
 @dataclass
 class Timings:
-    """Wall time in seconds, and force evaluations, since the integrator was made.
+    """Wall time in seconds, and force evaluations, since the integrator was made or `reset` was called.
 
     Attributes
     ----------
@@ -62,20 +63,10 @@ class Timings:
     total: float = 0.0
     evaluations: int = 0
 
-
-@dataclass
-class _Binding:
-    """What belongs to one Context."""
-
-    context: weakref.ref[openmm.Context]
-    bodies: RigidBodies
-    flow: Flow
-    changing: bool
-    x: Array  # positions handed to OpenMM, its virtual sites do not matter
-    v: Array
-    seen: tuple[Array, Array] | None = None  # positions and velocities in the Context after our last step
-    state: BodyState | None = None
-    force: tuple[Array, Array] | None = field(default=None)  # of the present positions
+    def reset(self) -> None:
+        """Begin again at zero."""
+        self.forces = self.rotor = self.total = 0.0
+        self.evaluations = 0
 
 
 class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
@@ -114,11 +105,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         super().__init__(_picoseconds(stepSize))
         for name in _STORED:
             self.addPerDofVariable(name, 0.0)
-        self.addGlobalVariable("exactrb_stored", 0.0)
+        self.addGlobalVariable(_IS_STORED, 0.0)
         self.addUpdateContextState()
         self.timings = Timings()
-        self._binding: _Binding | None = None
-        self._advance = compose(self._scheme, self._drift, self._kick)
+        self._coupling: _Coupling | None = None
 
     # -- what a user asks for -----------------------------------------------------------------------------------
 
@@ -155,20 +145,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             If the Context has another integrator, its System has no rigid bodies, or its positions do not fit them.
         """
         if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
-            raise ValueError(
-                "this Context was made with another integrator: bind the one that it was made with"
-            )
-        x, _ = _positions_and_velocities(context)
-        bodies = find_bodies(context.getSystem(), x)
-        changing = {type(force).__name__ for force in context.getSystem().getForces()} & set(_CHANGING)
-        self._binding = _Binding(
-            weakref.ref(context),
-            bodies,
-            rotor(self._rotor, bodies.inertia if len(bodies.inertia) > 1 else bodies.inertia[0]),
-            bool(changing),
-            np.zeros((bodies.n_particles, 3)),
-            np.zeros((bodies.n_particles, 3)),
-        )
+            raise ValueError("this Context was made with another integrator: bind the one that it was made with")
+        self._coupling = _Coupling(context, self._rotor, self.getIntegrationForceGroups(), self.timings)
 
     def step(self, steps: int) -> None:
         """Advance the bodies by this many steps.
@@ -185,37 +163,34 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step.
         """
         start = time.perf_counter()
-        binding = self._bound()
-        context = binding.context()
+        coupling = self._up_to_date()
+        coupling.groups = self.getIntegrationForceGroups()
         h = self.getStepSize().value_in_unit(unit.picosecond)
-        self._take_up(binding, context)
         done = 0
         try:
             for _ in range(steps):
-                binding.state = self._one_step(binding, h)
+                coupling.step(self._scheme, h)
                 done += 1
-                if binding.changing:
-                    self._publish(binding, context)
+                if coupling.changing:
+                    coupling.publish(self)
                     super().step(1)
-                    self._take_up(binding, context)
+                    coupling.take_up(self)
         finally:
-            if not binding.changing and done:
+            if not coupling.changing and done:
                 super().step(done)
-            self._publish(binding, context)
+            coupling.publish(self)
             self.timings.total += time.perf_counter() - start
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
-        binding = self._bound()
-        self._take_up(binding, binding.context())
-        translational, rotational = binding.bodies.kinetic_energies(binding.state)
+        coupling = self._up_to_date()
+        translational, rotational = coupling.bodies.kinetic_energies(coupling.state)
         return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
 
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
-        binding = self._bound()
-        self._take_up(binding, binding.context())
-        return binding.bodies, BodyState(*(a.copy() for a in binding.state))
+        coupling = self._up_to_date()
+        return coupling.bodies, BodyState(*(a.copy() for a in coupling.state))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
@@ -224,67 +199,21 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
         factory, arguments = self.__reduce__()
-        return factory(*arguments)
+        twin: ExactRigidBodyIntegrator = factory(*arguments)
+        return twin
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
 
-    # -- the two flows ------------------------------------------------------------------------------------------
-
-    def _drift(self, state: BodyState, tau: float) -> BodyState:
-        binding = self._binding
-        start = time.perf_counter()
-        q, m = binding.flow(state.q, state.m, np.float64(tau))
-        self.timings.rotor += time.perf_counter() - start
-        binding.force = None
-        return BodyState(state.R + tau * state.P / binding.bodies.mass, state.P, q, m)
-
-    def _kick(self, state: BodyState, tau: float) -> BodyState:
-        force, torque = self._force(state)
-        return state._replace(P=state.P + tau * force, m=state.m + tau * torque)
-
-    def _force(self, state: BodyState) -> tuple[Array, Array]:
-        """Return forces and torques on the bodies, once for each set of positions."""
-        binding = self._binding
-        if binding.force is None:
-            x = binding.bodies.positions(state, binding.x)
-            context = binding.context()
-            start = time.perf_counter()
-            context.setPositions(x)
-            context.computeVirtualSites()
-            forces = context.getState(forces=True, groups=self.getIntegrationForceGroups()).getForces(
-                asNumpy=True
-            )
-            self.timings.forces += time.perf_counter() - start
-            self.timings.evaluations += 1
-            binding.force = binding.bodies.forces(state.q, forces._value)
-        return binding.force
-
-    def _one_step(self, binding: _Binding, h: float) -> BodyState:
-        with np.errstate(all="ignore"):  # what is not finite is reported below, with the bodies concerned
-            state = self._advance(binding.state, h)
-        if not np.isfinite(state.P.sum() + state.m.sum()):
-            self._report(binding, binding.state, state, h)
-        return state
-
-    def _report(self, binding: _Binding, before: BodyState, after: BodyState, h: float) -> None:
-        """Raise the error of a step that did not end well."""
-        binding.force = None
-        bad = np.flatnonzero(~after.finite())
-        step = binding.context().getStepCount() + 1
-        names = "; ".join(binding.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
-        raise NonFiniteError(
-            f"step {step}: forces or momenta of {len(bad)} bodies are not finite: {names}. The Context keeps the state "
-            "before this step: take a smaller step size, or minimise the energy if bodies overlap"
-        )
-
-    # -- the Context --------------------------------------------------------------------------------------------
-
-    def _bound(self) -> _Binding:
-        if self._binding is None or self._binding.context() is None:
+    def _up_to_date(self) -> _Coupling:
+        """Return the coupling to the present Context, with what was set there taken up."""
+        if self._coupling is None or self._coupling.context is None:
             self.bind(self._find_context())
-        return self._binding
+        coupling = self._coupling
+        assert coupling is not None
+        coupling.take_up(self)
+        return coupling
 
     def _find_context(self) -> openmm.Context:
         """Find the Context that was made with this integrator: OpenMM does not tell."""
@@ -299,52 +228,112 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             "the integrator has no Context yet: make a Simulation or a Context with it first, or call bind(context)"
         )
 
-    def _take_up(self, binding: _Binding, context: openmm.Context) -> None:
-        """Bring the body state up to date with what was set in the Context since our last step."""
+
+class _Coupling:
+    """The bodies of one Context, and the two flows that move them.
+
+    Holds no strong reference to the Context, which owns the integrator that owns this.
+    """
+
+    def __init__(self, context: openmm.Context, method: str, groups: int, timings: Timings) -> None:
+        system = context.getSystem()
         x, v = _positions_and_velocities(context)
-        if binding.seen is not None and all(map(np.array_equal, binding.seen, (x, v))):
-            return
-        binding.seen, binding.force = (x, v), None
-        stored = self._stored(binding)
-        if stored is None:
-            binding.state = binding.bodies.fit(x, v)
-            return
-        moved = _differs(binding.bodies, x, binding.bodies.positions(stored, binding.x))
-        pushed = _differs(binding.bodies, v, binding.bodies.velocities(stored, binding.v))
-        binding.state = stored
-        if moved.any() or pushed.any():
-            fitted = binding.bodies.fit(x, v, stored, moved)
-            changed = moved | pushed
-            turning = changed[: binding.bodies.n_turning]
-            binding.state = fitted._replace(
-                P=np.where(changed, fitted.P, stored.P), m=np.where(turning, fitted.m, stored.m)
-            )
+        self._context = weakref.ref(context)
+        self.bodies = find_bodies(system, x)
+        self.groups = groups
+        self.timings = timings
+        #: Whether OpenMM itself changes positions or velocities between steps.
+        self.changing = any(type(force).__name__ in _CHANGING for force in system.getForces())
+        self._flow = rotor(method, self.bodies.inertia)
+        self._x, self._v = np.zeros_like(x), np.zeros_like(v)  # what is handed to OpenMM; virtual sites stay zero
+        self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
+        self._forces: tuple[Array, Array] | None = None  # of the present positions
+        self.state = self.bodies.fit(x, v)
 
-    def _publish(self, binding: _Binding, context: openmm.Context) -> None:
-        """Write the body state into the Context, as particles and in full."""
-        state, bodies = binding.state, binding.bodies
-        context.setPositions(bodies.positions(state, binding.x))
-        context.setVelocities(bodies.velocities(state, binding.v))
-        context.computeVirtualSites()
-        k = bodies.n_turning
+    @property
+    def context(self) -> Any:
+        """The Context, or None when it is gone."""
+        return self._context()
+
+    def step(self, scheme: Scheme, h: float) -> None:
+        """Move the bodies by one step."""
+        with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
+            after = compose(scheme, self._drift, self._kick)(self.state, h)
+        if not np.isfinite(after.P.sum() + after.m.sum()):
+            self._forces = None
+            raise NonFiniteError(self._complaint(after))
+        self.state = after
+
+    def _drift(self, state: BodyState, tau: float) -> BodyState:
+        start = time.perf_counter()
+        q, m = self._flow(state.q, state.m, tau)
+        self.timings.rotor += time.perf_counter() - start
+        self._forces = None
+        return BodyState(state.R + tau * state.P / self.bodies.mass, state.P, q, m)
+
+    def _kick(self, state: BodyState, tau: float) -> BodyState:
+        if self._forces is None:
+            self._forces = self.bodies.forces(state.q, self._particle_forces(state))
+        force, torque = self._forces
+        return state._replace(P=state.P + tau * force, m=state.m + tau * torque)
+
+    def _particle_forces(self, state: BodyState) -> Array:
+        x = self.bodies.positions(state, self._x)
+        start = time.perf_counter()
+        self.context.setPositions(x)
+        self.context.computeVirtualSites()
+        forces = self.context.getState(forces=True, groups=self.groups).getForces(asNumpy=True)
+        self.timings.forces += time.perf_counter() - start
+        self.timings.evaluations += 1
+        values: Array = forces._value
+        return values
+
+    def _complaint(self, after: BodyState) -> str:
+        bad = np.flatnonzero(~after.finite())
+        names = "; ".join(self.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
+        pair, distance = self.bodies.closest(self.state)
+        return (
+            f"step {self.context.getStepCount() + 1}: momenta of {len(bad)} bodies are not finite any more: {names}. "
+            f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
+            "keeps the state before this step: take a smaller step size, or minimise the energy first"
+        )
+
+    def take_up(self, store: openmm.CustomIntegrator) -> None:
+        """Bring the state up to date with what was set in the Context since it was published."""
+        x, v = _positions_and_velocities(self.context)
+        if self._seen is not None and all(map(np.array_equal, self._seen, (x, v))):
+            return
+        self._forces = None
+        known = self._stored(store)
+        if known is None:
+            self.state = self.bodies.fit(x, v)
+        else:
+            moved = _differs(self.bodies, x, self.bodies.positions(known, self._x))
+            pushed = _differs(self.bodies, v, self.bodies.velocities(known, self._v))
+            self.state = self.bodies.fit(x, v, known, moved, moved | pushed) if (moved | pushed).any() else known
+        self._seen = (x, v)
+
+    def publish(self, store: openmm.CustomIntegrator) -> None:
+        """Write the state into the Context: as particles, and in full into the per-DOF variables of the integrator."""
+        state, bodies = self.state, self.bodies
+        self.context.setPositions(bodies.positions(state, self._x))
+        self.context.setVelocities(bodies.velocities(state, self._v))
+        self.context.computeVirtualSites()
+        first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
         full = np.zeros((len(_STORED), bodies.n_particles, 3))
-        full[0, bodies.first_particle] = state.R.T
-        full[1, bodies.first_particle] = state.P.T
-        full[2, bodies.first_particle[:k]] = state.m.T
-        full[3, bodies.first_particle[:k]] = state.q[1:].T
-        full[4, bodies.first_particle[:k], 0] = state.q[0]
+        full[0, first], full[1, first] = state.R.T, state.P.T
+        full[2, turning], full[3, turning], full[4, turning, 0] = state.m.T, state.q[1:].T, state.q[0]
         for name, values in zip(_STORED, full, strict=True):
-            self.setPerDofVariableByName(name, values)
-        self.setGlobalVariableByName("exactrb_stored", 1.0)
-        binding.seen = _positions_and_velocities(context)
+            store.setPerDofVariableByName(name, values)
+        store.setGlobalVariableByName(_IS_STORED, 1.0)
+        self._seen = _positions_and_velocities(self.context)
 
-    def _stored(self, binding: _Binding) -> BodyState | None:
-        """Read the body state that the Context carries, also through checkpoints and States."""
-        if not self.getGlobalVariableByName("exactrb_stored"):
+    def _stored(self, store: openmm.CustomIntegrator) -> BodyState | None:
+        if not store.getGlobalVariableByName(_IS_STORED):
             return None
-        k, first = binding.bodies.n_turning, binding.bodies.first_particle
+        first, k = self.bodies.first_particle, self.bodies.n_turning
         R, P, m, vector, w = (
-            np.ascontiguousarray(np.array(self.getPerDofVariableByName(name), dtype=np.float64)[first].T)
+            np.ascontiguousarray(np.array(store.getPerDofVariableByName(name), dtype=np.float64)[first].T)
             for name in _STORED
         )
         return BodyState(R, P, np.vstack([w[:1, :k], vector[:, :k]]), np.ascontiguousarray(m[:, :k]))
@@ -352,10 +341,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
 def _picoseconds(size: float | unit.Quantity) -> float:
     """Return a step size in ps."""
+    quantity: Any = size
     if unit.is_quantity(size):
-        if not size.unit.is_compatible(unit.picosecond):
+        if not quantity.unit.is_compatible(unit.picosecond):
             raise ValueError(f"the step size {size} is not a time: give it in ps, or as a Quantity of time")
-        size = size.value_in_unit(unit.picosecond)
+        size = quantity.value_in_unit(unit.picosecond)
     if not isinstance(size, (int, float, np.number)) or not np.isfinite(size):
         raise ValueError(f"the step size must be a finite number of ps, not {size!r}")
     return float(size)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import openmm
 from openmm import unit
 
 # Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
 _COULOMB = 138.93545764438198
-_DEBYE_IN_E_NM = 0.020819433442462576
 
 
 def dipole_strength(dipole: unit.Quantity | float) -> float:
@@ -35,10 +35,11 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
     >>> round(dipole_strength(2.35 * unit.debye), 4)  # SPC/E water
     0.5767
     """
-    if not unit.is_quantity(dipole):
-        return dipole
+    quantity: Any = dipole
+    if not unit.is_quantity(quantity):
+        return float(quantity)
     try:
-        return dipole.value_in_unit(unit.elementary_charge * unit.nanometer) * _COULOMB**0.5
+        return float(quantity.value_in_unit(unit.elementary_charge * unit.nanometer) * _COULOMB**0.5)
     except TypeError:
         raise ValueError(
             f"{dipole} is not a dipole moment: give it in e nm or debye, or as a number in sqrt(kJ/mol nm^3)"
@@ -79,7 +80,8 @@ def soft_dipole_force(
     """
     force = openmm.CustomCompoundBondForce(
         4,
-        "soft_repulsion*i^6 + dipole_coupling*i3*(ux*vx + uy*vy + uz*vz - 3*i*(ux*x + uy*y + uz*z)*(vx*x + vy*y + vz*z));"
+        "soft_repulsion*i^6 + dipole_coupling*i3*(ux*vx + uy*vy + uz*vz - 3*i*ur*vr);"
+        "ur = ux*x + uy*y + uz*z; vr = vx*x + vy*y + vz*z;"
         "i3 = i*sqrt(i); i = 1/(x*x + y*y + z*z);"
         "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
         "ux = x2 - x1; uy = y2 - y1; uz = z2 - z1;"

@@ -45,9 +45,7 @@ def energy(problem: Problem, state: State) -> Array:
     return kinetic_energy(problem.inertia, m) + problem.potential(q)
 
 
-def integrate(
-    problem: Problem, state: State, h: float, n: int, scheme: Scheme, method: str = "exact"
-) -> State:
+def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, method: str = "exact") -> State:
     """Move a problem by n steps of size h.
 
     Parameters
@@ -71,7 +69,7 @@ def integrate(
     flow = rotor(method, problem.inertia.T)
 
     def drift(state: State, tau: float) -> State:
-        return flow(*state, np.float64(tau))
+        return flow(*state, tau)
 
     def kick(state: State, tau: float) -> State:
         q, m = state

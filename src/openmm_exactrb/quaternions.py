@@ -79,11 +79,13 @@ def from_matrix(Q: Array) -> Array:
         products[0, i + 1] = products[i + 1, 0] = Q[k, j] - Q[j, k]
         products[j + 1, k + 1] = products[k + 1, j + 1] = Q[k, j] + Q[j, k]
     largest = np.argmax(np.einsum("iin->in", products), axis=0)
-    q: Array = np.take_along_axis(products, largest[None, None], axis=0)[0]
-    return q / np.sqrt(np.einsum("in,in->n", q, q))
+    q = np.take_along_axis(products, largest[None, None], axis=0)[0]
+    unit: Array = q / np.sqrt(np.einsum("in,in->n", q, q))
+    return unit
 
 
 def random(rng: np.random.Generator, n: int) -> Array:
     """Return n attitudes (n, 4), uniform over all rotations."""
     q = rng.standard_normal((n, 4))
-    return q / np.linalg.norm(q, axis=1, keepdims=True)
+    unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
+    return unit

@@ -97,9 +97,7 @@ def _palindrome(name: str, table: str, free: Sequence[float], length: int) -> tu
     """Close a table of free coefficients to a palindrome of the given length whose sum is one."""
     needed = (length - 1) // 2
     if len(free) != needed:
-        raise ValueError(
-            f"scheme {name}: {length} coefficients {table} leave {needed} free, {len(free)} are given"
-        )
+        raise ValueError(f"scheme {name}: {length} coefficients {table} leave {needed} free, {len(free)} are given")
     if not all(math.isfinite(c) for c in free):
         raise ValueError(f"scheme {name}: a coefficient {table} is not finite")
     if length % 2:
@@ -109,9 +107,7 @@ def _palindrome(name: str, table: str, free: Sequence[float], length: int) -> tu
 
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
-_BLANES_MOAN = (
-    "S. Blanes and P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
-)
+_BLANES_MOAN = "S. Blanes and P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
 
 _SCHEMES = (
     symmetric("V2", order=2, stages=1, first="kick", reference=_VERLET),

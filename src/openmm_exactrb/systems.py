@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import openmm
 from numpy.typing import ArrayLike, NDArray
@@ -43,7 +45,7 @@ def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
     moments = np.asarray(inertia, dtype=np.float64)
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
-            f"inertia must be three positive moments, not {inertia}: a linear body cannot carry this dipole"
+            f"inertia must be three positive moments, not {inertia!r}: a linear body cannot carry this dipole"
         )
     if not (np.isfinite(mass) and mass > 0.0):
         raise ValueError(f"mass must be positive, not {mass}")
@@ -54,7 +56,7 @@ def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
             f"no body has the moments of inertia {moments.tolist()}: none may be larger than the sum of the others"
         )
     if not flat.any():
-        return _TETRAHEDRON * np.sqrt(spread / mass)
+        return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))
     sites = np.zeros((3, 3))
     sites[:, ~flat] = _TRIANGLE * np.sqrt(spread[~flat] / mass)
     return sites
@@ -124,9 +126,7 @@ def dipole_fluid(
     chain = topology.addChain()
     for _ in range(n):
         arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
-    system.addForce(
-        soft_dipole_force(arrows, strength=strength, length=0.5 * sigma, sigma=sigma, epsilon=epsilon)
-    )
+    system.addForce(soft_dipole_force(arrows, strength=strength, length=0.5 * sigma, sigma=sigma, epsilon=epsilon))
 
     rng = np.random.default_rng(seed)
     edge = next(k for k in range(1, n + 1) if k**3 >= n)
@@ -138,11 +138,11 @@ def dipole_fluid(
     return topology, system, unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
 
 
-def _dipole_vector(dipole: ArrayLike | unit.Quantity) -> Array:
+def _dipole_vector(dipole: Any) -> Array:
     values = [dipole_strength(d) for d in dipole]
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole}")
+        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
     return vector
 
 

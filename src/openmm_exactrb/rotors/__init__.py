@@ -150,9 +150,7 @@ def _normalised(q: Array) -> Array:
     """Return attitudes of norm one; those that are already are not touched."""
     largest = np.abs(q).max(axis=0, initial=0.0)
     if (largest == 0.0).any():
-        raise ValueError(
-            "an attitude q0 is zero: quaternions must have a direction, (1, 0, 0, 0) turns nothing"
-        )
+        raise ValueError("an attitude q0 is zero: quaternions must have a direction, (1, 0, 0, 0) turns nothing")
     norm = np.sqrt(np.einsum("in,in->n", q, q))
     off = ~(np.abs(norm - 1.0) < 1e-12)
     if not off.any():

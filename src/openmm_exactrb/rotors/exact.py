@@ -18,14 +18,12 @@ Exchanging two axes mirrors the body, so angles change sign where j = 1.
 
 from __future__ import annotations
 
-
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
-
 
 # Up to this b G h the series of `_short` are exact to roundoff.
 _SHORT = 0.3
@@ -57,7 +55,7 @@ def rotor(inertia: Array) -> Flow:
         arranged = v[places[:, 0]] if shared else np.take_along_axis(v, places, axis=0)
         return arranged * handedness
 
-    def flow(q: Array, m: Array, t: Array) -> tuple[Array, Array]:
+    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         turn, m1 = _flow(body, arrange(m, order), np.broadcast_to(t, m.shape[1:]))
         turn[1:] = arrange(turn[1:], back)
         return renormalise(multiply(q, turn)), arrange(m1, back)
@@ -80,7 +78,7 @@ def _constants(inertia: Array) -> Array:
 def _flow(body: Array, m: Array, t: Array) -> tuple[Array, Array]:
     """Return the rotation of the step as a quaternion (4, N), and the new momentum, in sorted principal axes."""
     G = np.sqrt(np.einsum("in,in->n", m, m))
-    short = (np.abs(body[0] * t) * G <= _SHORT) & (G > _SAFE[0]) & (G < _SAFE[1])
+    short = (np.abs(body[0] * t) * G <= _SHORT) & (_SAFE[0] < G) & (_SAFE[1] > G)
     if short.all():
         return _short(body, m, G, t)
     long = ~short

@@ -20,7 +20,7 @@ def rotor(inertia: Array) -> Flow:
     """Return the splitting flow of free bodies with these principal moments of inertia, (3, 1) or (3, N)."""
     inverse = 1.0 / inertia
 
-    def flow(q: Array, m: Array, t: Array) -> tuple[Array, Array]:
+    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         q, m = q.copy(), m.copy()
         for axis, part in _SPLITTING:
             _turn(q, m, axis, (part * t) * inverse[axis] * m[axis])
