@@ -2,6 +2,7 @@
 
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS, free_rotor
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid
@@ -9,6 +10,7 @@ from openmm_exactrb.systems import dipole_fluid
 __all__ = [
     "ROTORS",
     "SCHEMES",
+    "EnergyReporter",
     "ExactRigidBodyIntegrator",
     "NonFiniteError",
     "dipole_fluid",

@@ -73,13 +73,14 @@ def dipole_fluid(
     epsilon: float = 1.0,
     spacing: float = BINDING_DISTANCE,
     perturbation: float = 0.01,
+    trap: float = 0.0,
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build a droplet of soft dipolar spheres, section 3.4 of the paper.
 
     Parameters
     ----------
     n : int
-        Number of spheres, on the first places of a cubic lattice with random orientations.
+        Number of spheres, on the first places of a cubic lattice about the origin, with random orientations.
     seed : int
     mass : float
         In amu.
@@ -93,6 +94,9 @@ def dipole_fluid(
         Lattice constant in nm.
     perturbation : float
         Standard deviation of the positions about the lattice, as a part of its constant.
+    trap : float
+        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles alone
+        bind to chains, and the chains drift apart: nothing holds a droplet together but a trap.
 
     Returns
     -------
@@ -115,8 +119,9 @@ def dipole_fluid(
     for name, value in (("sigma", sigma), ("epsilon", epsilon), ("spacing", spacing)):
         if not (np.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be positive, not {value}")
-    if not (np.isfinite(perturbation) and perturbation >= 0.0):
-        raise ValueError(f"perturbation must not be negative, not {perturbation}")
+    for name, value in (("perturbation", perturbation), ("trap", trap)):
+        if not (np.isfinite(value) and value >= 0.0):
+            raise ValueError(f"{name} must not be negative, not {value}")
     n = int(n)
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
@@ -128,14 +133,26 @@ def dipole_fluid(
         arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
     system.addForce(soft_dipole_force(arrows, strength=strength, length=0.5 * sigma, sigma=sigma, epsilon=epsilon))
 
+    if trap > 0.0:
+        system.addForce(_harmonic_trap([centre for centre, _ in arrows], trap))
+
     rng = np.random.default_rng(seed)
     edge = next(k for k in range(1, n + 1) if k**3 >= n)
-    lattice = spacing * np.argwhere(np.ones((edge, edge, edge)))[:n]
+    lattice = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] - 0.5 * (edge - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     Q = quaternions.rotation_matrix(quaternions.random(rng, n))
     shape = np.vstack([sites, np.zeros(3), arrow])
     positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
     return topology, system, unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
+
+
+def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternalForce:
+    force = openmm.CustomExternalForce("0.5*trap*(x*x + y*y + z*z)")
+    force.setName("HarmonicTrap")
+    force.addGlobalParameter("trap", strength)
+    for centre in centres:
+        force.addParticle(centre, [])
+    return force
 
 
 def _dipole_vector(dipole: Any) -> Array:

@@ -1,0 +1,219 @@
+"""A droplet of soft dipolar spheres: OpenMM computes the forces, the rotation is exact.
+
+Writes a trajectory (DCD, with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the
+energy error, and prints what the run cost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+from tqdm import tqdm
+
+import openmm_exactrb as rb
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+
+# Strong enough that the droplet stays one, weak beside the forces between neighbours.
+TRAP = 0.5
+KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+@dataclass
+class Run:
+    """What one run leaves behind."""
+
+    scheme: str
+    rotor: str
+    h: float
+    evaluations: int
+    times: np.ndarray
+    energies: np.ndarray
+    wall: float
+    forces: float
+    rotation: float
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Relative errors of the total energy."""
+        return (self.energies - self.energies[0]) / abs(self.energies[0])
+
+
+def main() -> int:
+    args = parse()
+    try:
+        prepare(args.out, args.overwrite)
+        runs = [simulate(args, args.scheme, args.rotor, args.step, args.out)]
+        if args.compare:
+            # The same start and the same number of force evaluations.
+            h = args.step / rb.SCHEMES[args.scheme].stages
+            runs.append(simulate(args, "V2", "mclachlan_reich", h, args.out / "compare"))
+    except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
+        print(f"dipole_fluid.py: {error}", file=sys.stderr)
+        return 1
+    draw(runs, args.out / "energy_error.png")
+    report(runs, args.out)
+    return 0
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of the "
+        "paper. Energies in OUT/energies.csv, trajectory in OUT/trajectory.dcd with OUT/topology.pdb.",
+    )
+    add = parser.add_argument
+    add("-n", type=whole, default=125, metavar="N", help="number of spheres (%(default)s)")
+    add("--scheme", choices=list(rb.SCHEMES), default="SRKN4_6b", help="splitting scheme (%(default)s)")
+    add("--rotor", choices=list(rb.ROTORS), default="exact", help="flow of the free rotation (%(default)s)")
+    add("--step", type=positive, default=0.02, metavar="H", help="size of a whole step of the scheme in ps (%(default)s)")
+    add("--duration", type=positive, default=20.0, metavar="T", help="length of the run in ps (%(default)s)")
+    add("--temperature", type=positive, default=0.1, metavar="KT", help="kT of the first momenta, kJ/mol (%(default)s)")
+    add("--energy", type=float, metavar="E", help="total energy to start with, in kJ/mol, instead of a temperature")
+    add(
+        "--paper",
+        action="store_true",
+        help="the paper's start: lattice constant 1, no trap, at rest but for the first and the last sphere, whose "
+        "momenta give --energy. The lattice is compressed, about 4 epsilon a contact, and flies apart",
+    )
+    add("--trap", type=float, default=TRAP, metavar="K", help="strength of the harmonic trap, kJ/mol/nm^2 (%(default)s)")
+    add("--seed", type=int, default=0, help="seed of positions, orientations and momenta (%(default)s)")
+    add("--platform", default="Reference", help="OpenMM platform (%(default)s)")
+    add("--frames", type=whole, default=200, help="frames in the trajectory, and lines in the CSV (%(default)s)")
+    add("--compare", action="store_true", help="then run the same start with V2 and McLachlan-Reich, at the same cost")
+    add("--out", type=Path, default=Path("out"), metavar="OUT", help="output folder (%(default)s)")
+    add("--overwrite", action="store_true", help="replace the files of an earlier run")
+    return parser.parse_args()
+
+
+def whole(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
+    return value
+
+
+def positive(text: str) -> float:
+    value = float(text)
+    if not (np.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def prepare(out: Path, overwrite: bool) -> None:
+    """Make the output folder; refuse to replace an earlier run."""
+    if (out / "energies.csv").exists() and not overwrite:
+        raise ValueError(f"{out} holds an earlier run: choose another --out, or add --overwrite")
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: Path) -> Run:
+    """Run one scheme from the start that the options describe."""
+    geometry = {"spacing": 1.0} if args.paper else {"trap": args.trap}
+    topology, system, positions = rb.dipole_fluid(args.n, args.seed, **geometry)
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    simulation = app.Simulation(topology, system, integrator, platform(args.platform))
+    simulation.context.setPositions(positions)
+    set_momenta(simulation.context, args, integrator)
+
+    out.mkdir(exist_ok=True)
+    with (out / "topology.pdb").open("w") as file:
+        app.PDBFile.writeFile(topology, positions, file)
+    steps = max(1, round(args.duration / h))
+    interval = max(1, steps // args.frames)
+    energies = rb.EnergyReporter(out / "energies.csv", interval)
+    trajectory = app.DCDReporter(str(out / "trajectory.dcd"), interval)
+    reporters = [trajectory, energies]
+    start = simulation.context.getState(positions=True, energy=True)
+    for reporter in reporters:
+        reporter.report(simulation, start)
+    simulation.reporters.extend(reporters)
+    integrator.timings.reset()
+
+    began = time.perf_counter()
+    try:
+        with tqdm(total=steps, desc=f"{scheme} + {rotor}", unit="step", disable=not sys.stderr.isatty()) as bar:
+            chunk = max(1, steps // 100)
+            for done in range(0, steps, chunk):
+                simulation.step(min(chunk, steps - done))
+                bar.update(min(chunk, steps - done))
+    finally:
+        wall = time.perf_counter() - began
+        energies.close()
+        simulation.reporters.clear()
+        del trajectory, reporters  # OpenMM closes the DCD file with its reporter
+    timings = integrator.timings
+    table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)
+    return Run(
+        scheme, rotor, h, timings.evaluations, table[:, 1], table[:, -1], wall, timings.forces, timings.rotor
+    )
+
+
+def platform(name: str) -> openmm.Platform:
+    names = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    if name not in names:
+        raise ValueError(f"there is no platform {name!r} here: choose one of {', '.join(names)}")
+    return openmm.Platform.getPlatform(name)
+
+
+def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: rb.ExactRigidBodyIntegrator) -> None:
+    """Give the spheres the momenta of a temperature, or of a total energy."""
+    potential = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    if args.energy is not None and not args.energy > potential:
+        raise ValueError(f"--energy {args.energy} is not above the potential energy of the start, {potential:.6g} kJ/mol")
+    if args.paper:
+        velocities = np.zeros((context.getSystem().getNumParticles(), 3))
+        if args.energy is not None:
+            # Opposite momenta along the diagonal: m v² = E - V for the two of them.
+            sites = len(velocities) // args.n
+            speed = np.sqrt(args.energy - potential)
+            velocities[:sites] = -speed / np.sqrt(3.0)
+            velocities[-sites:] = speed / np.sqrt(3.0)
+        context.setVelocities(velocities)
+        return
+    context.setVelocitiesToTemperature(args.temperature / KB, args.seed + 1)
+    if args.energy is not None:
+        kinetic = sum(e._value for e in integrator.kineticEnergies())
+        velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+        context.setVelocities(velocities * np.sqrt((args.energy - potential) / kinetic))
+
+
+def report(runs: list[Run], out: Path) -> None:
+    """Print what the runs cost and how well they kept the energy."""
+    print(f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest")
+    for run in runs:
+        rest = run.wall - run.forces - run.rotation
+        shares = "".join(f"{100 * part / run.wall:6.0f} %" for part in (run.forces, run.rotation, rest))
+        print(
+            f"{run.scheme + ' + ' + run.rotor:<26}{run.h:>9.4g}{run.evaluations:>8}{abs(run.errors).max():>11.1e}"
+            f"{run.errors[-1]:>11.1e}{run.wall:7.1f} s:{shares}"
+        )
+    print(f"\n{out}: trajectory.dcd, topology.pdb, energies.csv, energy_error.png")
+
+
+def draw(runs: list[Run], file: Path) -> None:
+    """Draw the relative energy error over time."""
+    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    for run, colour, width in zip(runs, ("#0072B2", "#D55E00"), (1.6, 1.0), strict=False):
+        label = f"{run.scheme} + {run.rotor}, step {run.h:.4g} ps, {run.evaluations} force evaluations"
+        axes.semilogy(run.times[1:], np.abs(run.errors[1:]), color=colour, lw=width, label=label)
+    axes.set_xlabel("time (ps)")
+    axes.set_ylabel("relative energy error")
+    axes.set_title("Soft dipolar spheres: error of the total energy")
+    axes.grid(True, which="major", alpha=0.3)
+    axes.legend(loc="best", fontsize=9)
+    figure.savefig(file, dpi=150)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
