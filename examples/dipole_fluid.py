@@ -21,7 +21,7 @@ from tqdm import tqdm
 import openmm_exactrb as rb
 
 mpl.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 # Strong enough that the droplet stays one, weak beside the forces between neighbours.
 TRAP = 0.5
@@ -68,14 +68,20 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__.splitlines()[0],
-        epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of the "
-        "paper. Energies in OUT/energies.csv, trajectory in OUT/trajectory.dcd with OUT/topology.pdb.",
+        epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of "
+        "the paper. Energies in OUT/energies.csv, trajectory in OUT/trajectory.dcd with OUT/topology.pdb.",
     )
     add = parser.add_argument
     add("-n", type=whole, default=125, metavar="N", help="number of spheres (%(default)s)")
     add("--scheme", choices=list(rb.SCHEMES), default="SRKN4_6b", help="splitting scheme (%(default)s)")
     add("--rotor", choices=list(rb.ROTORS), default="exact", help="flow of the free rotation (%(default)s)")
-    add("--step", type=positive, default=0.02, metavar="H", help="size of a whole step of the scheme in ps (%(default)s)")
+    add(
+        "--step",
+        type=positive,
+        default=0.02,
+        metavar="H",
+        help="size of a whole step of the scheme in ps (%(default)s)",
+    )
     add("--duration", type=positive, default=20.0, metavar="T", help="length of the run in ps (%(default)s)")
     add("--temperature", type=positive, default=0.1, metavar="KT", help="kT of the first momenta, kJ/mol (%(default)s)")
     add("--energy", type=float, metavar="E", help="total energy to start with, in kJ/mol, instead of a temperature")
@@ -85,7 +91,9 @@ def parse() -> argparse.Namespace:
         help="the paper's start: lattice constant 1, no trap, at rest but for the first and the last sphere, whose "
         "momenta give --energy. The lattice is compressed, about 4 epsilon a contact, and flies apart",
     )
-    add("--trap", type=float, default=TRAP, metavar="K", help="strength of the harmonic trap, kJ/mol/nm^2 (%(default)s)")
+    add(
+        "--trap", type=float, default=TRAP, metavar="K", help="strength of the harmonic trap, kJ/mol/nm^2 (%(default)s)"
+    )
     add("--seed", type=int, default=0, help="seed of positions, orientations and momenta (%(default)s)")
     add("--platform", default="Reference", help="OpenMM platform (%(default)s)")
     add("--frames", type=whole, default=200, help="frames in the trajectory, and lines in the CSV (%(default)s)")
@@ -153,9 +161,7 @@ def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: P
         del trajectory, reporters  # OpenMM closes the DCD file with its reporter
     timings = integrator.timings
     table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)
-    return Run(
-        scheme, rotor, h, timings.evaluations, table[:, 1], table[:, -1], wall, timings.forces, timings.rotor
-    )
+    return Run(scheme, rotor, h, timings.evaluations, table[:, 1], table[:, -1], wall, timings.forces, timings.rotor)
 
 
 def platform(name: str) -> openmm.Platform:
@@ -169,7 +175,9 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
     """Give the spheres the momenta of a temperature, or of a total energy."""
     potential = context.getState(energy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
     if args.energy is not None and not args.energy > potential:
-        raise ValueError(f"--energy {args.energy} is not above the potential energy of the start, {potential:.6g} kJ/mol")
+        raise ValueError(
+            f"--energy {args.energy} is not above the potential energy of the start, {potential:.6g} kJ/mol"
+        )
     if args.paper:
         velocities = np.zeros((context.getSystem().getNumParticles(), 3))
         if args.energy is not None:
@@ -189,7 +197,9 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
 
 def report(runs: list[Run], out: Path) -> None:
     """Print what the runs cost and how well they kept the energy."""
-    print(f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest")
+    print(
+        f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest"
+    )
     for run in runs:
         rest = run.wall - run.forces - run.rotation
         shares = "".join(f"{100 * part / run.wall:6.0f} %" for part in (run.forces, run.rotation, rest))

@@ -70,7 +70,7 @@ class Kind:
         Places of the particles in the principal axes of the body, about the centre of mass.
     mass : float
     inertia : (3,) array
-        Principal moments; the last is 0 for a linear body, all are for a single particle.
+        Principal moments; in ascending order; the first is 0 for a linear body, all are for a single particle.
     """
 
     particles: Indices
@@ -87,8 +87,8 @@ class Kind:
 
     @property
     def linear(self) -> bool:
-        """Whether all sites lie on axis 3."""
-        return self.turns and self.inertia[2] == 0.0
+        """Whether all sites lie on axis 1."""
+        return self.turns and self.inertia[0] == 0.0
 
 
 class RigidBodies:
@@ -108,7 +108,7 @@ class RigidBodies:
         self.mass: Array = np.concatenate([np.full(len(kind.particles), kind.mass) for kind in kinds])
         self.first_particle: Indices = np.concatenate([kind.particles[:, 0] for kind in kinds])
         turning = [kind for kind in kinds if kind.turns]
-        moments = [np.where(kind.linear, kind.inertia[0], kind.inertia) for kind in turning]
+        moments = [np.where(kind.linear, kind.inertia[2], kind.inertia) for kind in turning]
         # A linear body turns as a sphere does whose momentum has no component along the axis.
         #: Moments for the rotor: (1, 3) if all bodies that turn are of one kind, else (K, 3).
         self.inertia: Array = (
@@ -157,9 +157,9 @@ class RigidBodies:
                 # W[d, e] = sum over sites of b_d (Q^T F)_e, and the torque is its antisymmetric part.
                 W = np.einsum("dnc,cen->den", moment, Q[:, :, kind.bodies])
                 out = torque[:, kind.bodies]
-                out[0] = W[1, 2] - W[2, 1]
+                out[0] = 0.0 if kind.linear else W[1, 2] - W[2, 1]
                 out[1] = W[2, 0] - W[0, 2]
-                out[2] = 0.0 if kind.linear else W[0, 1] - W[1, 0]
+                out[2] = W[0, 1] - W[1, 0]
         return total, torque
 
     def fit(
@@ -201,7 +201,7 @@ class RigidBodies:
                 q[:, kind.bodies] = attitude
                 m[:, kind.bodies] = np.einsum("jin,nj->in", Q, spin)
                 if kind.linear:
-                    m[2, kind.bodies] = 0.0
+                    m[0, kind.bodies] = 0.0
         fitted = BodyState(R, P, q, m)
         if known is None or moved is None or changed is None:
             return fitted
@@ -362,9 +362,8 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
             f"a distance is missed by {misfit:.2g} nm"
         )
-    # Largest spread on axis 3, so that a linear body lies on it.
-    sites, spread = sites[:, ::-1], spread[::-1]
-    return Kind(particles, slice(0), masses, np.ascontiguousarray(sites), mass, spread.sum() - spread)
+    # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
+    return Kind(particles, slice(0), masses, sites, mass, spread.sum() - spread)
 
 
 def _turned(Q: Array, sites: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any, TextIO
 
 from openmm import unit
@@ -29,8 +30,8 @@ class EnergyReporter:
         if reportInterval < 1:
             raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
         self._interval = reportInterval
-        self._owned = not hasattr(file, "write")
-        self._out: TextIO = open(file, "w") if self._owned else file  # type: ignore[arg-type, assignment]  # noqa: SIM115
+        self._owned = isinstance(file, (str, os.PathLike))
+        self._out: TextIO = Path(file).open("w") if isinstance(file, (str, os.PathLike)) else file  # noqa: SIM115
         self._out.write(",".join(_COLUMNS) + "\n")
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:

@@ -95,8 +95,8 @@ def dipole_fluid(
     perturbation : float
         Standard deviation of the positions about the lattice, as a part of its constant.
     trap : float
-        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles alone
-        bind to chains, and the chains drift apart: nothing holds a droplet together but a trap.
+        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles
+        alone bind to chains, and the chains drift apart: nothing but a trap holds a droplet together.
 
     Returns
     -------

@@ -50,8 +50,11 @@ def rotor(inertia: Array) -> Flow:
     handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
     body = _constants(np.take_along_axis(inertia, order, axis=0))
     shared = inertia.shape[1] == 1
+    ascending = bool((order == np.arange(3)[:, None]).all())
 
     def arrange(v: Array, places: NDArray[np.intp]) -> Array:
+        if ascending:
+            return v
         arranged = v[places[:, 0]] if shared else np.take_along_axis(v, places, axis=0)
         return arranged * handedness
 
@@ -108,7 +111,9 @@ def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     cn, dn = np.sqrt(1.0 - x * u), np.sqrt(1.0 - z * u)
     angle = hG * inverse_I3 + third_kind_short(w, x, z, B)
     turn, y1 = _rotate(y, cn, dn, w, sigma, rho, angle, _complex(cn * dn, w))
-    return _unflip(turn, y1, flip, G)
+    for component in (turn[1], turn[3], y1[0], y1[2]):
+        component *= flip
+    return turn, _of_the_same_norm(y1, m, G)
 
 
 def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
@@ -118,11 +123,12 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     m = np.ldexp(m, -exponent)
     G = np.sqrt(np.einsum("in,in->n", m, m))
     resting = G == 0.0
-    y = m / np.where(resting, 1.0, G)
-    y[2] += resting
     hG = t * np.ldexp(G, exponent)
+    G = np.where(resting, 1.0, G)
+    y = m / G
+    y[2] += resting
 
-    S = _separatrix_distance(body[4:], m) / np.where(resting, 1.0, G * G)
+    S = _separatrix_distance(body[4:], m) / (G * G)
     mirrored = S >= 0.0
     B = sigma * (y[0] * y[0] + sigma * y[1] * y[1])
     r, s = np.where(mirrored, (rho, sigma), (sigma, rho)) * np.ones_like(G)
@@ -141,11 +147,13 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     turn, y1 = _rotate(
         y, cn, dn, w, r, s, np.where(mirrored, -angle, angle), np.where(mirrored, 1.0, _complex(cn * dn, w))
     )
-    turn, m1 = _unflip(turn, y1, flip, np.ldexp(G, exponent))
+    turn[1::2] *= flip
+    y1[::2] *= flip
     turn[1:] *= np.where(mirrored, -1.0, 1.0)
     turn[1::2] = np.where(mirrored, turn[:0:-2], turn[1::2])
-    m1[::2] = np.where(mirrored, m1[::-2], m1[::2])
-    return turn, m1
+    y1[::2] = np.where(mirrored, y1[::-2], y1[::2])
+    m1 = np.where(resting, 0.0, _of_the_same_norm(y1, m, G))
+    return turn, np.ldexp(m1, exponent)
 
 
 def _rotate(
@@ -167,8 +175,8 @@ def _rotate(
     psi = 0.5 * (angle + np.arctan2(twist.imag, twist.real))
     turned = _complex(np.cos(psi), np.sin(psi))
 
-    new = np.stack([g1 * unit, g2 * unit, (y3 * dn - s * w * cn * y1 * y2) * inverse])
-    renormalise(new)
+    new = np.empty_like(y)
+    new[0], new[1], new[2] = g1 * unit, g2 * unit, (y3 * dn - s * w * cn * y1 * y2) * inverse
     xi0, xi1 = _complex(y1, y2), _complex(new[0], new[1])
     xi1 *= turned
     a0, a1 = 1.0 + y3, 1.0 + new[2]
@@ -176,7 +184,8 @@ def _rotate(
     scale = 0.5 / np.sqrt(product)
     along = product * turned + xi0 * xi1.conj()
     across = a0 * xi1 - a1 * (xi0 * turned.conj())
-    turn = np.stack([along.real, across.imag, -across.real, along.imag])
+    turn = np.empty((4, len(w)))
+    turn[0], turn[1], turn[2], turn[3] = along.real, across.imag, -across.real, along.imag
     turn *= scale
     return turn, new
 
@@ -200,14 +209,15 @@ def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
     return out
 
 
-def _unflip(turn: Array, y: Array, flip: Array, G: Array) -> tuple[Array, Array]:
-    """Undo the turn about axis 2 and the scaling."""
-    turn[1] *= flip
-    turn[3] *= flip
-    m = y * G
-    m[0] *= flip
-    m[2] *= flip
-    return turn, m
+def _of_the_same_norm(y1: Array, m: Array, G: Array) -> Array:
+    """Return G y1, with the norm of m.
+
+    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - y1.y1 leaves
+    has one, because floating-point numbers below one are denser than above, and the norm drifts.
+    """
+    m1 = G * y1
+    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / (G * G)))
+    return m1
 
 
 def _separatrix_distance(inertia: Array, m: Array) -> Array:

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+
+settings.register_profile("fast", max_examples=50, deadline=None)
+settings.register_profile("thorough", max_examples=2000, deadline=None)
+
+
+def pytest_addoption(parser):
+    parser.addoption("--validate", action="store_true", help="run the long physics too")
+
+
+def pytest_configure(config):
+    settings.load_profile("thorough" if config.getoption("--validate") else "fast")
+
+
+def pytest_collection_modifyitems(config, items):
+    if not config.getoption("--validate"):
+        skip = pytest.mark.skip(reason="long physics: run with --validate")
+        for item in items:
+            if "validate" in item.keywords:
+                item.add_marker(skip)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20)
+
+
+@pytest.fixture(params=list(rb.ROTORS))
+def method(request):
+    return request.param
+
+
+@pytest.fixture(params=list(rb.SCHEMES))
+def scheme(request):
+    return rb.SCHEMES[request.param]
+
+
+@pytest.fixture
+def bodies(rng):
+    """Inertia (N, 3), attitudes (N, 4) and momenta (N, 3) of bodies without any symmetry."""
+    n = 40
+    return rng.uniform(0.5, 2.0, (n, 3)), quaternions.random(rng, n), rng.standard_normal((n, 3))

@@ -1,0 +1,43 @@
+"""Problems: torques are the derivative of the energy, and the paper's numbers come out."""
+
+import numpy as np
+import pytest
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+from openmm_exactrb.problems import HeavyTop, Satellite, energy, integrate
+
+
+@pytest.fixture(params=["top", "satellite"])
+def problem(request, rng):
+    inertia = rng.uniform(1.0, 3.0, (3, 10))
+    if request.param == "satellite":
+        return Satellite(inertia)
+    u = rng.standard_normal((3, 10))
+    return HeavyTop(inertia, 1e-3, u / np.linalg.norm(u, axis=0))
+
+
+def test_torque_is_minus_the_derivative_of_the_potential(problem, rng):
+    q = np.ascontiguousarray(quaternions.random(rng, 10).T)
+    torque, d = problem.torque(q), 1e-4
+    for axis in range(3):
+        turned = []
+        for angle in (-2 * d, -d, d, 2 * d):
+            turn = np.zeros((4, 1))
+            turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
+            turned.append(problem.potential(quaternions.multiply(q, turn)))
+        slope = (turned[0] - 8 * turned[1] + 8 * turned[2] - turned[3]) / (12 * d)
+        np.testing.assert_allclose(torque[axis], -slope, rtol=0.0, atol=1e-10 * np.abs(torque).max())
+
+
+def test_the_satellite_has_the_papers_energy_and_error():
+    satellite = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
+    m = satellite.inertia * np.array([[15.0], [-15.0], [15.0]])
+    state = np.array([[1.0], [0.0], [0.0], [0.0]]), m
+    start = energy(satellite, state)[0]
+    assert abs(start - 1.21595664e7) < 1.0
+    worst = 0.0
+    for _ in range(100):
+        state = integrate(satellite, state, 0.1, 10, rb.SCHEMES["SRKN6_14a"])
+        worst = max(worst, abs(energy(satellite, state)[0] / start - 1.0))
+    assert 1e-9 < worst < 2e-7

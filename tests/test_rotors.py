@@ -1,0 +1,180 @@
+"""Laws that every flow in the registry obeys, and what it says to wrong input."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+from openmm_exactrb.quaternions import rotation_matrix
+
+
+def spatial(q, m):
+    return np.einsum("nij,nj->ni", rotation_matrix(q), m)
+
+
+@pytest.mark.parametrize("t", [0.03, 0.7, -20.0])
+def test_spatial_momentum_and_norms_are_kept(bodies, method, t):
+    inertia, q, m = bodies
+    q1, m1 = rb.free_rotor(inertia, q, m, t, method=method)
+    np.testing.assert_allclose(spatial(q1, m1), spatial(q, m), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(q1, axis=1), 1.0, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(m1, axis=1), np.linalg.norm(m, axis=1), rtol=2e-15)
+
+
+@pytest.mark.parametrize("t", [0.03, 0.7])
+def test_flow_back_is_the_inverse(bodies, method, t):
+    inertia, q, m = bodies
+    q1, m1 = rb.free_rotor(inertia, *rb.free_rotor(inertia, q, m, t, method=method), -t, method=method)
+    # Roundoff of the angle turned, which the way back doubles.
+    angle = 1.0 + t * np.linalg.norm(m / inertia, axis=1).max()
+    np.testing.assert_allclose(rotation_matrix(q1), rotation_matrix(q), rtol=0.0, atol=1e-14 * angle)
+    np.testing.assert_allclose(m1, m, rtol=0.0, atol=1e-14 * angle)
+
+
+def test_two_steps_are_one(bodies):
+    inertia, q, m = bodies
+    q1, m1 = rb.free_rotor(inertia, *rb.free_rotor(inertia, q, m, 1.3), 2.1)
+    q2, m2 = rb.free_rotor(inertia, q, m, 3.4)
+    np.testing.assert_allclose(rotation_matrix(q1), rotation_matrix(q2), rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(m1, m2, rtol=0.0, atol=1e-13)
+
+
+def test_energy_is_kept_by_the_exact_flow(bodies):
+    inertia, q, m = bodies
+    _, m1 = rb.free_rotor(inertia, q, m, 50.0)
+    np.testing.assert_allclose((m1**2 / inertia).sum(1), (m**2 / inertia).sum(1), rtol=1e-14)
+
+
+def test_measured_order_is_the_declared_one(bodies, method):
+    if rb.ROTORS[method].order is None:
+        pytest.skip("exact")
+    inertia, q, m = bodies
+    exact = rb.free_rotor(inertia, q, m, 1.0)[1]
+    errors = []
+    for n in (20, 40, 80, 160):
+        q1, m1 = q, m
+        for _ in range(n):
+            q1, m1 = rb.free_rotor(inertia, q1, m1, 1.0 / n, method=method)
+        errors.append(np.abs(m1 - exact).max())
+    slopes = np.diff(np.log2(errors))
+    assert abs(-slopes[-1] - rb.ROTORS[method].order) < 0.35
+
+
+def test_inputs_are_not_modified(bodies, method):
+    inertia, q, m = bodies
+    before = inertia.copy(), q.copy(), m.copy()
+    rb.free_rotor(inertia, q, m, 0.3, method=method)
+    for now, then in zip(bodies, before, strict=True):
+        np.testing.assert_array_equal(now, then)
+
+
+def test_bodies_do_not_depend_on_their_neighbours(bodies, method):
+    inertia, q, m = bodies
+    t = np.geomspace(1e-6, 1e3, len(m))
+    q_all, m_all = rb.free_rotor(inertia, q, m, t, method=method)
+    for k in range(len(m)):
+        q_one, m_one = rb.free_rotor(inertia[k], q[k], m[k], t[k], method=method)
+        np.testing.assert_allclose(q_one, q_all[k], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(m_one, m_all[k], rtol=0.0, atol=1e-12)
+
+
+def test_a_body_that_is_not_finite_spoils_no_neighbour(bodies, method):
+    inertia, q, m = (a.copy() for a in bodies)
+    reference = rb.free_rotor(inertia, q, m, 0.4, method=method)
+    m[3, 1], m[7, 0], q[11, 2] = np.nan, np.inf, np.nan
+    q1, m1 = rb.free_rotor(inertia, q, m, 0.4, method=method)
+    bad = [3, 7]
+    assert np.isnan(m1[bad]).any(axis=1).all()
+    assert np.isnan(q1[[*bad, 11]]).any(axis=1).all()
+    good = np.setdiff1d(np.arange(len(m)), [*bad, 11])
+    np.testing.assert_array_equal(q1[good], reference[0][good])
+    np.testing.assert_array_equal(m1[good], reference[1][good])
+
+
+def test_rotation_of_a_sphere_agrees_with_scipy(rng, method):
+    m = rng.standard_normal((20, 3))
+    q, _ = rb.free_rotor([1.0, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], m, 1e-3, method=method)
+    expected = Rotation.from_rotvec(1e-3 * m).as_matrix()
+    tolerance = 1e-15 if rb.ROTORS[method].order is None else 1e-8
+    np.testing.assert_allclose(rotation_matrix(q), expected, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_shapes_follow_numpy(method, n):
+    q, m = rb.free_rotor([1.0, 2.0, 2.5], np.tile([1.0, 0, 0, 0], (n, 1)), np.ones((n, 3)), 0.1, method=method)
+    assert q.shape == (n, 4)
+    assert m.shape == (n, 3)
+
+
+def test_one_body_and_many_times_broadcast(method):
+    q, _ = rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], np.linspace(0, 1, 5), method=method)
+    assert q.shape == (5, 4)
+    np.testing.assert_allclose(q[0], [1, 0, 0, 0], rtol=0.0, atol=1e-16)
+    assert rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.5, method=method)[1].shape == (3,)
+
+
+def test_attitudes_are_normalised(method):
+    q, _ = rb.free_rotor([1, 2, 3], [2e200, 0, 0, 0], [1, 0.5, 0.1], 0.3, method=method)
+    unit, _ = rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 0.5, 0.1], 0.3, method=method)
+    np.testing.assert_allclose(q, unit, rtol=0.0, atol=1e-15)
+
+
+def test_views_and_other_dtypes_are_taken(bodies, method):
+    inertia, q, m = bodies
+    expected = rb.free_rotor(inertia, q, m.astype(np.float32), 0.3, method=method)
+    strided = rb.free_rotor(
+        np.asfortranarray(inertia), np.repeat(q, 2, 0)[::2], m.astype(np.float32)[::-1][::-1], 0.3, method=method
+    )
+    for a, b in zip(expected, strided, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"method": "jacobi"}, "choose one of exact"),
+        ({"inertia": [1.0, 2.0]}, r"shape \(3,\) or \(N, 3\)"),
+        ({"inertia": [1.0, 0.0, 2.0]}, "positive and finite"),
+        ({"inertia": [1.0, np.nan, 2.0]}, "positive and finite"),
+        ({"q0": [1.0, 0.0, 0.0]}, "must have the shape"),
+        ({"q0": [0.0, 0.0, 0.0, 0.0]}, "is zero"),
+        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "not of one number of bodies"),
+        ({"m0": np.ones((2, 2, 3))}, "along one axis"),
+    ],
+)
+def test_wrong_input_gets_one_sentence(change, message):
+    arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | change
+    with pytest.raises(ValueError, match=message):
+        rb.free_rotor(**arguments)
+
+
+@given(
+    inertia=st.lists(st.floats(1e-3, 1e3), min_size=3, max_size=3),
+    m=st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3),
+    t=st.floats(-1e2, 1e2),
+)
+def test_any_body_keeps_its_invariants(inertia, m, t):
+    inertia, m = np.array(inertia), np.array(m)
+    q1, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m, t)
+    norm = np.linalg.norm(m)
+    angle = 1.0 + np.abs(t) * np.linalg.norm(m / inertia)
+    np.testing.assert_allclose(rotation_matrix(q1) @ m1, m, rtol=0.0, atol=1e-15 * (10.0 + angle) * norm)
+    # The energy has the condition of the largest term m_i²/I_i.
+    energy = (m * m / inertia).sum()
+    np.testing.assert_allclose(
+        (m1 * m1 / inertia).sum(), energy, rtol=0.0, atol=1e-15 * (20.0 + angle) * norm**2 / inertia.min()
+    )
+
+
+def test_quaternion_of_a_matrix_is_the_quaternion(rng):
+    q = quaternions.random(rng, 200)
+    q[:8] = np.vstack([np.eye(4), -np.eye(4)])
+    again = quaternions.from_matrix(quaternions.matrix(np.ascontiguousarray(q.T))).T
+    sign = np.sign(np.einsum("ni,ni->n", q, again))
+    np.testing.assert_allclose(again * sign[:, None], q, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        rotation_matrix(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), rtol=0.0, atol=1e-15
+    )

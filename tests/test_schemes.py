@@ -1,0 +1,142 @@
+"""Tables are closed and symmetric, and every scheme has the order that it declares."""
+
+import numpy as np
+import pytest
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+from openmm_exactrb.problems import HeavyTop, energy, integrate
+from openmm_exactrb.propagate import compose
+from openmm_exactrb.schemes import symmetric
+
+
+def test_coefficients_sum_to_one_and_are_palindromes(scheme):
+    for table in (scheme.a, scheme.b):
+        assert table == table[::-1]
+        assert abs(sum(table) - 1.0) < 1e-15
+    kicks = sum(flow == "kick" for flow, _ in scheme.sequence)
+    assert scheme.stages == kicks - (scheme.first == "kick")
+
+
+@pytest.mark.parametrize(
+    ("name", "stages"), [("V2", 1), ("V2_drift", 1), ("S6_10", 10), ("SRKN4_6b", 6), ("SRKN6_14a", 14)]
+)
+def test_stages_are_those_of_the_paper(name, stages):
+    assert rb.SCHEMES[name].stages == stages
+
+
+def test_no_force_is_evaluated_twice(scheme):
+    kicks = []
+    advance = compose(scheme, lambda state, tau: state, lambda state, tau: kicks.append(tau) or state)
+    advance(None, 0.1, 7)
+    assert len(kicks) == 7 * scheme.stages + (scheme.first == "kick")
+    assert abs(sum(kicks) - 0.7) < 1e-14
+
+
+def test_no_step_does_nothing(scheme):
+    assert compose(scheme, None, None)("state", 0.1, 0) == "state"
+
+
+def test_a_table_of_the_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="leave 1 free, 2 are given"):
+        symmetric("bad", order=4, stages=3, first="kick", a=(0.1, 0.2), b=(0.1,))
+    with pytest.raises(ValueError, match="not finite"):
+        symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))
+
+
+@pytest.fixture(scope="module")
+def tops():
+    """Strongly torqued tops: the potential is as large as the kinetic energy."""
+    rng = np.random.default_rng(4)
+    n = 12
+    u = rng.standard_normal((3, n))
+    problem = HeavyTop(rng.uniform(1.0, 3.0, (3, n)), 1.0, u / np.linalg.norm(u, axis=0))
+    return problem, (np.ascontiguousarray(quaternions.random(rng, n).T), rng.standard_normal((3, n)))
+
+
+def measured_order(problem, state, scheme, method, steps, T=4.0):
+    """Slope of the error of the final momentum, by halving, over all the step sizes."""
+    errors = []
+    for n in steps:
+        coarse, fine = (integrate(problem, state, T / k, k, scheme, method)[1] for k in (n, 2 * n))
+        errors.append(np.median(np.abs(coarse - fine).max(axis=0)))
+    assert min(errors) > 1e-13, "the errors reached roundoff"
+    return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+# Steps small enough for the leading term of the error and far above roundoff.
+ASYMPTOTIC = {1: (200, 280, 400, 560), 6: (48, 64, 88, 120), 10: (20, 26, 34, 44), 14: (10, 13, 16, 20)}
+
+
+def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
+    order = measured_order(*tops, scheme, "exact", ASYMPTOTIC[scheme.stages])
+    assert abs(order - scheme.order) < 0.35
+
+
+def test_measured_order_with_mclachlan_reich_is_two(tops, scheme):
+    assert abs(measured_order(*tops, scheme, "mclachlan_reich", (120, 170, 240, 340)) - 2.0) < 0.35
+
+
+def test_steps_are_reversible(tops, scheme, method):
+    problem, (q, m) = tops
+    q1, m1 = integrate(problem, (q, m), 0.1, 50, scheme, method)
+    q2, m2 = integrate(problem, (q1, -m1), 0.1, 50, scheme, method)
+    np.testing.assert_allclose(-m2, m, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(np.abs((q2 * q).sum(axis=0)), 1.0, rtol=0.0, atol=1e-12)
+
+
+def test_steps_are_symplectic(tops, scheme, method):
+    """The Jacobian of a step keeps the symplectic form, in exponential coordinates about q."""
+    problem, (q, m) = tops
+    problem = HeavyTop(problem.inertia[:, :1], 1.0, problem.direction[:, :1])
+    q0, m0 = q[:, :1], m[:, :1]
+
+    def chart(q_ref, x):
+        """State at coordinates (theta, pi): q = q_ref exp(theta/2), m dual to theta in this chart."""
+        theta, p = x[:3], x[3:]
+        angle = np.linalg.norm(theta)
+        half = np.concatenate([[np.cos(angle / 2)], np.sinc(angle / 2 / np.pi) / 2 * theta])
+        return quaternions.multiply(q_ref, half[:, None]), (np.linalg.inv(tangent(theta)).T @ p)[:, None]
+
+    def coordinates(q_ref, q, m):
+        relative = quaternions.multiply(q_ref * np.array([[1], [-1], [-1], [-1]]), q)[:, 0]
+        relative *= np.sign(relative[0])
+        norm = np.linalg.norm(relative[1:])
+        theta = 2 * np.arctan2(norm, relative[0]) * relative[1:] / norm if norm > 0 else 2 * relative[1:]
+        return np.concatenate([theta, tangent(theta).T @ m[:, 0]])
+
+    def tangent(theta):
+        """Body angular velocity from theta-dot."""
+        angle = np.linalg.norm(theta)
+        hat = np.array([[0, -theta[2], theta[1]], [theta[2], 0, -theta[0]], [-theta[1], theta[0], 0]])
+        first = np.sinc(angle / 2 / np.pi) ** 2 / 2
+        second = 1 / 6 - angle**2 / 120 if angle < 1e-2 else (angle - np.sin(angle)) / angle**3
+        return np.eye(3) - first * hat + second * hat @ hat
+
+    def step(x):
+        return coordinates(q_end, *integrate(problem, chart(q0, x), 0.2, 1, scheme, method))
+
+    q_end, _ = integrate(problem, (q0, m0), 0.2, 1, scheme, method)
+    x0, d = np.concatenate([np.zeros(3), m0[:, 0]]), 1e-3
+    # Central differences of order 4.
+    columns = [
+        (8 * (step(x0 + d * e) - step(x0 - d * e)) - (step(x0 + 2 * d * e) - step(x0 - 2 * d * e))) / (12 * d)
+        for e in np.eye(6)
+    ]
+    jacobian = np.array(columns).T
+    form = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
+    np.testing.assert_allclose(jacobian.T @ form @ jacobian, form, rtol=0.0, atol=1e-9)
+
+
+def test_energy_error_has_no_trend(tops):
+    problem, state = tops
+    scheme = rb.SCHEMES["SRKN4_6b"]
+    start = energy(problem, state)
+    halves = []
+    for _ in range(2):
+        largest = 0.0
+        for _ in range(200):
+            state = integrate(problem, state, 0.25, 2, scheme)
+            largest = np.maximum(largest, np.abs(energy(problem, state) - start))
+        halves.append(np.median(largest))
+    assert halves[1] < 2.0 * halves[0]
