@@ -166,10 +166,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         coupling = self._up_to_date()
         coupling.groups = self.getIntegrationForceGroups()
         h = self.getStepSize().value_in_unit(unit.picosecond)
-        done = 0
+        time_now, done = coupling.context.getTime().value_in_unit(unit.picosecond), 0
         try:
             for _ in range(steps):
                 coupling.step(self._scheme, h)
+                time_now += h
                 done += 1
                 if coupling.changing:
                     coupling.publish(self)
@@ -178,6 +179,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         finally:
             if not coupling.changing and done:
                 super().step(done)
+            # OpenMM's own clock does not learn of a new step size where no computation uses dt.
+            coupling.context.setTime(time_now)
             coupling.publish(self)
             self.timings.total += time.perf_counter() - start
 

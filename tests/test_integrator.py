@@ -1,0 +1,376 @@
+"""ExactRigidBodyIntegrator in stock Simulations and bare Contexts."""
+
+import copy
+import pickle
+import threading
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+SHIFT = np.array([0.5, 0.0, 0.0])
+KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def simulation_of(n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERENCE, trap=0.5, **options):
+    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap, **options)
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    simulation = app.Simulation(topology, system, integrator, platform)
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(KT, 2)
+    return simulation
+
+
+def snapshot(simulation):
+    state = simulation.context.getState(positions=True, velocities=True)
+    return state.getPositions(asNumpy=True)._value.copy(), state.getVelocities(asNumpy=True)._value.copy()
+
+
+def energies(simulation):
+    state = simulation.context.getState(energy=True)
+    return state.getPotentialEnergy()._value, state.getKineticEnergy()._value
+
+
+# -- stock tools ------------------------------------------------------------------------------------------------
+
+
+def test_stock_simulation_and_reporters_work_and_mdtraj_reads_the_trajectory(tmp_path):
+    simulation = simulation_of()
+    dcd, pdb = tmp_path / "run.dcd", tmp_path / "run.pdb"
+    with pdb.open("w") as file:
+        app.PDBFile.writeFile(simulation.topology, snapshot(simulation)[0] * unit.nanometer, file)
+    log = tmp_path / "log.csv"
+    simulation.reporters.append(app.DCDReporter(str(dcd), 5))
+    simulation.reporters.append(
+        app.StateDataReporter(str(log), 5, step=True, time=True, totalEnergy=True, temperature=True)
+    )
+    frames = []
+    for _ in range(4):
+        simulation.step(5)
+        frames.append(snapshot(simulation)[0])
+    simulation.reporters.clear()
+    read = mdtraj.load(str(dcd), top=str(pdb))
+    np.testing.assert_allclose(read.xyz, np.array(frames), atol=3e-7)
+    rows = np.loadtxt(log, delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(rows[:, 0], [5, 10, 15, 20])
+    np.testing.assert_allclose(rows[:, 1], [0.1, 0.2, 0.3, 0.4], rtol=1e-12)
+    _, kinetic = energies(simulation)
+    temperature = 2 * kinetic / (6 * 8) / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+    assert rows[-1, 3] == pytest.approx(temperature, rel=1e-12)
+
+
+def test_the_state_of_the_context_is_that_of_the_bodies(scheme):
+    simulation = simulation_of(scheme=scheme.name)
+    simulation.step(7)
+    potential, kinetic = energies(simulation)
+    translational, rotational = simulation.integrator.kineticEnergies()
+    assert kinetic == pytest.approx(translational._value + rotational._value, rel=1e-13)
+    fresh = openmm.Context(simulation.system, openmm.VerletIntegrator(0.001), REFERENCE)
+    x, _ = snapshot(simulation)
+    fresh.setPositions(x)
+    fresh.computeVirtualSites()
+    assert potential == pytest.approx(fresh.getState(energy=True).getPotentialEnergy()._value, rel=1e-13)
+    np.testing.assert_allclose(fresh.getState(positions=True).getPositions(asNumpy=True)._value, x, atol=1e-15)
+    assert simulation.context.getTime()._value == pytest.approx(0.14, rel=1e-12)
+    assert simulation.context.getStepCount() == simulation.currentStep == 7
+
+
+def test_energy_reporter_writes_every_digit(tmp_path):
+    simulation = simulation_of()
+    file = tmp_path / "energies.csv"
+    reporter = rb.EnergyReporter(file, 3)
+    simulation.reporters.append(reporter)
+    simulation.step(6)
+    reporter.close()
+    head, *lines = file.read_text().splitlines()
+    assert head.startswith("step,time")
+    step, _, translational, rotational, kinetic, potential, total = map(float, lines[-1].split(","))
+    assert (step, len(lines)) == (6, 2)
+    assert potential == energies(simulation)[0]
+    assert total == kinetic + potential
+    assert kinetic == translational + rotational
+    with pytest.raises(ValueError, match="at least one step"):
+        rb.EnergyReporter(file, 0)
+
+
+# -- the dynamics -----------------------------------------------------------------------------------------------
+
+
+def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(scheme, method):
+    once, often = (simulation_of(4, scheme=scheme.name, rotor=method) for _ in range(2))
+    once.integrator.step(100)
+    for _ in range(10):
+        often.integrator.step(10)
+    for a, b in zip(snapshot(once), snapshot(often), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_turned_velocities_bring_the_start_back(scheme, method):
+    simulation = simulation_of(scheme=scheme.name, rotor=method)
+    simulation.step(1)
+    x, v = snapshot(simulation)
+    simulation.integrator.step(50)
+    simulation.context.setVelocities(-snapshot(simulation)[1])
+    simulation.integrator.step(50)
+    x_back, v_back = snapshot(simulation)
+    np.testing.assert_allclose(x_back, x, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(v_back, -v, rtol=0.0, atol=1e-9)
+
+
+# Steps a unit of time, so that the errors are asymptotic and above roundoff.
+STEPS = {1: (100, 140, 200), 6: (30, 42, 60), 10: (16, 22, 30), 14: (10, 14, 20)}
+
+
+def measured_order(scheme, method, steps):
+    errors = []
+    for n in steps:
+        ends = []
+        for k in (n, 2 * n):
+            simulation = simulation_of(h=0.5 / k, scheme=scheme.name, rotor=method, spacing=1.4)
+            simulation.integrator.step(k)
+            ends.append(snapshot(simulation)[0])
+        errors.append(np.abs(ends[0] - ends[1]).max())
+    assert min(errors) > 1e-13
+    return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+def test_measured_order_of_dipoles_is_the_declared_one(scheme):
+    assert abs(measured_order(scheme, "exact", STEPS[scheme.stages]) - scheme.order) < 0.35
+
+
+def test_measured_order_of_dipoles_with_mclachlan_reich_is_two(scheme):
+    assert abs(measured_order(scheme, "mclachlan_reich", (40, 56, 80)) - 2.0) < 0.35
+
+
+def test_momenta_of_an_isolated_droplet_are_kept(scheme, method):
+    simulation = simulation_of(scheme=scheme.name, rotor=method, trap=0.0)
+
+    def momenta():
+        _, state = simulation.integrator.bodyState()
+        spin = np.einsum("ijn,jn->i", rb.quaternions.matrix(state.q), state.m)
+        return np.concatenate([state.P.sum(1), spin + np.cross(state.R.T, state.P.T).sum(0)])
+
+    start = momenta()
+    simulation.integrator.step(100)
+    np.testing.assert_allclose(momenta(), start, rtol=0.0, atol=1e-12)
+
+
+def test_no_force_is_evaluated_twice(scheme):
+    simulation = simulation_of(scheme=scheme.name)
+    simulation.integrator.step(3)
+    simulation.integrator.step(4)
+    assert simulation.integrator.forceEvaluationsPerStep == scheme.stages
+    assert simulation.integrator.timings.evaluations == 7 * scheme.stages + (scheme.first == "kick")
+
+
+def test_higher_orders_keep_the_energy_better():
+    """At the same number of force evaluations: the reason for this package."""
+    errors = {}
+    for name, rotor, h in (("V2", "mclachlan_reich", 0.02 / 6), ("SRKN4_6b", "exact", 0.02)):
+        simulation = simulation_of(27, h=h, scheme=name, rotor=rotor)
+        start, worst = sum(energies(simulation)), 0.0
+        for _ in range(20):
+            simulation.integrator.step(round(0.1 / h))
+            worst = max(worst, abs(sum(energies(simulation)) / start - 1.0))
+        errors[name] = worst
+    assert errors["SRKN4_6b"] < errors["V2"] / 20
+
+
+# -- what a user does between steps -----------------------------------------------------------------------------
+
+
+def test_positions_set_between_steps_are_taken_up():
+    simulation = simulation_of()
+    simulation.step(5)
+    x, _ = snapshot(simulation)
+    simulation.context.setPositions(x + SHIFT)
+    bodies, state = simulation.integrator.bodyState()
+    massive = np.concatenate([kind.particles.ravel() for kind in bodies.kinds])
+    np.testing.assert_allclose(bodies.positions(state, x.copy())[massive], x[massive] + SHIFT, rtol=0.0, atol=1e-14)
+
+
+def test_only_bodies_that_were_moved_are_fitted_again():
+    simulation = simulation_of()
+    simulation.step(5)
+    _, before = simulation.integrator.bodyState()
+    x, _ = snapshot(simulation)
+    x[:5] += 0.01
+    simulation.context.setPositions(x)
+    _, after = simulation.integrator.bodyState()
+    for a, b in zip(after, before, strict=True):
+        np.testing.assert_array_equal(a[:, 1:], b[:, 1:])
+    np.testing.assert_allclose(after.R[:, 0], before.R[:, 0] + 0.01, rtol=0.0, atol=1e-14)
+
+
+def test_temperature_minimiser_and_step_size_between_steps():
+    simulation = simulation_of()
+    simulation.step(5)
+    simulation.minimizeEnergy(tolerance=0.1)
+    simulation.context.setVelocitiesToTemperature(2 * KT, 5)
+    kinetic = energies(simulation)[1]
+    simulation.integrator.setStepSize(1.0 * unit.femtosecond)
+    simulation.step(1)
+    assert sum(e._value for e in simulation.integrator.kineticEnergies()) == pytest.approx(kinetic, rel=1e-3)
+    assert simulation.context.getTime()._value == pytest.approx(5 * 0.02 + 0.001, rel=1e-12)
+
+
+@pytest.mark.parametrize("how", ["checkpoint", "state"])
+def test_a_restart_ends_in_the_same_bits(tmp_path, how, scheme):
+    whole = simulation_of(scheme=scheme.name)
+    whole.step(20)
+    first = simulation_of(scheme=scheme.name)
+    first.step(10)
+    file = str(tmp_path / "saved")
+    (first.saveCheckpoint if how == "checkpoint" else first.saveState)(file)
+    second = simulation_of(scheme=scheme.name)
+    second.context.setPositions(snapshot(second)[0] + 1.0)
+    (second.loadCheckpoint if how == "checkpoint" else second.loadState)(file)
+    second.step(10)
+    for a, b in zip(snapshot(whole), snapshot(second), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_cm_motion_remover_works():
+    topology, system, positions = rb.dipole_fluid(8, trap=0.5)
+    system.addForce(openmm.CMMotionRemover(1))
+    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(KT, 2)
+    simulation.step(3)
+    _, state = simulation.integrator.bodyState()
+    np.testing.assert_allclose(state.P.sum(axis=1), 0.0, atol=1e-12)
+
+
+def test_a_bare_context_is_bound_or_found():
+    _, system, positions = rb.dipole_fluid(4)
+    ends = []
+    for bind in (True, False):
+        integrator = rb.ExactRigidBodyIntegrator(0.01)
+        context = openmm.Context(system, integrator, REFERENCE)
+        context.setPositions(positions)
+        if bind:
+            integrator.bind(context)
+        integrator.step(3)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+    np.testing.assert_array_equal(*ends)
+
+
+def test_integrators_and_threads_do_not_disturb_each_other():
+    alone = simulation_of(4, h=0.01)
+    alone.integrator.step(30)
+    pair = [simulation_of(4, h=0.01) for _ in range(3)]
+    pair[0].integrator.step(10)
+    pair[1].integrator.step(30)
+    pair[0].integrator.step(20)
+    threads = [threading.Thread(target=pair[2].integrator.step, args=(30,))]
+    other = simulation_of(h=0.03)
+    threads.append(threading.Thread(target=other.integrator.step, args=(30,)))
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for simulation in pair:
+        np.testing.assert_array_equal(snapshot(simulation)[0], snapshot(alone)[0])
+
+
+def test_copies_have_the_settings_and_no_context():
+    simulation = simulation_of(scheme="S6_10", rotor="mclachlan_reich", h=0.03)
+    for twin in (copy.copy(simulation.integrator), copy.deepcopy(simulation.integrator)):
+        assert twin.getScheme().name == "S6_10"
+        assert twin.getRotor() == "mclachlan_reich"
+        assert twin.getStepSize()._value == 0.03
+    twin = pickle.loads(pickle.dumps(simulation.integrator))
+    again = app.Simulation(simulation.topology, simulation.system, twin, REFERENCE)
+    again.context.setPositions(snapshot(simulation)[0])
+    again.step(1)
+
+
+def test_the_cpu_platform_agrees_with_reference():
+    ends = []
+    for name in ("Reference", "CPU"):
+        simulation = simulation_of(platform=openmm.Platform.getPlatform(name))
+        x, v = snapshot(simulation_of())
+        simulation.context.setPositions(x)
+        simulation.context.setVelocities(v)
+        simulation.step(10)
+        ends.append(snapshot(simulation)[0])
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-6)
+
+
+# -- wrong input ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scheme": "RK4"}, "unknown scheme 'RK4': choose one of V2"),
+        ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
+        ({"stepSize": 1.0 * unit.nanometer}, "is not a time"),
+        ({"stepSize": float("nan")}, "finite number of ps"),
+        ({"stepSize": "fast"}, "finite number of ps"),
+    ],
+)
+def test_wrong_settings_get_one_sentence(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        rb.ExactRigidBodyIntegrator(**({"stepSize": 0.01} | arguments))
+
+
+def test_a_step_size_may_have_a_unit():
+    assert rb.ExactRigidBodyIntegrator(2.0 * unit.femtosecond).getStepSize()._value == pytest.approx(0.002)
+
+
+def test_steps_without_a_context_are_refused():
+    with pytest.raises(ValueError, match="no Context yet"):
+        rb.ExactRigidBodyIntegrator(0.01).step(1)
+
+
+def test_a_context_of_another_integrator_is_refused():
+    simulation = simulation_of(2)
+    with pytest.raises(ValueError, match="another integrator"):
+        rb.ExactRigidBodyIntegrator(0.01).bind(simulation.context)
+
+
+def test_a_system_without_rigid_bodies_is_refused():
+    system = openmm.System()
+    system.addParticle(1.0)
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="no rigid bodies"):
+        integrator.step(1)
+
+
+def test_positions_that_are_not_finite_are_refused():
+    simulation = simulation_of()
+    simulation.step(1)
+    x, _ = snapshot(simulation)
+    x[7, 1] = np.nan
+    simulation.context.setPositions(x)
+    with pytest.raises(ValueError, match=r"body 1 .* not finite"):
+        simulation.step(1)
+
+
+def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
+    simulation = simulation_of()
+    x, _ = snapshot(simulation)
+    dcd = str(tmp_path / "run.dcd")
+    simulation.reporters.append(app.DCDReporter(dcd, 1))
+    simulation.step(2)
+    x, _ = snapshot(simulation)
+    x[5:10] += x[3] - x[8]  # the centre of body 1 on that of body 0
+    simulation.context.setPositions(x)
+    with pytest.raises(
+        rb.NonFiniteError, match=r"step 3: .* body 0 \(particles 0, 1, 2\).*bodies 0 and 1, .* nm apart"
+    ):
+        simulation.step(5)
+    assert np.isfinite(snapshot(simulation)[0]).all()
+    assert simulation.context.getStepCount() == 2
+    simulation.reporters.clear()
+    with (tmp_path / "run.pdb").open("w") as file:
+        app.PDBFile.writeFile(simulation.topology, x * unit.nanometer, file)
+    assert len(mdtraj.load(dcd, top=str(tmp_path / "run.pdb"))) == 2

@@ -1,0 +1,125 @@
+"""dipole_fluid: sites with exactly the wanted mass, inertia and dipole, and clear words about wrong input."""
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.systems import rigid_sites
+
+
+def inertia_tensor(sites, mass):
+    m = mass / len(sites)
+    return sum(m * ((b @ b) * np.eye(3) - np.outer(b, b)) for b in sites)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_sites_have_exactly_the_wanted_inertia(rng, planar):
+    for _ in range(50):
+        spread = rng.uniform(0.01, 1.0, 3)
+        if planar:
+            spread[rng.integers(3)] = 0.0
+        inertia, mass = spread.sum() - spread, rng.uniform(0.1, 10.0)
+        sites = rigid_sites(mass, inertia)
+        assert len(sites) == (3 if planar else 4)
+        np.testing.assert_allclose(sites.mean(axis=0), 0.0, atol=1e-15)
+        np.testing.assert_allclose(inertia_tensor(sites, mass), np.diag(inertia), rtol=0.0, atol=3e-15 * inertia.max())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n": 0}, "positive whole number"),
+        ({"n": 2.5}, "positive whole number"),
+        ({"spacing": -1.0}, "spacing must be positive"),
+        ({"sigma": float("nan")}, "sigma must be positive"),
+        ({"epsilon": 0.0}, "epsilon must be positive"),
+        ({"mass": -1.0}, "mass must be positive"),
+        ({"perturbation": -0.1}, "perturbation must not be negative"),
+        ({"trap": float("inf")}, "trap must not be negative"),
+        ({"dipole": (0.0, 0.0, 0.0)}, "not all zero"),
+        ({"dipole": (1.0, 0.0)}, "three finite numbers"),
+        ({"dipole": (1.0, 0.0, 0.0) * unit.nanometer}, "is not a dipole moment"),
+        ({"inertia": (1.0, 1.0, 3.0)}, "larger than the sum of the others"),
+        ({"inertia": (1.0, 1.0, 0.0)}, "three positive moments"),
+        ({"inertia": (1.0, 1.0)}, "three positive moments"),
+    ],
+)
+def test_wrong_input_gets_one_sentence(options, message):
+    with pytest.raises(ValueError, match=message):
+        rb.dipole_fluid(**({"n": 2} | options))
+
+
+@pytest.fixture(params=[(1.0, 1.88, 2.88), (1.0, 1.5, 2.0)], ids=["planar", "tetrahedral"])
+def droplet(request):
+    return *rb.dipole_fluid(11, seed=4, inertia=request.param, trap=0.3), request.param
+
+
+def test_virtual_sites_and_constraints_fit_the_positions(droplet):
+    _, system, positions, _ = droplet
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value
+    np.testing.assert_allclose(x, positions._value, rtol=0.0, atol=1e-14)
+    for i in range(system.getNumConstraints()):
+        p, q, d = system.getConstraintParameters(i)
+        assert abs(np.linalg.norm(x[p] - x[q]) - d._value) < 1e-14
+
+
+def test_openmm_counts_six_degrees_of_freedom_a_body(droplet):
+    _, system, _, _ = droplet
+    massive = sum(system.getParticleMass(i)._value > 0 for i in range(system.getNumParticles()))
+    assert 3 * massive - system.getNumConstraints() == 6 * 11
+
+
+def test_the_dipole_points_along_the_arrow_in_the_principal_axes(droplet):
+    _, system, positions, inertia = droplet
+    k = system.getNumParticles() // 11
+    x = positions._value.reshape(11, k, 3)
+    for body in x:
+        sites, arrow = body[:-2] - body[-2], body[-1] - body[-2]
+        tensor = inertia_tensor(sites, 1.0)
+        moments, axes = np.linalg.eigh(tensor)
+        np.testing.assert_allclose(moments, np.sort(inertia), rtol=1e-13)
+        # (0, 1, 1) in the principal axes, up to the signs of the eigenvectors.
+        np.testing.assert_allclose(np.abs(axes.T @ arrow) / 0.5, [0.0, 0.5**0.5, 0.5**0.5], rtol=0.0, atol=1e-12)
+
+
+def test_the_lattice_has_the_wanted_constant():
+    _, _, positions = rb.dipole_fluid(27, spacing=1.3, perturbation=0.0)
+    centres = positions._value.reshape(27, 5, 3)[:, 3]
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2) + 9 * np.eye(27)
+    np.testing.assert_allclose(distances.min(axis=1), 1.3, rtol=1e-13)
+    np.testing.assert_allclose(centres.mean(axis=0), 0.0, atol=1e-14)
+
+
+def test_the_seed_decides():
+    one, again, other = (rb.dipole_fluid(8, seed=s)[2]._value for s in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert np.abs(one - other).max() > 0.01
+
+
+def test_openmms_minimiser_works(droplet):
+    topology, system, positions, _ = droplet
+    simulation = app.Simulation(
+        topology, system, rb.ExactRigidBodyIntegrator(0.01), openmm.Platform.getPlatform("Reference")
+    )
+    simulation.context.setPositions(positions)
+    before = simulation.context.getState(energy=True).getPotentialEnergy()
+    simulation.minimizeEnergy(tolerance=0.5)
+    assert simulation.context.getState(energy=True).getPotentialEnergy() < before
+    simulation.step(2)
+
+
+def test_mdtraj_reads_the_pdb_with_its_arrows(droplet, tmp_path):
+    topology, system, positions, _ = droplet
+    with (tmp_path / "droplet.pdb").open("w") as file:
+        app.PDBFile.writeFile(topology, positions, file)
+    read = mdtraj.load(str(tmp_path / "droplet.pdb"))
+    assert read.n_atoms == system.getNumParticles()
+    assert read.topology.n_residues == 11
+    assert sum({a.name, b.name} == {"C", "D"} for a, b in read.topology.bonds) == 11
+    np.testing.assert_allclose(read.xyz[0], positions._value, atol=1e-4)
