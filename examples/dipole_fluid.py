@@ -9,8 +9,10 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import matplotlib as mpl
 import numpy as np
@@ -52,6 +54,8 @@ def main() -> int:
     args = parse()
     try:
         prepare(args.out, args.overwrite)
+        if args.paper:
+            print("The paper's lattice is compressed, about 4 epsilon a contact: it flies apart.")
         runs = [simulate(args, args.scheme, args.rotor, args.step, args.out)]
         if args.compare:
             # The same start and the same number of force evaluations.
@@ -65,56 +69,68 @@ def main() -> int:
     return 0
 
 
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with one line, without the usage."""
+        self.exit(2, f"{self.prog}: {message} (see --help)\n")
+
+
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0],
+    parser = Parser(
+        description=__doc__,
         epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of "
-        "the paper. Energies in OUT/energies.csv, trajectory in OUT/trajectory.dcd with OUT/topology.pdb.",
+        "the paper.",
     )
+
+    def names(what: Mapping[str, object]) -> str:
+        return f"{', '.join(what)} (%(default)s)"
+
     add = parser.add_argument
     add("-n", type=whole, default=125, metavar="N", help="number of spheres (%(default)s)")
-    add("--scheme", choices=list(rb.SCHEMES), default="SRKN4_6b", help="splitting scheme (%(default)s)")
-    add("--rotor", choices=list(rb.ROTORS), default="exact", help="flow of the free rotation (%(default)s)")
-    add(
-        "--step",
-        type=positive,
-        default=0.02,
-        metavar="H",
-        help="size of a whole step of the scheme in ps (%(default)s)",
-    )
-    add("--duration", type=positive, default=20.0, metavar="T", help="length of the run in ps (%(default)s)")
+    add("--scheme", choices=rb.SCHEMES, default="SRKN4_6b", metavar="NAME", help="scheme: " + names(rb.SCHEMES))
+    add("--rotor", choices=rb.ROTORS, default="exact", metavar="NAME", help="free rotation: " + names(rb.ROTORS))
+    add("--step", type=positive, default=0.02, metavar="H", help="size of a whole step of the scheme, ps (%(default)s)")
+    add("--duration", type=positive, default=20.0, metavar="T", help="length of the run, ps (%(default)s)")
     add("--temperature", type=positive, default=0.1, metavar="KT", help="kT of the first momenta, kJ/mol (%(default)s)")
-    add("--energy", type=float, metavar="E", help="total energy to start with, in kJ/mol, instead of a temperature")
+    add("--energy", type=finite, metavar="E", help="total energy of the start, kJ/mol, instead of a temperature")
     add(
         "--paper",
         action="store_true",
         help="the paper's start: lattice constant 1, no trap, at rest but for the first and the last sphere, whose "
-        "momenta give --energy. The lattice is compressed, about 4 epsilon a contact, and flies apart",
+        "momenta give --energy. It is compressed, about 4 epsilon a contact, and flies apart",
     )
-    add(
-        "--trap", type=float, default=TRAP, metavar="K", help="strength of the harmonic trap, kJ/mol/nm^2 (%(default)s)"
-    )
-    add("--seed", type=int, default=0, help="seed of positions, orientations and momenta (%(default)s)")
-    add("--platform", default="Reference", help="OpenMM platform (%(default)s)")
-    add("--frames", type=whole, default=200, help="frames in the trajectory, and lines in the CSV (%(default)s)")
-    add("--compare", action="store_true", help="then run the same start with V2 and McLachlan-Reich, at the same cost")
-    add("--out", type=Path, default=Path("out"), metavar="OUT", help="output folder (%(default)s)")
+    add("--trap", type=not_negative, default=TRAP, metavar="K", help="harmonic trap, kJ/mol/nm^2 (%(default)s)")
+    add("--seed", type=natural, default=0, metavar="S", help="seed of positions, orientations, momenta (%(default)s)")
+    add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
+    add("--frames", type=whole, default=200, metavar="N", help="frames and lines to write (%(default)s)")
+    add("--compare", action="store_true", help="then the same start with V2 and McLachlan-Reich, at the same cost")
+    add("--out", type=Path, default=Path("out"), metavar="DIR", help="output folder (%(default)s)")
     add("--overwrite", action="store_true", help="replace the files of an earlier run")
     return parser.parse_args()
 
 
-def whole(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text} is not at least 1")
-    return value
+def number(kind: type, description: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
+    """Return an argparse type that takes the numbers that fit."""
+
+    def convert(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = float("nan")
+        if not (np.isfinite(value) and fits(value)):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a {description}")
+        return value
+
+    return convert
 
 
-def positive(text: str) -> float:
-    value = float(text)
-    if not (np.isfinite(value) and value > 0.0):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
+whole = number(int, "whole number of at least 1", lambda value: value >= 1)
+natural = number(int, "whole number of at least 0", lambda value: value >= 0)
+positive = number(float, "positive number", lambda value: value > 0.0)
+not_negative = number(float, "number of at least 0", lambda value: value >= 0.0)
+finite = number(float, "finite number", lambda value: True)
 
 
 def prepare(out: Path, overwrite: bool) -> None:
@@ -147,9 +163,10 @@ def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: P
     simulation.reporters.extend(reporters)
     integrator.timings.reset()
 
+    pause = 0.1 if sys.stderr.isatty() else 5.0
     began = time.perf_counter()
     try:
-        with tqdm(total=steps, desc=f"{scheme} + {rotor}", unit="step", disable=not sys.stderr.isatty()) as bar:
+        with tqdm(total=steps, desc=f"{scheme} + {rotor}", unit="step", mininterval=pause) as bar:
             chunk = max(1, steps // 100)
             for done in range(0, steps, chunk):
                 simulation.step(min(chunk, steps - done))

@@ -1,0 +1,63 @@
+"""The example runs, leaves what it promises, and says what is wrong in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mdtraj
+import numpy as np
+import pytest
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "dipole_fluid.py"
+
+
+def run(*arguments, **options):
+    return subprocess.run([sys.executable, str(EXAMPLE), *arguments], capture_output=True, text=True, **options)
+
+
+def test_a_run_leaves_trajectory_energies_and_picture(tmp_path):
+    done = run("-n", "8", "--duration", "0.4", "--frames", "10", "--compare", "--out", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    for name in ("SRKN4_6b + exact", "V2 + mclachlan_reich"):
+        assert name in done.stdout
+    for out in (tmp_path / "out", tmp_path / "out" / "compare"):
+        trajectory = mdtraj.load(str(out / "trajectory.dcd"), top=str(out / "topology.pdb"))
+        table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1)
+        assert len(trajectory) == len(table)
+        np.testing.assert_allclose(table[:, 6], table[:, 2] + table[:, 3] + table[:, 5], rtol=1e-15)
+        assert np.abs(table[:, 6] / table[0, 6] - 1.0).max() < 1e-3
+    assert (tmp_path / "out" / "energy_error.png").stat().st_size > 10_000
+
+
+def test_the_papers_start_has_the_wanted_energy(tmp_path):
+    done = run("-n", "8", "--duration", "0.1", "--paper", "--energy", "300", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert "flies apart" in done.stdout
+    table = np.loadtxt(tmp_path / "energies.csv", delimiter=",", skiprows=1)
+    assert table[0, 6] == pytest.approx(300.0, rel=1e-14)
+
+
+def test_files_of_an_earlier_run_are_not_replaced(tmp_path):
+    (tmp_path / "energies.csv").write_text("precious")
+    done = run("-n", "2", "--duration", "0.1", "--out", str(tmp_path))
+    assert done.returncode == 1
+    assert "add --overwrite" in done.stderr
+    assert (tmp_path / "energies.csv").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--scheme", "RK4"], "invalid choice: 'RK4' (choose from"),
+        (["-n", "0"], "'0' is not a whole number of at least 1"),
+        (["--step", "nan"], "'nan' is not a positive number"),
+        (["--platform", "Abacus"], "there is no platform 'Abacus' here: choose one of Reference"),
+        (["-n", "8", "--energy", "-1e9"], "is not above the potential energy of the start"),
+    ],
+)
+def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
+    done = run(*arguments, "--out", str(tmp_path / "out"))
+    assert done.returncode != 0
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "Traceback" not in done.stderr
