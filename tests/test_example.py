@@ -52,7 +52,7 @@ def test_files_of_an_earlier_run_are_not_replaced(tmp_path):
         (["-n", "0"], "'0' is not a whole number of at least 1"),
         (["--step", "nan"], "'nan' is not a positive number"),
         (["--platform", "Abacus"], "there is no platform 'Abacus' here: choose one of Reference"),
-        (["-n", "8", "--energy", "-1e9"], "is not above the potential energy of the start"),
+        (["-n", "8", "--energy=-1e9"], "is not above the potential energy of the start"),
     ],
 )
 def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
