@@ -7,7 +7,7 @@ import openmm_exactrb as rb
 from openmm_exactrb import quaternions
 from openmm_exactrb.problems import HeavyTop, energy, integrate
 from openmm_exactrb.propagate import compose
-from openmm_exactrb.schemes import symmetric
+from openmm_exactrb.schemes import stability_limit, symmetric
 
 
 def test_coefficients_sum_to_one_and_are_palindromes(scheme):
@@ -64,12 +64,16 @@ def measured_order(problem, state, scheme, method, steps, T=4.0):
     return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
 
 
-# Steps small enough for the leading term of the error and far above roundoff.
-ASYMPTOTIC = {1: (200, 280, 400, 560), 6: (48, 64, 88, 120), 10: (20, 26, 34, 44), 14: (10, 13, 16, 20)}
+# Force evaluations by order, enough for the leading term of the error and few enough to stay above roundoff.
+EVALUATIONS = {2: 240, 4: 300, 6: 150}
+
+
+def step_numbers(scheme):
+    return [round(EVALUATIONS[scheme.order] / scheme.stages * factor) for factor in (1.0, 1.35, 1.8, 2.4)]
 
 
 def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
-    order = measured_order(*tops, scheme, "exact", ASYMPTOTIC[scheme.stages])
+    order = measured_order(*tops, scheme, "exact", step_numbers(scheme))
     assert abs(order - scheme.order) < 0.35
 
 
@@ -140,3 +144,27 @@ def test_energy_error_has_no_trend(tops):
             largest = np.maximum(largest, np.abs(energy(problem, state) - start))
         halves.append(np.median(largest))
     assert halves[1] < 2.0 * halves[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    # Published: 2; McLachlan (1995); Blanes, Casas and Sanz-Serna (2014), table 2.
+    [("V2", 2.0), ("V2_drift", 2.0), ("S2_2", 2.55), ("S2_3", 4.66), ("S2_4", 5.35)],
+)
+def test_stability_limits_are_the_published_ones(name, limit):
+    assert stability_limit(rb.SCHEMES[name]) == pytest.approx(limit, abs=0.005)
+
+
+def test_a_harmonic_oscillator_is_bounded_up_to_the_limit_and_not_beyond(scheme):
+    limit = stability_limit(scheme)
+
+    def largest(h):
+        advance = compose(scheme, lambda s, tau: (s[0] + tau * s[1], s[1]), lambda s, tau: (s[0], s[1] - tau * s[0]))
+        state, largest = (1.0, 0.3), 0.0
+        for _ in range(3000):
+            state = advance(state, h)
+            largest = max(largest, abs(state[0]))
+        return largest
+
+    assert largest(0.98 * limit) < 100.0
+    assert max(largest(factor * limit) for factor in (1.002, 1.005, 1.01)) > 1e3

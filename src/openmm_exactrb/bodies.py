@@ -24,8 +24,10 @@ from openmm_exactrb.quaternions import from_matrix, matrix
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# A principal moment smaller than this part of the largest belongs to a linear body.
-_LINEAR = 1e-9
+# A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
+_FLAT = 1e-10
+# A body whose places about its centre changed by less than this, in nm, was shifted and not turned.
+_SHIFTED = 1e-9
 #: Positions further than this from a rigid body, in nm, are refused.
 RIGIDITY = 1e-4
 
@@ -119,6 +121,11 @@ class RigidBodies:
             )
         )
 
+    @property
+    def rotational_freedom(self) -> int:
+        """Rotational degrees of freedom."""
+        return sum((3 - kind.linear) * len(kind.particles) for kind in self.kinds if kind.turns)
+
     def __len__(self) -> int:
         """Return the number of bodies, single particles included."""
         return len(self.mass)
@@ -162,56 +169,70 @@ class RigidBodies:
                 out[2] = W[0, 1] - W[1, 0]
         return total, torque
 
-    def fit(
-        self,
-        x: Array,
-        v: Array,
-        known: BodyState | None = None,
-        moved: NDArray[np.bool_] | None = None,
-        changed: NDArray[np.bool_] | None = None,
-    ) -> BodyState:
+    def fit(self, x: Array, v: Array) -> BodyState:
         """Find the state of bodies from the positions and velocities of their particles.
 
         Parameters
         ----------
         x, v : (n_particles, 3) arrays
-        known : BodyState, optional
-            A state whose positions and attitudes stay where `moved` is false, and momenta where `changed` is.
-        moved, changed : (N,) arrays of bool, optional
 
         Raises
         ------
         ValueError
             If positions are not finite, or further than `RIGIDITY` from a rigid body.
         """
-        R, P = np.empty((3, len(self))), np.empty((3, len(self)))
-        q, m = np.empty((4, self.n_turning)), np.zeros((3, self.n_turning))
+        every = np.arange(len(self))
+        nowhere = np.zeros((3, len(self)))
+        start = BodyState(nowhere, nowhere, np.ones((4, self.n_turning)), nowhere[:, : self.n_turning])
+        return self.refit(start, x, v, every, every)
+
+    def refit(self, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
+        """Find the state of some bodies again from their particles.
+
+        Parameters
+        ----------
+        known : BodyState
+            The state of the others.
+        x, v : (n_particles, 3) arrays
+        moved, pushed : arrays of int
+            Bodies whose positions or velocities changed. A body that was only shifted keeps its attitude to the bit.
+
+        Raises
+        ------
+        ValueError
+            As `fit`.
+        """
+        R, P, q, m = (a.copy() for a in known)
         for kind in self.kinds:
-            X, V = x[kind.particles], v[kind.particles]
-            self._check_finite(kind, X, V)
-            centre = np.einsum("s,nsi->ni", kind.masses / kind.mass, X)
-            R[:, kind.bodies] = centre.T
-            P[:, kind.bodies] = np.einsum("s,nsi->in", kind.masses, V)
-            if kind.turns:
-                relative = X - centre[:, None]
-                attitude = _attitudes(kind, relative)
-                Q = matrix(attitude)
-                self._check_rigid(kind, relative - _turned(Q.transpose(2, 0, 1), kind.sites))
-                spin = np.einsum("s,nsi->ni", kind.masses, np.cross(relative, V))
-                q[:, kind.bodies] = attitude
-                m[:, kind.bodies] = np.einsum("jin,nj->in", Q, spin)
+            bodies, particles = self._of_kind(kind, moved)
+            X = x[particles]
+            self._check_finite(bodies, X)
+            R[:, bodies] = np.einsum("s,nsi->in", kind.masses / kind.mass, X)
+            if kind.turns and len(bodies):
+                relative = X - R.T[bodies, None]
+                turned = (
+                    np.abs(relative - _turned(_attitude_matrices(q, bodies), kind.sites)).max(axis=(1, 2)) > _SHIFTED
+                )
+                bodies, relative = bodies[turned], relative[turned]
+                q[:, bodies] = _best_attitudes(kind, relative)
+                self._check_rigid(bodies, relative - _turned(_attitude_matrices(q, bodies), kind.sites))
+        for kind in self.kinds:
+            bodies, particles = self._of_kind(kind, np.union1d(moved, pushed))
+            V = v[particles]
+            self._check_finite(bodies, V)
+            P[:, bodies] = np.einsum("s,nsi->in", kind.masses, V)
+            if kind.turns and len(bodies):
+                # Only the momentum about the centre: m = Q^T sum m_s (Q b_s) x v_s = sum m_s b_s x Q^T v_s.
+                in_body = np.einsum("nji,nsj->nsi", _attitude_matrices(q, bodies), V)
+                m[:, bodies] = np.einsum("s,nsi->in", kind.masses, np.cross(kind.sites, in_body))
                 if kind.linear:
-                    m[0, kind.bodies] = 0.0
-        fitted = BodyState(R, P, q, m)
-        if known is None or moved is None or changed is None:
-            return fitted
-        k = self.n_turning
-        return BodyState(
-            np.where(moved, R, known.R),
-            np.where(changed, P, known.P),
-            np.where(moved[:k], q, known.q),
-            np.where(changed[:k], m, known.m),
-        )
+                    m[0, bodies] = 0.0
+        return BodyState(R, P, q, m)
+
+    def _of_kind(self, kind: Kind, bodies: Indices) -> tuple[Indices, Indices]:
+        """Return those of the bodies that are of this kind, and their particles."""
+        chosen = bodies[(bodies >= kind.bodies.start) & (bodies < kind.bodies.stop)]
+        return chosen, kind.particles[chosen - kind.bodies.start]
 
     def closest(self, state: BodyState) -> tuple[tuple[int, int], float]:
         """Return the two bodies whose centres are closest, and their distance in nm."""
@@ -233,52 +254,58 @@ class RigidBodies:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
         raise IndexError(f"there is no body {body}")
 
-    def _check_finite(self, kind: Kind, X: Array, V: Array) -> None:
-        bad = ~(np.isfinite(X) & np.isfinite(V)).all(axis=(1, 2))
+    def _check_finite(self, bodies: Indices, values: Array) -> None:
+        bad = ~np.isfinite(values).all(axis=(1, 2))
         if bad.any():
             raise ValueError(
-                f"positions or velocities of {self.name(kind.bodies.start + int(np.argmax(bad)))} are not finite: "
+                f"positions or velocities of {self.name(int(bodies[np.argmax(bad)]))} are not finite: "
                 "set finite ones before the next step"
             )
 
-    def _check_rigid(self, kind: Kind, misfit: Array) -> None:
-        distance = np.sqrt((misfit**2).sum(axis=2).max(axis=1))
-        worst = int(np.argmax(distance))
-        if distance[worst] > RIGIDITY:
+    def _check_rigid(self, bodies: Indices, misfit: Array) -> None:
+        distance = np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))
+        if (distance > RIGIDITY).any():
+            worst = int(np.argmax(distance))
             raise ValueError(
-                f"{self.name(kind.bodies.start + worst)} is {distance[worst]:.2g} nm away from the rigid shape that "
-                f"its constraints give, more than {RIGIDITY:g} nm: call context.applyConstraints(1e-6) after "
-                "setPositions, and do not let a periodic box split molecules"
+                f"{self.name(int(bodies[worst]))} is {distance[worst]:.2g} nm away from its rigid shape, more than "
+                f"{RIGIDITY:g} nm: call context.applyConstraints(1e-6) after setPositions, and do not let a periodic "
+                "box split molecules"
             )
 
 
-def find_bodies(system: openmm.System, positions: Array) -> RigidBodies:
+def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequence[int]] | None = None) -> RigidBodies:
     """Find the rigid bodies of a System: clusters of particles that constraints hold rigid.
 
     Parameters
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        In nm. They tell a body from its mirror image, which has the same distances.
+        In nm. They tell a body from its mirror image, and give the shape where constraints do not.
+    bodies : sequence of sequences of int, optional
+        Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
 
     Raises
     ------
     ValueError
-        If there is no rigid body, or constraints do not fix a cluster fully.
+        If there is no rigid body, constraints do not fix a cluster fully or lead out of a body, a body is named
+        wrongly, or the System has Drude particles.
     """
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    _refuse_drude_particles(system)
+    given = _named_bodies(system, masses, bodies or [])
     groups: dict[tuple[bytes, bytes], list[Indices]] = {}
-    for particles, distances in _clusters(system, masses):
+    for particles, distances in _clusters(system, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
-    shapes = []
+    shapes: list[Kind] = []
     for (mass_bytes, distance_bytes), members in groups.items():
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
-        shapes += _split_by_handedness(np.stack(members), body_masses, distances, positions)
+        make = _kinds_from_positions if np.isnan(distances).any() else _kinds_from_distances
+        shapes += make(np.stack(members), body_masses, distances, positions)
     if not any(shape.turns for shape in shapes):
         raise ValueError(
-            "the System has no rigid bodies: constrain all distances within each molecule, "
-            "for example with createSystem(rigidWater=True)"
+            "the System has no rigid bodies: constrain all distances within each molecule, for example with "
+            "createSystem(rigidWater=True), or name them with bodies=[[0, 1, 2], ...]"
         )
     kinds, start = [], 0
     for shape in sorted(shapes, key=lambda shape: not shape.turns):
@@ -288,8 +315,78 @@ def find_bodies(system: openmm.System, positions: Array) -> RigidBodies:
     return RigidBodies(kinds, len(masses))
 
 
-def _split_by_handedness(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
-    """Return the kind of these bodies, or it and its mirror image."""
+def _refuse_drude_particles(system: openmm.System) -> None:
+    for force in system.getForces():
+        if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
+            names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
+            raise ValueError(
+                f"the System has Drude particles ({names}, ...), which need an integrator of their own: use a force "
+                "field without them"
+            )
+
+
+def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
+    """Return the particles with mass of the bodies that a user named."""
+    seen: dict[int, int] = {}
+    named = []
+    for number, body in enumerate(bodies):
+        particles = np.array(sorted(body), dtype=np.intp)
+        for particle in map(int, particles):
+            if not 0 <= particle < len(masses):
+                raise ValueError(f"body {number} names particle {particle}, but the System has {len(masses)} particles")
+            if particle in seen:
+                raise ValueError(f"particle {particle} is named twice, in bodies {seen[particle]} and {number}")
+            if masses[particle] == 0.0 and not system.isVirtualSite(particle):
+                raise ValueError(f"particle {particle} of body {number} has no mass: a rigid body needs masses")
+            seen[particle] = number
+        massive = particles[masses[particles] > 0.0]
+        if not len(massive):
+            raise ValueError(f"body {number} has no particle with mass")
+        named.append(massive)
+    return named
+
+
+def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
+    n, count = len(masses), system.getNumConstraints()
+    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
+    for i in range(count):
+        p, q, length = system.getConstraintParameters(i)
+        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
+    owner = np.full(n, -1)
+    for number, particles in enumerate(given):
+        owner[particles] = number
+    leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
+    if leading_out.any():
+        p, q = pairs[np.argmax(leading_out)]
+        raise ValueError(f"the constraint between particles {p} and {q} leads out of a rigid body: remove it")
+    links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
+    rows, columns = np.concatenate(links).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    place = np.empty(n, dtype=np.intp)
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
+    for start, stop in itertools.pairwise(bounds):
+        place[order[start:stop]] = np.arange(stop - start)
+    of_cluster = np.argsort(label[pairs[:, 0]], kind="stable")
+    limits = np.searchsorted(label[pairs[of_cluster, 0]], np.arange(len(bounds)))
+    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
+        particles = order[start:stop]
+        if len(particles) == 1 and masses[particles[0]] == 0.0:
+            continue
+        distances = np.full((len(particles), len(particles)), np.nan)
+        np.fill_diagonal(distances, 0.0)
+        constraints = of_cluster[limits[cluster] : limits[cluster + 1]]
+        i, j = place[pairs[constraints]].T
+        distances[i, j] = distances[j, i] = lengths[constraints]
+        if owner[particles[0]] >= 0:
+            distances[~np.eye(len(particles), dtype=bool)] = np.nan
+        yield particles, distances
+
+
+def _kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kind of bodies all of whose distances are known, or it and its mirror image."""
     kind = _kind(particles, masses, distances)
     if not kind.sites.any(axis=0).all():
         return [kind]
@@ -302,38 +399,43 @@ def _split_by_handedness(particles: Indices, masses: Array, distances: Array, po
     ]
 
 
-def _clusters(system: openmm.System, masses: Array) -> Iterable[tuple[Indices, Array]]:
-    """Yield the particles of each cluster of constraints and all their distances."""
-    n = len(masses)
-    count = system.getNumConstraints()
-    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
-    for i in range(count):
-        p, q, length = system.getConstraintParameters(i)
-        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
-    graph = coo_array((np.ones(count), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    order = np.argsort(label, kind="stable")
-    place = np.empty(n, dtype=np.intp)
-    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
-    for start, stop in itertools.pairwise(bounds):
-        place[order[start:stop]] = np.arange(stop - start)
-    constraints = np.argsort(label[pairs[:, 0]], kind="stable")
-    limits = np.searchsorted(label[pairs[constraints, 0]], np.arange(len(bounds)))
-    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
-        particles = order[start:stop]
-        if len(particles) == 1 and masses[particles[0]] == 0.0:
-            continue
-        distances = np.full((len(particles), len(particles)), np.nan)
-        np.fill_diagonal(distances, 0.0)
-        for c in constraints[limits[cluster] : limits[cluster + 1]]:
-            i, j = place[pairs[c]]
-            distances[i, j] = distances[j, i] = lengths[c]
-        if np.isnan(distances).any():
-            raise ValueError(
-                f"the constraints between particles {', '.join(map(str, particles))} do not hold them rigid: "
-                "constrain every distance between them, or none"
-            )
-        yield particles, distances
+def _kinds_from_positions(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kinds of bodies of these masses whose shape is that of their positions.
+
+    Bodies whose shapes agree within `RIGIDITY` are of one kind, the shape of the first.
+    """
+    X = positions[particles]
+    if not np.isfinite(X).all():
+        raise ValueError("positions are not finite: set them before the first step")
+    _refuse_floppy(particles[0], distances, X[0])
+    kinds = []
+    while len(particles):
+        apart = np.linalg.norm(X[0][:, None] - X[0][None], axis=2)
+        kind = _kinds_from_distances(particles[:1], masses, apart, positions)[0]
+        relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+        fitted = _turned(matrix(_best_attitudes(kind, relative)).transpose(2, 0, 1), kind.sites)
+        same = np.sqrt(((relative - fitted) ** 2).sum(axis=2).max(axis=1)) <= RIGIDITY
+        same[0] = True
+        kinds.append(replace(kind, particles=particles[same]))
+        particles, X = particles[~same], X[~same]
+    return kinds
+
+
+def _refuse_floppy(particles: Indices, distances: Array, x: Array) -> None:
+    """Refuse constraints that leave a cluster a motion beside those of a rigid body."""
+    i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
+    if not len(i):  # named by the user
+        return
+    rows = np.zeros((len(i), len(x), 3))
+    direction = x[i] - x[j]
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
+    rank = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
+    if rank < 3 * len(x) - 6:
+        raise ValueError(
+            f"the constraints between particles {', '.join(map(str, particles))} do not hold them rigid: constrain "
+            "every distance between them, or none, or name them with bodies="
+        )
 
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
@@ -354,10 +456,10 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     found = min(3, len(masses))
     spread[:found] = np.maximum(moments[::-1][:found], 0.0)
     axes[:, :found] = vectors[:, ::-1][:, :found]
-    spread[spread < _LINEAR * spread[0]] = 0.0
+    spread[spread < _FLAT * spread[0]] = 0.0
     sites = axes * np.sqrt(spread) / root[:, None]
     misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
-    if misfit > 1e-6 * distances.max() or not spread[0] > 0.0:
+    if misfit > 1e-5 * distances.max() or not spread[0] > 0.0:
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
             f"a distance is missed by {misfit:.2g} nm"
@@ -372,7 +474,12 @@ def _turned(Q: Array, sites: Array) -> Array:
     return (Q.reshape(3 * n, 3) @ sites.T).reshape(n, 3, len(sites)).swapaxes(1, 2)
 
 
-def _attitudes(kind: Kind, relative: Array) -> Array:
+def _attitude_matrices(q: Array, bodies: Indices) -> Array:
+    """Return the rotation matrices (n, 3, 3) of some bodies."""
+    return np.ascontiguousarray(matrix(q[:, bodies]).transpose(2, 0, 1))
+
+
+def _best_attitudes(kind: Kind, relative: Array) -> Array:
     """Return the attitudes (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
     correlation = np.einsum("s,nsi,sj->nij", kind.masses, relative, kind.sites)
     U, _, Vt = np.linalg.svd(correlation)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import time
 import weakref
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +14,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.bodies import BodyState, RigidBodies, find_bodies
+from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import compose
 from openmm_exactrb.rotors import ROTORS, rotor
 from openmm_exactrb.schemes import Scheme
@@ -74,7 +75,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid; particles without constraints
     move beside them. After every step(n) the Context holds the positions, velocities, time and step count of the
-    bodies; what is set in the Context between calls is taken up.
+    bodies; what is set in the Context between calls is taken up. A call evaluates
+    the forces of its first positions anew, since parameters may have been changed; within a call no force is evaluated
+    twice.
 
     Parameters
     ----------
@@ -84,6 +87,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         A key of `openmm_exactrb.SCHEMES`.
     rotor : str, optional
         A key of `openmm_exactrb.ROTORS`.
+    bodies : sequence of sequences of int, optional
+        Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
+        step; what acts within them only adds a constant to the energy.
 
     Raises
     ------
@@ -96,12 +102,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     """
 
     def __init__(
-        self, stepSize: float | unit.Quantity, scheme: str | Scheme = "SRKN4_6b", rotor: str = "exact"
+        self,
+        stepSize: float | unit.Quantity,
+        scheme: str | Scheme = "SRKN4_6b",
+        rotor: str = "exact",
+        bodies: Sequence[Sequence[int]] | None = None,
     ) -> None:
         self._scheme = look_up(scheme)
         if rotor not in ROTORS:
             raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}")
         self._rotor = rotor
+        self._bodies = None if bodies is None else [list(map(int, body)) for body in bodies]
         super().__init__(_picoseconds(stepSize))
         for name in _STORED:
             self.addPerDofVariable(name, 0.0)
@@ -146,7 +157,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """
         if context.getIntegrator() is not self and getattr(context, "_integrator", None) is not self:
             raise ValueError("this Context was made with another integrator: bind the one that it was made with")
-        self._coupling = _Coupling(context, self._rotor, self.getIntegrationForceGroups(), self.timings)
+        self._coupling = _Coupling(context, self._rotor, self.getIntegrationForceGroups(), self.timings, self._bodies)
 
     def step(self, steps: int) -> None:
         """Advance the bodies by this many steps.
@@ -165,6 +176,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         start = time.perf_counter()
         coupling = self._up_to_date()
         coupling.groups = self.getIntegrationForceGroups()
+        coupling.forget_forces()
         h = self.getStepSize().value_in_unit(unit.picosecond)
         time_now, done = coupling.context.getTime().value_in_unit(unit.picosecond), 0
         try:
@@ -173,9 +185,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
                 time_now += h
                 done += 1
                 if coupling.changing:
-                    coupling.publish(self)
-                    super().step(1)
-                    coupling.take_up(self)
+                    coupling.let_openmm_change(self)
         finally:
             if not coupling.changing and done:
                 super().step(done)
@@ -190,6 +200,44 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         translational, rotational = coupling.bodies.kinetic_energies(coupling.state)
         return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
 
+    def degreesOfFreedom(self) -> tuple[int, int]:
+        """Return the numbers of translational and of rotational degrees of freedom.
+
+        A linear body has two rotational ones, a single particle none. Where the System has a CMMotionRemover, three
+        translational ones are missing.
+        """
+        coupling = self._up_to_date()
+        return 3 * len(coupling.bodies) - 3 * coupling.removes_motion, coupling.bodies.rotational_freedom
+
+    def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
+        """Return the translational and the rotational temperature of the bodies."""
+        pairs = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True)
+        translational, rotational = (
+            (2.0 * energy / (max(freedom, 1) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
+            for energy, freedom in pairs
+        )
+        return translational, rotational
+
+    def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
+        """Draw the momenta of the bodies from the canonical distribution.
+
+        Unlike the method of the Context, it is right for linear bodies and for bodies without constraints.
+
+        Parameters
+        ----------
+        temperature : float or Quantity
+            In K if it has no unit.
+        randomSeed : int, optional
+
+        Raises
+        ------
+        ValueError
+            If the temperature is negative, not finite or has a unit that does not fit.
+        """
+        coupling = self._up_to_date()
+        coupling.thermalise(_gas_constant_times(temperature), np.random.default_rng(randomSeed))
+        coupling.publish(self)
+
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         coupling = self._up_to_date()
@@ -197,7 +245,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return type(self), (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor)
+        return type(self), (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor, self._bodies)
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -238,17 +286,25 @@ class _Coupling:
     Holds no strong reference to the Context, which owns the integrator that owns this.
     """
 
-    def __init__(self, context: openmm.Context, method: str, groups: int, timings: Timings) -> None:
+    def __init__(
+        self,
+        context: openmm.Context,
+        method: str,
+        groups: int,
+        timings: Timings,
+        bodies: Sequence[Sequence[int]] | None,
+    ) -> None:
         system = context.getSystem()
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
-        self.bodies = find_bodies(system, x)
+        self.bodies = find_bodies(system, x, bodies)
         self.groups = groups
         self.timings = timings
         #: Whether OpenMM itself changes positions or velocities between steps.
         self.changing = any(type(force).__name__ in _CHANGING for force in system.getForces())
+        self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
         self._flow = rotor(method, self.bodies.inertia)
-        self._x, self._v = np.zeros_like(x), np.zeros_like(v)  # what is handed to OpenMM; virtual sites stay zero
+        self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
         self.state = self.bodies.fit(x, v)
@@ -304,24 +360,46 @@ class _Coupling:
     def take_up(self, store: openmm.CustomIntegrator) -> None:
         """Bring the state up to date with what was set in the Context since it was published."""
         x, v = _positions_and_velocities(self.context)
-        if self._seen is not None and all(map(np.array_equal, self._seen, (x, v))):
-            return
-        self._forces = None
-        known = self._stored(store)
+        if self._seen is None or not all(map(np.array_equal, self._seen, (x, v))):
+            self._compare(self._stored(store), x, v)
+
+    def _compare(self, known: BodyState | None, x: Array, v: Array) -> None:
+        """Take the state from x and v, or from the known one for the bodies that are where it says."""
+        self._seen = (x, v)
+        self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         if known is None:
             self.state = self.bodies.fit(x, v)
-        else:
-            moved = _differs(self.bodies, x, self.bodies.positions(known, self._x))
-            pushed = _differs(self.bodies, v, self.bodies.velocities(known, self._v))
-            self.state = self.bodies.fit(x, v, known, moved, moved | pushed) if (moved | pushed).any() else known
-        self._seen = (x, v)
+            return
+        moved = _differs(self.bodies, x, self.bodies.positions(known, self._x))
+        pushed = _differs(self.bodies, v, self.bodies.velocities(known, self._v))
+        self.state = self.bodies.refit(known, x, v, moved, pushed) if len(moved) or len(pushed) else known
+
+    def let_openmm_change(self, store: openmm.CustomIntegrator) -> None:
+        """Let barostats, thermostats and the like of the System do their part of a step."""
+        self._write()
+        openmm.CustomIntegrator.step(store, 1)
+        self._compare(self.state, *_positions_and_velocities(self.context))
+
+    def thermalise(self, kT: float, rng: np.random.Generator) -> None:
+        """Draw momenta at a temperature."""
+        bodies, state = self.bodies, self.state
+        P = np.sqrt(kT * bodies.mass) * rng.standard_normal(state.P.shape)
+        if self.removes_motion:
+            P -= bodies.mass * (P.sum(axis=1, keepdims=True) / bodies.mass.sum())
+        m = np.sqrt(kT * bodies.inertia.T) * rng.standard_normal(state.m.shape)
+        for kind in bodies.kinds:
+            if kind.linear:
+                m[0, kind.bodies] = 0.0
+        self.state = state._replace(P=P, m=m)
+
+    def forget_forces(self) -> None:
+        """Evaluate forces anew: parameters of the Context, the box or a force may have been changed."""
+        self._forces = None
 
     def publish(self, store: openmm.CustomIntegrator) -> None:
         """Write the state into the Context: as particles, and in full into the per-DOF variables of the integrator."""
+        self._write()
         state, bodies = self.state, self.bodies
-        self.context.setPositions(bodies.positions(state, self._x))
-        self.context.setVelocities(bodies.velocities(state, self._v))
-        self.context.computeVirtualSites()
         first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
         full = np.zeros((len(_STORED), bodies.n_particles, 3))
         full[0, first], full[1, first] = state.R.T, state.P.T
@@ -330,6 +408,12 @@ class _Coupling:
             store.setPerDofVariableByName(name, values)
         store.setGlobalVariableByName(_IS_STORED, 1.0)
         self._seen = _positions_and_velocities(self.context)
+
+    def _write(self) -> None:
+        """Write positions and velocities into the Context."""
+        self.context.setPositions(self.bodies.positions(self.state, self._x))
+        self.context.setVelocities(self.bodies.velocities(self.state, self._v))
+        self.context.computeVirtualSites()
 
     def _stored(self, store: openmm.CustomIntegrator) -> BodyState | None:
         if not store.getGlobalVariableByName(_IS_STORED):
@@ -354,15 +438,27 @@ def _picoseconds(size: float | unit.Quantity) -> float:
     return float(size)
 
 
+def _gas_constant_times(temperature: float | unit.Quantity) -> float:
+    """Return RT in kJ/mol of a temperature in K."""
+    quantity: Any = temperature
+    if unit.is_quantity(temperature):
+        if not quantity.unit.is_compatible(unit.kelvin):
+            raise ValueError(f"{temperature} is not a temperature: give it in K")
+        quantity = quantity.value_in_unit(unit.kelvin)
+    if not (np.isfinite(quantity) and quantity >= 0.0):
+        raise ValueError(f"a temperature must be finite and not negative, not {temperature}")
+    return float((quantity * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
     state = context.getState(positions=True, velocities=True)
     return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
 
 
-def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> NDArray[np.bool_]:
-    """Tell which bodies have a particle that is not where it is expected, (N,); nan differs."""
+def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:
+    """Return the bodies with a particle that is not where it is expected; nan differs."""
     different = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
         offset = np.abs(actual[kind.particles] - expected[kind.particles])
         different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= _SAME)
-    return different
+    return np.flatnonzero(different)

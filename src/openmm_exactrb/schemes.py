@@ -107,11 +107,36 @@ def _palindrome(name: str, table: str, free: Sequence[float], length: int) -> tu
 
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
+_MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
+_HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
+_OMELYAN = (
+    "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
+)
 _BLANES_MOAN = "S. Blanes and P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002), doi:10.1016/S0377-0427(01)00492-7"
 
 _SCHEMES = (
     symmetric("V2", order=2, stages=1, first="kick", reference=_VERLET),
     symmetric("V2_drift", order=2, stages=1, first="drift", reference=_VERLET),
+    symmetric("S2_2", order=2, stages=2, first="kick", b=(0.1931833275037836,), reference=_MCLACHLAN),
+    symmetric("S2_3", order=2, stages=3, first="kick", a=(0.29619504261126,), b=(0.11888010966548,), reference=_HMC),
+    symmetric(
+        "S2_4",
+        order=2,
+        stages=4,
+        first="kick",
+        a=(0.1916678,),
+        b=(0.071353913450279725904, 0.268548791161230105820),
+        reference=_HMC,
+    ),
+    symmetric(
+        "PEFRL",
+        order=4,
+        stages=4,
+        first="drift",
+        a=(0.1786178958448091, -0.06626458266981849),
+        b=(0.5 + 0.2123418310626054,),
+        reference=_OMELYAN,
+    ),
     symmetric(
         "S4_6",
         order=4,
@@ -138,6 +163,16 @@ _SCHEMES = (
         first="kick",
         a=(0.245298957184271, 0.604872665711080),
         b=(0.0829844064174052, 0.396309801498368, -0.0390563049223486),
+        reference=_BLANES_MOAN,
+    ),
+    symmetric(
+        "SRKN6_11b",
+        order=6,
+        stages=11,
+        kind="nystroem",
+        first="kick",
+        a=(0.123229775946271, 0.290553797799558, -0.127049212625417, -0.246331761062075, 0.357208872795928),
+        b=(0.0414649985182624, 0.198128671918067, -0.0400061921041533, 0.0752539843015807, -0.0115113874206879),
         reference=_BLANES_MOAN,
     ),
     symmetric(
@@ -184,3 +219,36 @@ def scheme(name: str | Scheme) -> Scheme:
     if name not in CATALOGUE:
         raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(CATALOGUE)}")
     return CATALOGUE[name]
+
+
+def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
+    """Return the step, in units of 1/omega, up to which a harmonic oscillator stays bounded.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    resolution : float, optional
+        Steps are tried at multiples of this.
+
+    Returns
+    -------
+    float
+        The last step before the trace of the matrix of a step leaves [-2, 2]. A touch of the bounds by less than 1e-6,
+        where two stable intervals meet, is passed over.
+    """
+    h = resolution
+    while abs(_trace(scheme, h)) <= 2.0 + 1e-6:
+        h += resolution
+    return h - resolution
+
+
+def _trace(scheme: Scheme, h: float) -> float:
+    """Return the trace of the matrix of one step of q'' = -q."""
+    (qq, qp), (pq, pp) = (1.0, 0.0), (0.0, 1.0)
+    for flow, coefficient in scheme.sequence:
+        tau = coefficient * h
+        if flow == "drift":
+            qq, qp = qq + tau * pq, qp + tau * pp
+        else:
+            pq, pp = pq - tau * qq, pp - tau * qp
+    return qq + pp
