@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,35 @@ class Kind:
     mass: float
     inertia: Array
 
+    @cached_property
+    def _stride(self) -> int | None:
+        """Particles from one body to the next, where all bodies stand in line; else None."""
+        n, k = self.particles.shape
+        stride = int(self.particles[1, 0] - self.particles[0, 0]) if n > 1 else k
+        line = self.particles[0, 0] + stride * np.arange(n)[:, None] + np.arange(k)
+        return stride if stride >= k and np.array_equal(line, self.particles) else None
+
+    def _view(self, array: Array) -> Array | None:
+        """Return (n, k, 3) of a particle array without a copy, where bodies stand in line."""
+        n, k = self.particles.shape
+        if self._stride is None or not array.flags.c_contiguous:
+            return None
+        rows, step = array[self.particles[0, 0] :], array.strides[0]
+        return np.lib.stride_tricks.as_strided(rows, (n, k, 3), (self._stride * step, step, array.strides[1]))
+
+    def gather(self, array: Array) -> Array:
+        """Return the rows (n, k, 3) of the bodies' particles."""
+        view = self._view(array)
+        return array[self.particles] if view is None else view
+
+    def scatter(self, rows: Array, out: Array) -> None:
+        """Write rows (n, k, 3) to the bodies' particles."""
+        view = self._view(out)
+        if view is None:
+            out[self.particles] = rows
+        else:
+            view[:] = rows
+
     @property
     def turns(self) -> bool:
         """Whether the bodies have an attitude: all but single particles."""
@@ -130,43 +160,51 @@ class RigidBodies:
         """Return the number of bodies, single particles included."""
         return len(self.mass)
 
-    def positions(self, state: BodyState, out: Array) -> Array:
-        """Write the positions of all particles with mass into `out` (n_particles, 3)."""
-        Q = np.ascontiguousarray(matrix(state.q).transpose(2, 0, 1))
+    def positions(self, state: BodyState, out: Array, Q: Array | None = None) -> Array:
+        """Write the positions of all particles with mass into `out` (n_particles, 3).
+
+        Q (3, 3, K) are the rotation matrices of the state, if they are at hand.
+        """
+        Q = matrix(state.q) if Q is None else Q
         for kind in self.kinds:
-            centre = state.R.T[kind.bodies, None]
-            out[kind.particles] = centre + _turned(Q[kind.bodies], kind.sites) if kind.turns else centre
+            places = state.R.T[kind.bodies, None]
+            if kind.turns:
+                places = places + _turned(Q[:, :, kind.bodies].transpose(2, 0, 1), kind.sites)
+            kind.scatter(places, out)
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
         """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
-        Q = np.ascontiguousarray(matrix(state.q).transpose(2, 0, 1))
+        Q = matrix(state.q)
         V = (state.P / self.mass).T
         omega = state.m.T / self.inertia
         for kind in self.kinds:
             velocity = V[kind.bodies, None]
             if kind.turns:
                 relative = np.cross(omega[kind.bodies, None], kind.sites)
-                velocity = velocity + np.einsum("nij,nsj->nsi", Q[kind.bodies], relative)
-            out[kind.particles] = velocity
+                velocity = velocity + np.einsum("ijn,nsj->nsi", Q[:, :, kind.bodies], relative)
+            kind.scatter(velocity, out)
         return out
 
-    def forces(self, q: Array, forces: Array) -> tuple[Array, Array]:
-        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles."""
-        Q = matrix(q)
+    def forces(self, Q: Array, forces: Array) -> tuple[Array, Array]:
+        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles.
+
+        Q (3, 3, K) are the rotation matrices of the bodies.
+        """
         total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
         for kind in self.kinds:
-            F = forces[kind.particles.T]
-            total[:, kind.bodies] = F.sum(axis=0).T
+            F = kind.gather(forces)
+            n, k, _ = F.shape
+            by_site = np.ascontiguousarray(F.transpose(1, 2, 0))
+            total[:, kind.bodies] = by_site.sum(axis=0)
             if kind.turns:
-                k, n = kind.particles.shape[1], kind.particles.shape[0]
-                moment = (kind.sites.T @ F.reshape(k, 3 * n)).reshape(3, n, 3)
-                # W[d, e] = sum over sites of b_d (Q^T F)_e, and the torque is its antisymmetric part.
-                W = np.einsum("dnc,cen->den", moment, Q[:, :, kind.bodies])
+                # Moment D = sum over sites of b F^T, space components second; the torque is sum_c D_c x (Q^T e_c).
+                D = (kind.sites.T @ by_site.reshape(k, 3 * n)).reshape(3, 3, n)
+                E = Q[:, :, kind.bodies].swapaxes(0, 1)
                 out = torque[:, kind.bodies]
-                out[0] = 0.0 if kind.linear else W[1, 2] - W[2, 1]
-                out[1] = W[2, 0] - W[0, 2]
-                out[2] = W[0, 1] - W[1, 0]
+                out[0] = 0.0 if kind.linear else (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
+                out[1] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
+                out[2] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
         return total, torque
 
     def fit(self, x: Array, v: Array) -> BodyState:

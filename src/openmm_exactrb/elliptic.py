@@ -126,8 +126,9 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
     """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for |w| <= 0.3.
 
-    Gauss's rule with ten nodes on [-w, w]: the integrand is even, so five are evaluated. With x, z and b in [0, 1]
-    its singularities are at least 1 away from zero and the rule is exact to roundoff.
+    Gauss's rule with ten nodes on [-w, w], or six for w up to 0.1: the integrand is even, so half of them are
+    evaluated. With x, z and b in [0, 1] its singularities are at least 1 away from zero and the rule is exact to
+    roundoff.
 
     Parameters
     ----------
@@ -137,17 +138,23 @@ def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
     -------
     (N,) array
     """
-    square = _NODES_SQUARED * (w * w)
+    nodes_squared, weights = _RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else _RULES[1]
+    square = nodes_squared * (w * w)
     bs, root = b * square, (1.0 - x * square) * (1.0 - z * square)
     np.sqrt(root, out=root)
     root *= 1.0 + bs
     bs /= root
-    integral: Array = w * (_WEIGHTS @ bs)
+    integral: Array = w * (weights @ bs)
     return integral
 
 
-_NODES, _WEIGHTS = (a[5:] for a in np.polynomial.legendre.leggauss(10))
-_NODES_SQUARED = (_NODES**2)[:, None]
+def _even_rule(n: int) -> tuple[Array, Array]:
+    """Return the squared positive nodes (n, 1) and the weights of Gauss's rule with 2n nodes on [-1, 1]."""
+    nodes, weights = np.polynomial.legendre.leggauss(2 * n)
+    return (nodes[n:] ** 2)[:, None], weights[n:]
+
+
+_RULES = (_even_rule(3), _even_rule(5))
 
 
 def sine_short(s: Array, x: Array, z: Array) -> Array:

@@ -16,6 +16,7 @@ from openmm import unit
 
 from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import compose
+from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import ROTORS, rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
@@ -332,12 +333,13 @@ class _Coupling:
 
     def _kick(self, state: BodyState, tau: float) -> BodyState:
         if self._forces is None:
-            self._forces = self.bodies.forces(state.q, self._particle_forces(state))
+            Q = matrix(state.q)
+            self._forces = self.bodies.forces(Q, self._particle_forces(state, Q))
         force, torque = self._forces
         return state._replace(P=state.P + tau * force, m=state.m + tau * torque)
 
-    def _particle_forces(self, state: BodyState) -> Array:
-        x = self.bodies.positions(state, self._x)
+    def _particle_forces(self, state: BodyState, Q: Array) -> Array:
+        x = self.bodies.positions(state, self._x, Q)
         start = time.perf_counter()
         self.context.setPositions(x)
         self.context.computeVirtualSites()

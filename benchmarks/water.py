@@ -1,0 +1,254 @@
+"""Rigid water: energy error against cost for OpenMM's own integrator and each of ours, side by side.
+
+1. A droplet of 64 TIP3P molecules without cutoff on Reference: standard deviation of the total energy against force
+   evaluations a ps, over the same trajectory start.
+2. 895 molecules with PME on the CPU platform: wall time of a force evaluation inside our step, beside a bare loop of
+   setPositions and getState(forces), and beside VerletIntegrator.step.
+3. Scaling: the integrator's own time and memory a molecule, 100 to 20 000 molecules.
+
+Starts are made here with fixed seeds. Raw data go to out/benchmarks/water_*.csv and pictures beside them.
+Options: --quick runs a short version; --part runs one part alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import time
+import tracemalloc
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+OUT = Path("out/benchmarks")
+FORCE_FIELD = "amber14/tip3p.xml"
+# Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
+STYLES = [
+    ("#000000", "o"),
+    ("#E69F00", "s"),
+    ("#56B4E9", "^"),
+    ("#009E73", "v"),
+    ("#F0E442", "D"),
+    ("#0072B2", "P"),
+    ("#D55E00", "X"),
+    ("#CC79A7", "*"),
+]
+
+
+def water(n, seed=0, spacing=0.3104, **options):
+    """Return topology, system and positions of n TIP3P molecules on a lattice, with random orientations."""
+    rng = np.random.default_rng(seed)
+    topology, chain = app.Topology(), None
+    chain = topology.addChain()
+    edge = int(np.ceil(n ** (1 / 3)))
+    for _ in range(n):
+        residue = topology.addResidue("HOH", chain)
+        oxygen = topology.addAtom("O", app.element.oxygen, residue)
+        for name in ("H1", "H2"):
+            topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
+    if options.get("nonbondedMethod") is app.PME:
+        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
+    shape = np.array([[0.0, 0.0, 0.0], [0.09572, 0.0, 0.0], [-0.0239987, 0.0926627, 0.0]])
+    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
+    centres = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] + 0.5)
+    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
+    system = app.ForceField(FORCE_FIELD).createSystem(topology, rigidWater=True, removeCMMotion=False, **options)
+    return topology, system, positions.reshape(-1, 3)
+
+
+def equilibrated(system, positions, platform, picoseconds, seed=1, temperature=300.0):
+    """Return positions and velocities after a Langevin run."""
+    integrator = openmm.LangevinMiddleIntegrator(temperature, 5.0, 0.001)
+    integrator.setRandomNumberSeed(seed)
+    integrator.setConstraintTolerance(1e-10)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    context.setVelocitiesToTemperature(temperature, seed)
+    integrator.step(round(picoseconds * 1000))
+    state = context.getState(positions=True, velocities=True)
+    return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+
+
+def energy_noise(system, integrator, start, duration, platform, properties=None):
+    """Return the standard deviation of the total energy in kJ/mol over a run, sampled every 20 fs."""
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform), properties or {})
+    x, v = start
+    context.setPositions(x)
+    context.setVelocities(v)
+    h = integrator.getStepSize()._value
+    interval = max(1, round(0.02 / h))
+    energies = []
+    for _ in range(round(duration / (interval * h))):
+        try:
+            integrator.step(interval)
+        except rb.NonFiniteError:
+            return np.inf
+        state = context.getState(energy=True)
+        energies.append(state.getPotentialEnergy()._value + state.getKineticEnergy()._value)
+    return float(np.std(energies[2:]))
+
+
+def droplet(quick):
+    """Part 1: energy error against force evaluations a ps."""
+    n, duration = 64, 1.0 if quick else 4.0
+    _, system, positions = water(n, nonbondedMethod=app.NoCutoff)
+    start = equilibrated(system, positions, "Reference", 2.0 if quick else 20.0)
+    rates = (250, 300, 500, 1000, 2000) if not quick else (250, 500)
+    rows = []
+    for rate in rates:
+        verlet = openmm.VerletIntegrator(1.0 / rate)
+        verlet.setConstraintTolerance(1e-12)
+        rows.append(("OpenMM Verlet + SETTLE", rate, energy_noise(system, verlet, start, duration, "Reference") / n))
+        for scheme in rb.SCHEMES.values():
+            integrator = rb.ExactRigidBodyIntegrator(scheme.stages / rate, scheme=scheme.name)
+            noise = energy_noise(system, integrator, start, duration, "Reference") / n
+            rows.append((scheme.name, rate, noise))
+        print(f"{rate} evaluations a ps: " + ", ".join(f"{m} {e:.1e}" for m, r, e in rows if r == rate), flush=True)
+    with (OUT / "water_droplet.csv").open("w") as file:
+        file.write("method,force_evaluations_a_ps,energy_std_kj_mol_molecule\n")
+        file.writelines(f"{m},{r},{e!r}\n" for m, r, e in rows)
+    table = {(m, r): e for m, r, e in rows}
+    for rate in rates:
+        best = min((e, m) for m, r, e in rows if r == rate and m in rb.SCHEMES)
+        reference = table["OpenMM Verlet + SETTLE", rate]
+        times = reference / best[0]
+        print(f"{rate:5d} a ps: Verlet {reference:.2e}, best of ours {best[1]} {best[0]:.2e}, {times:.1f} times less")
+    if 300 in rates:
+        best = min((e, m) for m, r, e in rows if r == 300 and m in rb.SCHEMES)
+        verdict = "less" if best[0] <= table["OpenMM Verlet + SETTLE", 500] else "more"
+        print(f"{best[1]} with 300 evaluations has {verdict} error than Verlet with 500")
+    draw_droplet(rows)
+
+
+def draw_droplet(rows):
+    figure, axes = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
+    methods = list(dict.fromkeys(m for m, _, _ in rows))
+    for k, method in enumerate(methods):
+        points = [(r, e) for m, r, e in rows if m == method and np.isfinite(e) and e < 1.0]
+        colour, marker = STYLES[k % len(STYLES)]
+        line = "--" if method.startswith("OpenMM") else "-" if k < len(STYLES) else ":"
+        axes.loglog(
+            *zip(*points, strict=True), color=colour, marker=marker, ls=line, label=method, ms=5, mec="black", mew=0.4
+        )
+    axes.set_xlabel("force evaluations per ps")
+    axes.set_ylabel("std of total energy (kJ/mol per molecule)")
+    axes.set_title("64 TIP3P molecules, no cutoff, NVE")
+    axes.set_xticks([250, 500, 1000, 2000], ["250", "500", "1000", "2000"])
+    axes.minorticks_off()
+    axes.grid(True, alpha=0.3)
+    axes.legend(fontsize=8, ncols=2)
+    figure.savefig(OUT / "water_droplet.png", dpi=150)
+    plt.close(figure)
+
+
+def box(quick):
+    """Part 2: cost of our step beside bare force evaluations and VerletIntegrator.step."""
+    _, system, positions = water(
+        895, nonbondedMethod=app.PME, nonbondedCutoff=0.9 * unit.nanometer, switchDistance=0.8 * unit.nanometer
+    )
+    start = equilibrated(system, positions, "CPU", 0.2 if quick else 2.0)
+    rows = []
+    for scheme in ("S2_2", "S2_3", "SRKN4_6b"):
+        stages = rb.SCHEMES[scheme].stages
+        ours = rb.ExactRigidBodyIntegrator(0.002 * stages, scheme=scheme)
+        verlet = openmm.VerletIntegrator(0.002)
+        contexts = []
+        for integrator in (ours, verlet):
+            context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
+            context.setPositions(start[0])
+            context.setVelocities(start[1])
+            integrator.step(2)
+            contexts.append(context)
+        steps = max(2, 24 // stages)
+        series = []
+        for _ in range(5 if quick else 15):
+            path = stage_positions(contexts[0], ours, steps, stages)
+            times = [time.perf_counter()]
+            for x in path[:-1]:
+                contexts[0].setPositions(x)
+                contexts[0].getState(forces=True).getForces(asNumpy=True)
+            times.append(time.perf_counter())
+            contexts[0].setPositions(path[-1])
+            before = ours.timings.evaluations
+            ours.step(steps)
+            evaluations = ours.timings.evaluations - before
+            times.append(time.perf_counter())
+            verlet.step(steps * stages)
+            times.append(time.perf_counter())
+            bare, mine, theirs = np.diff(times)
+            series.append((bare / (steps * stages), mine / evaluations, theirs / (steps * stages)))
+        bare, mine, theirs = np.median(series, axis=0)
+        ratios = np.median([(s[1] / s[0], s[1] / s[2]) for s in series], axis=0)
+        rows.append((scheme, bare, mine, theirs))
+        print(
+            f"{scheme:>9}, an evaluation: bare {1e3 * bare:.2f} ms, ours {1e3 * mine:.2f}, Verlet {1e3 * theirs:.2f}; "
+            f"ours/bare {ratios[0]:.3f}, ours/Verlet {ratios[1]:.3f}"
+        )
+    with (OUT / "water_box.csv").open("w") as file:
+        file.write("scheme,bare_force_s,ours_s,verlet_s\n")
+        file.writelines(",".join(map(str, row)) + "\n" for row in rows)
+
+
+def stage_positions(context, integrator, steps, stages):
+    """Move the context and return positions as they change from stage to stage, so that neighbour lists age alike."""
+    ends = []
+    for step in range(steps + 1):
+        integrator.step(min(step, 1))
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value.copy())
+    parts = np.arange(stages) / stages
+    return [a + part * (b - a) for a, b in itertools.pairwise(ends) for part in parts] + [ends[-1]]
+
+
+def scaling(quick):
+    """Part 3: the integrator's own cost a molecule, without any force."""
+    rows = []
+    for n in (100, 1000, 5000) if quick else (100, 1000, 5000, 20000):
+        _, system, positions = water(n, nonbondedMethod=app.NoCutoff)
+        while system.getNumForces():
+            system.removeForce(0)
+        integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+        context.setPositions(positions)
+        tracemalloc.start()
+        integrator.setVelocitiesToTemperature(300.0, 1)
+        integrator.step(1)
+        kept, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        steps = 20
+        times = []
+        for _ in range(5):
+            integrator.timings.reset()
+            integrator.step(steps)
+            own = integrator.timings.total - integrator.timings.forces
+            times.append(own / (steps * 2 * n))
+        rows.append((n, min(times), kept / n, peak / n))
+        memory = f"{kept / n:.0f} B kept, {peak / n:.0f} B at most"
+        print(f"{n:6d} molecules: {1e6 * min(times):.2f} us a molecule and stage, {memory} a molecule")
+    with (OUT / "water_scaling.csv").open("w") as file:
+        file.write("molecules,own_s_a_molecule_and_stage,kept_bytes,peak_bytes\n")
+        file.writelines(",".join(map(str, row)) + "\n" for row in rows)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--part", action="append", type=int, choices=(1, 2, 3), help="a part to run (all)")
+    parser.add_argument("--quick", action="store_true", help="short runs")
+    args = parser.parse_args()
+    OUT.mkdir(parents=True, exist_ok=True)
+    for number, part in enumerate((droplet, box, scaling), 1):
+        if not args.part or number in args.part:
+            part(args.quick)
+
+
+if __name__ == "__main__":
+    main()
