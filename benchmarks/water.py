@@ -24,13 +24,11 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("out/benchmarks")
-FORCE_FIELD = "amber14/tip3p.xml"
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = [
     ("#000000", "o"),
@@ -44,25 +42,10 @@ STYLES = [
 ]
 
 
-def water(n, seed=0, spacing=0.3104, **options):
-    """Return topology, system and positions of n TIP3P molecules on a lattice, with random orientations."""
-    rng = np.random.default_rng(seed)
-    topology, chain = app.Topology(), None
-    chain = topology.addChain()
-    edge = int(np.ceil(n ** (1 / 3)))
-    for _ in range(n):
-        residue = topology.addResidue("HOH", chain)
-        oxygen = topology.addAtom("O", app.element.oxygen, residue)
-        for name in ("H1", "H2"):
-            topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
-    if options.get("nonbondedMethod") is app.PME:
-        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
-    shape = np.array([[0.0, 0.0, 0.0], [0.09572, 0.0, 0.0], [-0.0239987, 0.0926627, 0.0]])
-    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
-    centres = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] + 0.5)
-    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
-    system = app.ForceField(FORCE_FIELD).createSystem(topology, rigidWater=True, removeCMMotion=False, **options)
-    return topology, system, positions.reshape(-1, 3)
+def water(n, **options):
+    """Return topology, system and positions (nm) of n TIP3P molecules."""
+    topology, system, positions = rb.rigid_water(n, **options)
+    return topology, system, positions._value
 
 
 def equilibrated(system, positions, platform, picoseconds, seed=1, temperature=300.0):

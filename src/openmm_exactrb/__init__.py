@@ -5,7 +5,7 @@ from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS, free_rotor
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
-from openmm_exactrb.systems import dipole_fluid
+from openmm_exactrb.systems import dipole_fluid, rigid_water
 
 __all__ = [
     "ROTORS",
@@ -16,5 +16,6 @@ __all__ = [
     "dipole_fluid",
     "dipole_strength",
     "free_rotor",
+    "rigid_water",
     "soft_dipole_force",
 ]

@@ -233,7 +233,7 @@ class RigidBodies:
             The state of the others.
         x, v : (n_particles, 3) arrays
         moved, pushed : arrays of int
-            Bodies whose positions or velocities changed. A body that was only shifted keeps its attitude to the bit.
+            Bodies whose positions or velocities changed. One that was only shifted keeps attitude and momenta.
 
         Raises
         ------
@@ -252,10 +252,11 @@ class RigidBodies:
                     np.abs(relative - _turned(_attitude_matrices(q, bodies), kind.sites)).max(axis=(1, 2)) > _SHIFTED
                 )
                 bodies, relative = bodies[turned], relative[turned]
+                pushed = np.union1d(pushed, bodies)
                 q[:, bodies] = _best_attitudes(kind, relative)
                 self._check_rigid(bodies, relative - _turned(_attitude_matrices(q, bodies), kind.sites))
         for kind in self.kinds:
-            bodies, particles = self._of_kind(kind, np.union1d(moved, pushed))
+            bodies, particles = self._of_kind(kind, pushed)
             V = v[particles]
             self._check_finite(bodies, V)
             P[:, bodies] = np.einsum("s,nsi->in", kind.masses, V)

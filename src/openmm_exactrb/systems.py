@@ -204,3 +204,75 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
     return openmm.LocalCoordinatesSite(
         particles, origin.tolist(), x_weights.tolist(), y_weights.tolist(), openmm.Vec3(*map(float, local))
     )
+
+
+# Force field file, O-H distance in nm and H-O-H angle in degrees.
+_WATER_MODELS = {
+    "tip3p": ("tip3p.xml", 0.09572, 104.52),
+    "spce": ("spce.xml", 0.1, 109.47),
+    "tip4pew": ("tip4pew.xml", 0.09572, 104.52),
+    "tip5p": ("tip5p.xml", 0.09572, 104.52),
+}
+
+
+def rigid_water(
+    n: int = 64, seed: int = 0, *, model: str = "tip3p", spacing: float = 0.3104, **options: Any
+) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Build rigid water on a cubic lattice with random orientations.
+
+    Parameters
+    ----------
+    n : int
+        Number of molecules, on the first places of the lattice.
+    seed : int
+    model : {"tip3p", "spce", "tip4pew", "tip5p"}
+        A force field file that comes with OpenMM.
+    spacing : float
+        Lattice constant in nm; the default has the density of water.
+    **options
+        For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
+        periodic nonbondedMethod gets the cube of the lattice as its box.
+
+    Returns
+    -------
+    topology : openmm.app.Topology
+    system : openmm.System
+    positions : Quantity
+        (n_particles, 3) in nm. Minimise their energy before a run.
+
+    Raises
+    ------
+    ValueError
+        If the model is unknown or a number is out of its range.
+    """
+    if model not in _WATER_MODELS:
+        raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
+    if int(n) != n or n < 1:
+        raise ValueError(f"n must be a positive whole number of molecules, not {n}")
+    if not (np.isfinite(spacing) and spacing > 0.0):
+        raise ValueError(f"spacing must be positive, not {spacing}")
+    n = int(n)
+    file, distance, angle = _WATER_MODELS[model]
+    topology = app.Topology()
+    chain = topology.addChain()
+    for _ in range(n):
+        residue = topology.addResidue("HOH", chain)
+        oxygen = topology.addAtom("O", app.element.oxygen, residue)
+        for name in ("H1", "H2"):
+            topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
+    rng = np.random.default_rng(seed)
+    edge = next(k for k in range(1, n + 1) if k**3 >= n)
+    if options.get("nonbondedMethod", app.NoCutoff) not in (app.NoCutoff, app.CutoffNonPeriodic):
+        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
+    half = np.radians(angle) / 2.0
+    x, z = distance * np.sin(half), distance * np.cos(half)
+    shape = np.array([[0.0, 0.0, 0.0], [x, 0.0, z], [-x, 0.0, z]])
+    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
+    centres = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] + 0.5)
+    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
+    force_field = app.ForceField(file)
+    modeller = app.Modeller(topology, unit.Quantity(positions.reshape(-1, 3), unit.nanometer))
+    modeller.addExtraParticles(force_field)
+    system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
+    placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
+    return modeller.topology, system, unit.Quantity(placed, unit.nanometer)
