@@ -1,4 +1,4 @@
-"""The example runs, leaves what it promises, and says what is wrong in one line."""
+"""The examples run, leave what they promise, and say what is wrong in one line."""
 
 import subprocess
 import sys
@@ -8,11 +8,11 @@ import mdtraj
 import numpy as np
 import pytest
 
-EXAMPLE = Path(__file__).parent.parent / "examples" / "dipole_fluid.py"
+EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
-def run(*arguments, **options):
-    return subprocess.run([sys.executable, str(EXAMPLE), *arguments], capture_output=True, text=True, **options)
+def run(*arguments, example="dipole_fluid.py"):
+    return subprocess.run([sys.executable, str(EXAMPLES / example), *arguments], capture_output=True, text=True)
 
 
 def test_a_run_leaves_trajectory_energies_and_picture(tmp_path):
@@ -61,3 +61,27 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("example", "arguments", "files"),
+    [
+        ("water_box.py", ["--duration", "0.2"], ["box.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
+        ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
+        ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
+    ],
+)
+def test_the_other_examples_leave_their_files(tmp_path, example, arguments, files):
+    done = run(*arguments, "--out", str(tmp_path), example=example)
+    assert done.returncode == 0, done.stderr
+    assert all((tmp_path / file).stat().st_size > 0 for file in files)
+    again = run(*arguments, "--platform", "Abacus", "--out", str(tmp_path), example=example)
+    assert again.returncode == 1
+    assert "Abacus" in again.stderr
+    assert "Traceback" not in again.stderr
+
+
+def test_rigid_benzene_keeps_its_inner_energy(tmp_path):
+    done = run("-n", "8", "--steps", "20", "--out", str(tmp_path), example="rigid_benzene.py")
+    before, after = (float(word) for word in done.stdout.split() if word.replace(".", "").isdigit() and "." in word)
+    assert before == after > 1.0

@@ -1,0 +1,115 @@
+"""Benzene made rigid by hand: bodies=[...] names the molecules, their flexible terms only add a constant.
+
+A small cluster with the flexible description of OPLS-AA (bonds, angles, Lennard-Jones, charges); the shape of the
+bodies is that of the positions at the first step. Writes a trajectory and its energies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app
+from openmm.unit import femtoseconds, kelvin, nanometer
+
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+
+# W. L. Jorgensen and D. L. Severance, J. Am. Chem. Soc. 112, 4768 (1990), doi:10.1021/ja00168a022, in OpenMM's units.
+CHARGE = {"C": -0.115, "H": 0.115}
+SIGMA = {"C": 0.355, "H": 0.242}
+EPSILON = {"C": 0.29288, "H": 0.12552}
+MASS = {"C": 12.011, "H": 1.008}
+ATOMS = ["C"] * 6 + ["H"] * 6
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-n", type=int, default=27, metavar="N", help="molecules (%(default)s)")
+    parser.add_argument("--steps", type=int, default=200, metavar="N", help="steps of 30 fs (%(default)s)")
+    parser.add_argument("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/benzene"), metavar="DIR", help="output folder (%(default)s)"
+    )
+    args = parser.parse_args()
+    try:
+        run(args)
+    except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
+        print(f"rigid_benzene.py: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def run(args: argparse.Namespace) -> None:
+    args.out.mkdir(parents=True, exist_ok=True)
+    topology, system = cluster(args.n)
+    shape = measured_molecule()
+    rng = np.random.default_rng(1)
+    edge = int(np.ceil(args.n ** (1 / 3)))
+    centres = 0.62 * np.array(list(itertools.product(range(edge), repeat=3)))[: args.n]
+    Q = quaternions.rotation_matrix(quaternions.random(rng, args.n))
+    positions = (centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)).reshape(-1, 3)
+
+    molecules = [range(12 * k, 12 * k + 12) for k in range(args.n)]
+    integrator = rb.ExactRigidBodyIntegrator(30 * femtoseconds, scheme="SRKN4_6b", bodies=molecules)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(args.platform))
+    simulation.context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(150 * kelvin, 1)
+    with (args.out / "topology.pdb").open("w") as file:
+        app.PDBFile.writeFile(topology, positions * nanometer, file)
+    inner = inner_energy(simulation)
+    simulation.reporters.append(app.DCDReporter(str(args.out / "trajectory.dcd"), 5))
+    simulation.reporters.append(rb.EnergyReporter(args.out / "energies.csv", 5))
+    simulation.step(args.steps)
+
+    energy = np.loadtxt(args.out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, -1]
+    print(f"energy of bonds and angles: {inner:.6f} kJ/mol before, {inner_energy(simulation):.6f} after")
+    print(f"std of the total energy {np.std(energy) / args.n:.1e} kJ/mol a molecule")
+    print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv")
+
+
+def cluster(n: int) -> tuple[app.Topology, openmm.System]:
+    """Return topology and System of n flexible molecules; bonds and angles are force group 1."""
+    topology, system = app.Topology(), openmm.System()
+    bonds, angles, pairs = openmm.HarmonicBondForce(), openmm.HarmonicAngleForce(), openmm.NonbondedForce()
+    bonds.setForceGroup(1)
+    angles.setForceGroup(1)
+    chain = topology.addChain()
+    for molecule in range(n):
+        residue, first = topology.addResidue("BNZ", chain), 12 * molecule
+        atoms = []
+        for k, name in enumerate(ATOMS):
+            system.addParticle(MASS[name])
+            pairs.addParticle(CHARGE[name], SIGMA[name], EPSILON[name])
+            atoms.append(topology.addAtom(f"{name}{k % 6 + 1}", app.Element.getBySymbol(name), residue))
+        for k in range(6):
+            after, before = (k + 1) % 6, (k - 1) % 6
+            for i, j, length, strength in ((k, after, 0.14, 392459.2), (k, k + 6, 0.108, 307105.6)):
+                bonds.addBond(first + i, first + j, length, strength)
+                topology.addBond(atoms[i], atoms[j])
+            for i, j, strength in ((before, after, 527.184), (before, k + 6, 292.88), (after, k + 6, 292.88)):
+                angles.addAngle(first + i, first + k, first + j, 2.0943951, strength)
+        for i, j in itertools.combinations(range(12), 2):
+            pairs.addException(first + i, first + j, 0.0, 1.0, 0.0)
+    for force in (bonds, angles, pairs):
+        system.addForce(force)
+    return topology, system
+
+
+def measured_molecule() -> np.ndarray:
+    """Return the places of the atoms at the measured bond lengths, which are not those of the force field."""
+    phi = np.pi / 3 * np.arange(6)
+    ring = np.column_stack([np.cos(phi), np.sin(phi), 0.0 * phi])
+    return np.vstack([0.1391 * ring, 0.2471 * ring])
+
+
+def inner_energy(simulation: app.Simulation) -> float:
+    return simulation.context.getState(energy=True, groups={1}).getPotentialEnergy()._value
+
+
+if __name__ == "__main__":
+    sys.exit(main())
