@@ -41,6 +41,7 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"trap": float("inf")}, "trap must not be negative"),
         ({"dipole": (0.0, 0.0, 0.0)}, "not all zero"),
         ({"dipole": (1.0, 0.0)}, "three finite numbers"),
+        ({"dipole": 1.0}, "three finite numbers"),
         ({"dipole": (1.0, 0.0, 0.0) * unit.nanometer}, "is not a dipole moment"),
         ({"inertia": (1.0, 1.0, 3.0)}, "larger than the sum of the others"),
         ({"inertia": (1.0, 1.0, 0.0)}, "three positive moments"),

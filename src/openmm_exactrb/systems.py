@@ -156,7 +156,7 @@ def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternal
 
 
 def _dipole_vector(dipole: Any) -> Array:
-    values = [dipole_strength(d) for d in dipole]
+    values = [dipole_strength(d) for d in dipole] if np.iterable(dipole) else []
     vector = np.asarray(values, dtype=np.float64)
     if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
