@@ -318,7 +318,7 @@ def test_the_cpu_platform_agrees_with_reference():
     [
         ({"scheme": "RK4"}, "unknown scheme 'RK4': choose one of V2"),
         ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
-        ({"stepSize": 1.0 * unit.nanometer}, "is not a time"),
+        ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
         ({"stepSize": float("nan")}, "finite number of ps"),
         ({"stepSize": "fast"}, "finite number of ps"),
     ],

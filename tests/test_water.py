@@ -149,9 +149,9 @@ def test_linear_molecules_have_five_degrees_of_freedom_and_the_right_temperature
 def test_temperatures_that_are_none_are_refused(salt_water):
     simulation = start(*salt_water)
     integrator = simulation.integrator
-    with pytest.raises(ValueError, match="not a temperature"):
+    with pytest.raises(ValueError, match="is not a temperature"):
         integrator.setVelocitiesToTemperature(300.0 * unit.nanometer)
-    with pytest.raises(ValueError, match="finite and not negative"):
+    with pytest.raises(ValueError, match="must not be negative"):
         integrator.setVelocitiesToTemperature(-1.0)
 
 

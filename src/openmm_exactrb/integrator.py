@@ -428,28 +428,29 @@ class _Coupling:
         return BodyState(R, P, np.vstack([w[:1, :k], vector[:, :k]]), np.ascontiguousarray(m[:, :k]))
 
 
+def _plain(value: float | unit.Quantity, in_unit: unit.Unit, what: str) -> float:
+    """Return a number in a unit; one without a unit already is."""
+    quantity: Any = value
+    if unit.is_quantity(value):
+        if not quantity.unit.is_compatible(in_unit):
+            raise ValueError(f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity of its kind")
+        quantity = quantity.value_in_unit(in_unit)
+    if not isinstance(quantity, (int, float, np.number)) or not np.isfinite(quantity):
+        raise ValueError(f"{what} must be a finite number of {in_unit.get_symbol()}, not {value!r}")
+    return float(quantity)
+
+
 def _picoseconds(size: float | unit.Quantity) -> float:
     """Return a step size in ps."""
-    quantity: Any = size
-    if unit.is_quantity(size):
-        if not quantity.unit.is_compatible(unit.picosecond):
-            raise ValueError(f"the step size {size} is not a time: give it in ps, or as a Quantity of time")
-        size = quantity.value_in_unit(unit.picosecond)
-    if not isinstance(size, (int, float, np.number)) or not np.isfinite(size):
-        raise ValueError(f"the step size must be a finite number of ps, not {size!r}")
-    return float(size)
+    return _plain(size, unit.picosecond, "a time step")
 
 
 def _gas_constant_times(temperature: float | unit.Quantity) -> float:
     """Return RT in kJ/mol of a temperature in K."""
-    quantity: Any = temperature
-    if unit.is_quantity(temperature):
-        if not quantity.unit.is_compatible(unit.kelvin):
-            raise ValueError(f"{temperature} is not a temperature: give it in K")
-        quantity = quantity.value_in_unit(unit.kelvin)
-    if not (np.isfinite(quantity) and quantity >= 0.0):
-        raise ValueError(f"a temperature must be finite and not negative, not {temperature}")
-    return float((quantity * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+    kelvin = _plain(temperature, unit.kelvin, "a temperature")
+    if kelvin < 0.0:
+        raise ValueError(f"a temperature must not be negative, not {temperature}")
+    return float((kelvin * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
 
 
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
