@@ -109,6 +109,9 @@ def _palindrome(name: str, table: str, free: Sequence[float], length: int) -> tu
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
+# S4_6 with the fourth order given up for a small error at finite steps: its five free coefficients minimise the swing
+# of the total energy of rigid TIP3P water at 2 fs a force evaluation; they were checked on other starts.
+_TUNED = "openmm-exactrb, tuned on rigid water at 2 fs a force evaluation"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
 )
@@ -127,6 +130,15 @@ _SCHEMES = (
         a=(0.1916678,),
         b=(0.071353913450279725904, 0.268548791161230105820),
         reference=_HMC,
+    ),
+    symmetric(
+        "W2_6",
+        order=2,
+        stages=6,
+        first="drift",
+        a=(0.08414, 0.3430, -0.0449),
+        b=(0.2099, -0.1282),
+        reference=_TUNED,
     ),
     symmetric(
         "PEFRL",
