@@ -76,9 +76,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid; particles without constraints
     move beside them. After every step(n) the Context holds the positions, velocities, time and step count of the
-    bodies; what is set in the Context between calls is taken up. A call evaluates
-    the forces of its first positions anew, since parameters may have been changed; within a call no force is evaluated
-    twice.
+    bodies; what is set in the Context between calls is taken up. A call evaluates the forces of its first positions
+    anew, since parameters may have been changed; within a call no force is evaluated twice.
 
     Parameters
     ----------
@@ -179,10 +178,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         coupling.groups = self.getIntegrationForceGroups()
         coupling.forget_forces()
         h = self.getStepSize().value_in_unit(unit.picosecond)
+        first = coupling.context.getStepCount() + 1
         time_now, done = coupling.context.getTime().value_in_unit(unit.picosecond), 0
         try:
             for _ in range(steps):
-                coupling.step(self._scheme, h)
+                coupling.step(self._scheme, h, first + done)
                 time_now += h
                 done += 1
                 if coupling.changing:
@@ -308,6 +308,7 @@ class _Coupling:
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
+        self._number = 0
         self.state = self.bodies.fit(x, v)
 
     @property
@@ -315,14 +316,11 @@ class _Coupling:
         """The Context, or None when it is gone."""
         return self._context()
 
-    def step(self, scheme: Scheme, h: float) -> None:
-        """Move the bodies by one step."""
+    def step(self, scheme: Scheme, h: float, number: int) -> None:
+        """Move the bodies by one step, which errors call by its number."""
+        self._number = number
         with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
-            after = compose(scheme, self._drift, self._kick)(self.state, h)
-        if not np.isfinite(after.P.sum() + after.m.sum()):
-            self._forces = None
-            raise NonFiniteError(self._complaint(after))
-        self.state = after
+            self.state = compose(scheme, self._drift, self._kick)(self.state, h)
 
     def _drift(self, state: BodyState, tau: float) -> BodyState:
         start = time.perf_counter()
@@ -336,7 +334,11 @@ class _Coupling:
             Q = matrix(state.q)
             self._forces = self.bodies.forces(Q, self._particle_forces(state, Q))
         force, torque = self._forces
-        return state._replace(P=state.P + tau * force, m=state.m + tau * torque)
+        after = state._replace(P=state.P + tau * force, m=state.m + tau * torque)
+        if not np.isfinite(after.P.sum() + after.m.sum()):  # before OpenMM sees positions that are not numbers
+            self.forget_forces()
+            raise NonFiniteError(self._complaint(after))
+        return after
 
     def _particle_forces(self, state: BodyState, Q: Array) -> Array:
         x = self.bodies.positions(state, self._x, Q)
@@ -354,7 +356,7 @@ class _Coupling:
         names = "; ".join(self.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
         pair, distance = self.bodies.closest(self.state)
         return (
-            f"step {self.context.getStepCount() + 1}: momenta of {len(bad)} bodies are not finite any more: {names}. "
+            f"step {self._number}: momenta of {len(bad)} bodies are not finite any more: {names}. "
             f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
             "keeps the state before this step: take a smaller step size, or minimise the energy first"
         )
