@@ -16,14 +16,19 @@ def allowed(rate):
     return np.where(rate <= 0.3, 2e-15, 1e-16 * (20.0 + 20.0 * rate))
 
 
-def largest_errors(inertia, q, m, t):
-    q1, m1 = rb.free_rotor(inertia, q, m, t)
+def largest_errors(inertia, q, m, t, method):
+    q1, m1 = rb.free_rotor(inertia, q, m, t, method=method)
     return np.array([max(oracle.errors(*body)) for body in zip(inertia, q, m, t, q1, m1, strict=True)])
+
+
+@pytest.fixture(params=["exact_numpy", "exact_compiled"])
+def twin(request):
+    return request.param
 
 
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("regime", oracle.REGIMES)
-def test_error_is_roundoff(regime, steps):
+def test_error_is_roundoff(regime, steps, twin):
     n = 100
     inertia, m = oracle.random_bodies(regime, n)
     rng = np.random.default_rng(n)
@@ -31,32 +36,32 @@ def test_error_is_roundoff(regime, steps):
     omega = np.linalg.norm(m / inertia, axis=1)
     t = rng.choice([-1.0, 1.0], n) * rate / np.where(omega > 0.0, omega, 1.0)
     rate = np.abs(t) * omega
-    errors = largest_errors(inertia, quaternions.random(rng, n), m, t)
+    errors = largest_errors(inertia, quaternions.random(rng, n), m, t, twin)
     assert (errors <= allowed(rate)).all(), f"largest error {np.max(errors / allowed(rate)):.2f} of the allowed one"
 
 
-def test_one_step_of_five_has_an_error_below_2e_14():
+def test_one_step_of_five_has_an_error_below_2e_14(twin):
     inertia, m = oracle.random_bodies("generic", 200, seed=5)
     q = np.tile([1.0, 0.0, 0.0, 0.0], (200, 1))
-    assert largest_errors(inertia, q, m, np.full(200, 5.0)).max() < 2e-14
+    assert largest_errors(inertia, q, m, np.full(200, 5.0), twin).max() < 2e-14
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e-80, 1e80, 1e150])
-def test_momenta_of_any_size_are_solved(scale):
+def test_momenta_of_any_size_are_solved(scale, twin):
     inertia, m = oracle.random_bodies("generic", 20, seed=6)
     t = 0.2 / scale
-    q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, t)
-    q_unit, m_unit = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.2)
+    q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, t, method=twin)
+    q_unit, m_unit = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.2, method=twin)
     np.testing.assert_allclose(m1 / scale, m_unit, rtol=0.0, atol=3e-15)
     np.testing.assert_allclose(q, q_unit, rtol=0.0, atol=3e-15)
 
 
-def test_a_momentum_beside_an_axis_in_denormal_numbers_turns_about_it():
+def test_a_momentum_beside_an_axis_in_denormal_numbers_turns_about_it(twin):
     inertia = [0.5, 0.8, 1.0]
     for axis in range(3):
         m = np.full(3, 1e-310)
         m[axis] = 1.0
-        q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.7)
+        q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.7, method=twin)
         angle = 0.7 / inertia[axis]
         expected = np.zeros(4)
         expected[0], expected[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
@@ -64,12 +69,12 @@ def test_a_momentum_beside_an_axis_in_denormal_numbers_turns_about_it():
         np.testing.assert_allclose(m1, np.eye(3)[axis], rtol=0.0, atol=1e-15)
 
 
-def drift_of_invariants(n_steps, n=32):
+def drift_of_invariants(n_steps, method, n=32):
     """Return norm(m), kinetic energy, spatial momentum and norm(q) along a run, relative to the start."""
     rng = np.random.default_rng(11)
     inertia, m = oracle.random_bodies("generic", n, seed=11)
     q = quaternions.random(rng, n)
-    flow = rb.rotors.rotor("exact", inertia)
+    flow = rb.rotors.rotor(method, inertia)
     q, m = np.ascontiguousarray(q.T), np.ascontiguousarray(m.T)
     records = []
     for block in range(10):
@@ -83,8 +88,8 @@ def drift_of_invariants(n_steps, n=32):
     return (np.array(records) - start) / scale
 
 
-def assert_random_walk(n_steps):
-    drift = drift_of_invariants(n_steps)[-1]
+def assert_random_walk(n_steps, method):
+    drift = drift_of_invariants(n_steps, method)[-1]
     walk = 2.2e-16 * np.sqrt(n_steps)
     assert np.abs(drift[-1]).max() < 1e-15, "norm of q"
     # Each body walks with up to a few roundings a step; all of them together have no common direction.
@@ -92,10 +97,10 @@ def assert_random_walk(n_steps):
     assert np.abs(drift[:-1].mean(axis=1)).max() < 10.0 * walk / np.sqrt(drift.shape[1])
 
 
-def test_invariants_walk_randomly_over_a_hundred_thousand_steps():
-    assert_random_walk(100_000)
+def test_invariants_walk_randomly_over_a_hundred_thousand_steps(twin):
+    assert_random_walk(100_000, twin)
 
 
 @pytest.mark.validate
-def test_invariants_walk_randomly_over_a_million_steps():
-    assert_random_walk(1_000_000)
+def test_invariants_walk_randomly_over_a_million_steps(twin):
+    assert_random_walk(1_000_000, twin)

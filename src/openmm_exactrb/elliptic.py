@@ -13,9 +13,9 @@ from scipy.special import elliprj
 Array = NDArray[np.float64]
 
 # Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
-_SEPARATRIX_LIMIT = 345.0
+SEPARATRIX_LIMIT = 345.0
 # Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
-_TINY_PHASE = 1e-60
+TINY_PHASE = 1e-60
 
 
 def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
@@ -53,7 +53,7 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
     phase = v * a
     sine, cosine = np.sin(phase), np.cos(phase)
 
-    tiny = np.abs(sine) < _TINY_PHASE
+    tiny = np.abs(sine) < TINY_PHASE
     t = cosine / np.where(tiny, 1.0, sine)
     c = a * t
     dn = np.ones_like(v)
@@ -74,7 +74,7 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
     odd = np.where(cn < 0.0, 1.0, 0.0)
     half_turns = odd + 2.0 * np.rint(0.5 * (phase / np.pi - odd))
     if separatrix.any():
-        bounded = np.clip(v, -_SEPARATRIX_LIMIT, _SEPARATRIX_LIMIT)
+        bounded = np.clip(v, -SEPARATRIX_LIMIT, SEPARATRIX_LIMIT)
         sech = 1.0 / np.cosh(bounded)
         sn = np.where(separatrix, np.tanh(bounded), sn)
         cn, dn = np.where(separatrix, sech, cn), np.where(separatrix, sech, dn)
@@ -138,7 +138,7 @@ def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
     -------
     (N,) array
     """
-    nodes_squared, weights = _RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else _RULES[1]
+    nodes_squared, weights = RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else RULES[1]
     square = nodes_squared * (w * w)
     bs, root = b * square, (1.0 - x * square) * (1.0 - z * square)
     np.sqrt(root, out=root)
@@ -154,7 +154,7 @@ def _even_rule(n: int) -> tuple[Array, Array]:
     return (nodes[n:] ** 2)[:, None], weights[n:]
 
 
-_RULES = (_even_rule(3), _even_rule(5))
+RULES = (_even_rule(3), _even_rule(5))
 
 
 def sine_short(s: Array, x: Array, z: Array) -> Array:

@@ -38,11 +38,16 @@ class Rotor:
     reference: str
 
 
+_EXACT = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
+
+#: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.rotor, "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"),
+            Rotor("exact", None, exact.fastest_rotor, _EXACT),
+            Rotor("exact_numpy", None, exact.rotor, _EXACT),
+            Rotor("exact_compiled", None, exact.compiled_rotor, _EXACT),
             Rotor(
                 "mclachlan_reich",
                 2,

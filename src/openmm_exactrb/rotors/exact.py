@@ -18,21 +18,31 @@ Exchanging two axes mirrors the body, so angles change sign where j = 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
+from openmm_exactrb.kernels import announced, available, require
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 
 # Up to this b G h the series of `_short` are exact to roundoff.
-_SHORT = 0.3
+SHORT = 0.3
 # Where the squares of a momentum are safe from over- and underflow.
-_SAFE = (1e-70, 1e70)
+SAFE = (1e-70, 1e70)
+# Where the fourth powers of the components of a unit vector vanish.
+VANISHING = 1e-60
+# Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
+ON_SEPARATRIX = 1e-30
+
+
+Kernel = Callable[[Array, Array, Array, Array], tuple[Array, Array]]
 
 
 def rotor(inertia: Array) -> Flow:
-    """Return the exact flow of free bodies with these principal moments of inertia.
+    """Return the exact flow of free bodies with these principal moments of inertia, in numpy.
 
     Parameters
     ----------
@@ -44,29 +54,59 @@ def rotor(inertia: Array) -> Flow:
     flow : callable
         flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
     """
+    return _in_any_order(inertia, _advance)
+
+
+def compiled_rotor(inertia: Array) -> Flow:
+    """Return the exact flow as `rotor` does, compiled by numba.
+
+    Raises
+    ------
+    ImportError
+        If numba is not installed.
+    """
+    require()
+    with announced("the exact rotor"):
+        from openmm_exactrb.rotors.compiled import advance
+
+    def kernel(body: Array, q: Array, m: Array, t: Array) -> tuple[Array, Array]:
+        q1, m1 = np.empty_like(q), np.empty_like(m)
+        advance(body, q, m, t, q1, m1)
+        return q1, m1
+
+    return _in_any_order(inertia, kernel)
+
+
+def fastest_rotor(inertia: Array) -> Flow:
+    """Return the exact flow, compiled where numba is installed."""
+    return (compiled_rotor if available() else rotor)(inertia)
+
+
+def _in_any_order(inertia: Array, kernel: Kernel) -> Flow:
+    """Return the flow of bodies whose moments stand in any order, by a kernel for ascending ones."""
     order = np.argsort(inertia, axis=0, kind="stable")
     back = np.argsort(order, axis=0)
     # An odd permutation is a reflection; momenta and vector parts of quaternions are pseudovectors.
     handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
-    body = _constants(np.take_along_axis(inertia, order, axis=0))
-    shared = inertia.shape[1] == 1
+    body = constants(np.take_along_axis(inertia, order, axis=0))
     ascending = bool((order == np.arange(3)[:, None]).all())
 
     def arrange(v: Array, places: NDArray[np.intp]) -> Array:
-        if ascending:
-            return v
-        arranged = v[places[:, 0]] if shared else np.take_along_axis(v, places, axis=0)
+        arranged = v[places[:, 0]] if places.shape[1] == 1 else np.take_along_axis(v, places, axis=0)
         return arranged * handedness
 
+    def contiguous(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        return kernel(body, np.ascontiguousarray(q), np.ascontiguousarray(m), np.ascontiguousarray(t, dtype=np.float64))
+
     def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-        turn, m1 = _flow(body, arrange(m, order), np.broadcast_to(t, m.shape[1:]))
-        turn[1:] = arrange(turn[1:], back)
-        return renormalise(multiply(q, turn)), arrange(m1, back)
+        q1, m1 = contiguous(np.vstack([q[:1], arrange(q[1:], order)]), arrange(m, order), t)
+        q1[1:] = arrange(q1[1:], back)
+        return q1, arrange(m1, back)
 
-    return flow
+    return contiguous if ascending else flow
 
 
-def _constants(inertia: Array) -> Array:
+def constants(inertia: Array) -> Array:
     """Stack b, rho, sigma, 1/I3 and the three moments, scaled by a power of two, of sorted moments."""
     scale = np.ldexp(1.0, np.frexp(inertia[2])[1])
     I1, I2, I3 = inertia = inertia / scale
@@ -78,10 +118,16 @@ def _constants(inertia: Array) -> Array:
     return np.stack([b, rho, sigma, 1.0 / (I3 * scale), *inertia])
 
 
+def _advance(body: Array, q: Array, m: Array, t: Array) -> tuple[Array, Array]:
+    """Return attitudes and momenta after the times t, (N,) or (1,), in ascending principal axes."""
+    turn, m1 = _flow(body, m, np.broadcast_to(t, m.shape[1:]))
+    return renormalise(multiply(q, turn)), m1
+
+
 def _flow(body: Array, m: Array, t: Array) -> tuple[Array, Array]:
     """Return the rotation of the step as a quaternion (4, N), and the new momentum, in sorted principal axes."""
     G = np.sqrt(np.einsum("in,in->n", m, m))
-    short = (np.abs(body[0] * t) * G <= _SHORT) & (_SAFE[0] < G) & (_SAFE[1] > G)
+    short = (np.abs(body[0] * t) * G <= SHORT) & (SAFE[0] < G) & (SAFE[1] > G)
     if short.all():
         return _short(body, m, G, t)
     long = ~short
@@ -193,7 +239,7 @@ def _rotate(
 def _rescaled(y1: Array, y2: Array) -> tuple[Array, Array, Array | float]:
     """Return (y1, y2)/unit, unit a power of two where fourth powers would vanish; (0, 1) and 0 where both are zero."""
     size = np.maximum(np.abs(y1), np.abs(y2))
-    vanishing = size < 1e-60
+    vanishing = size < VANISHING
     if not vanishing.any():
         return y1, y2, 1.0
     zero = size == 0.0
@@ -230,8 +276,7 @@ def _separatrix_distance(inertia: Array, m: Array) -> Array:
     third = _times_squared(_times(I1, _difference(I3, I2)), m[2])
     leading, error = _difference(first[0], third[0])
     distance = leading + (error + (first[1] - third[1]))
-    # Less than the error of double-double is zero: the momentum was put on the separatrix.
-    on_it = np.abs(distance) <= 1e-30 * (first[0] + third[0])
+    on_it = np.abs(distance) <= ON_SEPARATRIX * (first[0] + third[0])
     return np.where(on_it, 0.0, distance) / np.where(I3 > I1, I2 * (I3 - I1), 1.0)
 
 
