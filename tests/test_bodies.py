@@ -96,7 +96,7 @@ def test_forces_and_torques_are_direct_sums(mixture, rng):
     state, F = random_state(bodies, x, rng), rng.standard_normal(x.shape)
     y = bodies.positions(state, np.zeros_like(x))
     Q = quaternions.matrix(state.q)
-    total, torque = bodies.forces(Q, F)
+    total, torque = bodies.forces(state, F)
     for kind in bodies.kinds:
         for body, particles in zip(range(kind.bodies.start, kind.bodies.stop), kind.particles, strict=True):
             np.testing.assert_allclose(total[:, body], F[particles].sum(0), rtol=0.0, atol=1e-14)

@@ -7,7 +7,7 @@ turn come before single particles, which have no attitude.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from openmm_exactrb import kernels
 from openmm_exactrb.quaternions import from_matrix, matrix
 
 Array = NDArray[np.float64]
@@ -135,6 +136,7 @@ class RigidBodies:
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int) -> None:
         self.kinds = tuple(kinds)
+        self._place, self._collect = _particle_kernels()
         self.n_particles = n_particles
         self.n_turning = sum(len(kind.particles) for kind in kinds if kind.turns)
         self.mass: Array = np.concatenate([np.full(len(kind.particles), kind.mass) for kind in kinds])
@@ -160,17 +162,13 @@ class RigidBodies:
         """Return the number of bodies, single particles included."""
         return len(self.mass)
 
-    def positions(self, state: BodyState, out: Array, Q: Array | None = None) -> Array:
-        """Write the positions of all particles with mass into `out` (n_particles, 3).
-
-        Q (3, 3, K) are the rotation matrices of the state, if they are at hand.
-        """
-        Q = matrix(state.q) if Q is None else Q
+    def positions(self, state: BodyState, out: Array) -> Array:
+        """Write the positions of all particles with mass into `out` (n_particles, 3)."""
         for kind in self.kinds:
-            places = state.R.T[kind.bodies, None]
             if kind.turns:
-                places = places + _turned(Q[:, :, kind.bodies].transpose(2, 0, 1), kind.sites)
-            kind.scatter(places, out)
+                self._place(kind, state, out)
+            else:
+                kind.scatter(state.R.T[kind.bodies, None], out)
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
@@ -186,25 +184,14 @@ class RigidBodies:
             kind.scatter(velocity, out)
         return out
 
-    def forces(self, Q: Array, forces: Array) -> tuple[Array, Array]:
-        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles.
-
-        Q (3, 3, K) are the rotation matrices of the bodies.
-        """
+    def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
+        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles (n_particles, 3)."""
         total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
         for kind in self.kinds:
-            F = kind.gather(forces)
-            n, k, _ = F.shape
-            by_site = np.ascontiguousarray(F.transpose(1, 2, 0))
-            total[:, kind.bodies] = by_site.sum(axis=0)
             if kind.turns:
-                # Moment D = sum over sites of b F^T, space components second; the torque is sum_c D_c x (Q^T e_c).
-                D = (kind.sites.T @ by_site.reshape(k, 3 * n)).reshape(3, 3, n)
-                E = Q[:, :, kind.bodies].swapaxes(0, 1)
-                out = torque[:, kind.bodies]
-                out[0] = 0.0 if kind.linear else (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
-                out[1] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
-                out[2] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
+                self._collect(kind, state, forces, total, torque)
+            else:
+                total[:, kind.bodies] = kind.gather(forces)[:, 0].T
         return total, torque
 
     def fit(self, x: Array, v: Array) -> BodyState:
@@ -505,6 +492,43 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites, mass, spread.sum() - spread)
+
+
+def _place(kind: Kind, state: BodyState, out: Array) -> None:
+    """Write the positions of the particles of all bodies of a kind."""
+    Q = matrix(state.q[:, kind.bodies]).transpose(2, 0, 1)
+    kind.scatter(state.R.T[kind.bodies, None] + _turned(Q, kind.sites), out)
+
+
+def _collect(kind: Kind, state: BodyState, forces: Array, total: Array, torque: Array) -> None:
+    """Sum the forces on the particles of all bodies of a kind to forces and body-frame torques."""
+    F = kind.gather(forces)
+    n, k, _ = F.shape
+    by_site = np.ascontiguousarray(F.transpose(1, 2, 0))
+    total[:, kind.bodies] = by_site.sum(axis=0)
+    # Moment D = sum over sites of b F^T, space components second; the torque is sum_c D_c x (Q^T e_c).
+    D = (kind.sites.T @ by_site.reshape(k, 3 * n)).reshape(3, 3, n)
+    E = matrix(state.q[:, kind.bodies]).swapaxes(0, 1)
+    out = torque[:, kind.bodies]
+    out[0] = 0.0 if kind.linear else (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
+    out[1] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
+    out[2] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
+
+
+def _particle_kernels() -> tuple[Callable[..., None], Callable[..., None]]:
+    """Return `_place` and `_collect`, compiled where numba is installed."""
+    if not kernels.available():
+        return _place, _collect
+    with kernels.announced("the particles of rigid bodies"):
+        from openmm_exactrb import bodies_compiled as compiled
+
+    def place(kind: Kind, state: BodyState, out: Array) -> None:
+        compiled.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
+
+    def collect(kind: Kind, state: BodyState, forces: Array, total: Array, torque: Array) -> None:
+        compiled.collect(state.q, kind.particles, kind.sites, kind.bodies.start, total, torque, forces)
+
+    return place, collect
 
 
 def _turned(Q: Array, sites: Array) -> Array:

@@ -16,7 +16,6 @@ from openmm import unit
 
 from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import compose
-from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import ROTORS, rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
@@ -331,8 +330,7 @@ class _Coupling:
 
     def _kick(self, state: BodyState, tau: float) -> BodyState:
         if self._forces is None:
-            Q = matrix(state.q)
-            self._forces = self.bodies.forces(Q, self._particle_forces(state, Q))
+            self._forces = self.bodies.forces(state, self._particle_forces(state))
         force, torque = self._forces
         after = state._replace(P=state.P + tau * force, m=state.m + tau * torque)
         if not np.isfinite(after.P.sum() + after.m.sum()):  # before OpenMM sees positions that are not numbers
@@ -340,8 +338,8 @@ class _Coupling:
             raise NonFiniteError(self._complaint(after))
         return after
 
-    def _particle_forces(self, state: BodyState, Q: Array) -> Array:
-        x = self.bodies.positions(state, self._x, Q)
+    def _particle_forces(self, state: BodyState) -> Array:
+        x = self.bodies.positions(state, self._x)
         start = time.perf_counter()
         self.context.setPositions(x)
         self.context.computeVirtualSites()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -12,9 +13,13 @@ from typing import Any
 Function = Callable[..., Any]
 
 
+#: With this environment variable set to 0 everything runs in numpy.
+SWITCH = "OPENMM_EXACTRB_COMPILED"
+
+
 def available() -> bool:
-    """Tell whether numba is installed; it is not imported."""
-    return find_spec("numba") is not None
+    """Tell whether numba is installed and not refused by `SWITCH`; it is not imported."""
+    return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None
 
 
 def require() -> None:
@@ -25,7 +30,7 @@ def require() -> None:
     ImportError
         If it is not installed.
     """
-    if not available():
+    if find_spec("numba") is None:
         raise ImportError("compiled kernels need numba: pip install openmm-exactrb[fast]")
 
 
