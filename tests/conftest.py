@@ -40,6 +40,16 @@ def scheme(request):
     return rb.SCHEMES[request.param]
 
 
+#: Every scheme with the exact rotor, and every rotor with one scheme.
+PAIRINGS = [(name, "exact") for name in rb.SCHEMES] + [("SRKN4_6b", name) for name in rb.ROTORS if name != "exact"]
+
+
+@pytest.fixture(params=PAIRINGS, ids="-".join)
+def pairing(request):
+    name, method = request.param
+    return rb.SCHEMES[name], method
+
+
 @pytest.fixture
 def bodies(rng):
     """Inertia (N, 3), attitudes (N, 4) and momenta (N, 3) of bodies without any symmetry."""

@@ -101,7 +101,10 @@ def test_energy_reporter_writes_every_digit(tmp_path):
 # -- the dynamics -----------------------------------------------------------------------------------------------
 
 
-def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(scheme, method):
+def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(pairing):
+    scheme, method = pairing
+    if scheme.processor:
+        pytest.skip("prepares and finishes the state at each call")
     once, often = (simulation_of(4, scheme=scheme.name, rotor=method) for _ in range(2))
     once.integrator.step(100)
     for _ in range(10):
@@ -110,7 +113,10 @@ def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(scheme, method):
         np.testing.assert_array_equal(a, b)
 
 
-def test_turned_velocities_bring_the_start_back(scheme, method):
+def test_turned_velocities_bring_the_start_back(pairing):
+    scheme, method = pairing
+    if not scheme.symmetric:
+        pytest.skip("does not claim it")
     simulation = simulation_of(scheme=scheme.name, rotor=method)
     simulation.step(1)
     x, v = snapshot(simulation)
@@ -123,7 +129,7 @@ def test_turned_velocities_bring_the_start_back(scheme, method):
 
 
 # Force evaluations a unit of time by order, so that the errors are asymptotic and above roundoff.
-EVALUATIONS = {2: 240, 4: 360, 6: 420}
+EVALUATIONS = {2: 240, 4: 360, 6: 420, 8: 500}
 
 
 def measured_order(scheme, method, steps):
@@ -151,11 +157,15 @@ def test_measured_order_of_dipoles_is_the_declared_one(scheme):
     )
 
 
-def test_measured_order_of_dipoles_with_mclachlan_reich_is_two(scheme):
-    assert abs(measured_order(scheme, "mclachlan_reich", (50, 70, 100)) - 2.0) < 0.35
+def test_measured_order_of_dipoles_with_mclachlan_reich_is_two_but_for_compositions(scheme):
+    order = scheme.order if scheme.composes_verlet else 2
+    evaluations = EVALUATIONS[order] / scheme.stages if scheme.composes_verlet else 150
+    steps = [round(evaluations * f) for f in (1.0, 1.4, 2.0)]
+    assert abs(measured_order(scheme, "mclachlan_reich", steps) - order) < 0.35
 
 
-def test_momenta_of_an_isolated_droplet_are_kept(scheme, method):
+def test_momenta_of_an_isolated_droplet_are_kept(pairing):
+    scheme, method = pairing
     simulation = simulation_of(scheme=scheme.name, rotor=method, trap=0.0)
 
     def momenta():
@@ -172,7 +182,7 @@ def test_no_force_is_evaluated_twice(scheme):
     simulation = simulation_of(scheme=scheme.name)
     simulation.integrator.step(7)
     assert simulation.integrator.forceEvaluationsPerStep == scheme.stages
-    assert simulation.integrator.timings.evaluations == 7 * scheme.stages + (scheme.first == "kick")
+    assert simulation.integrator.timings.evaluations == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
 
 
 def test_higher_orders_keep_the_energy_better():

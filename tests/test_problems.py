@@ -17,15 +17,25 @@ def problem(request, rng):
     return HeavyTop(inertia, 1e-3, u / np.linalg.norm(u, axis=0))
 
 
-def test_torque_is_minus_the_derivative_of_the_potential(problem, rng):
+def force_gradient_potential(problem):
+    def potential(q):
+        f = problem.torque(q)
+        return (f * f / problem.inertia).sum(axis=0)
+
+    return potential
+
+
+@pytest.mark.parametrize("gradient", [False, True], ids=["force", "force gradient"])
+def test_torque_is_minus_the_derivative_of_the_potential(problem, rng, gradient):
     q = np.ascontiguousarray(quaternions.random(rng, 10).T)
-    torque, d = problem.torque(q), 1e-4
+    potential = force_gradient_potential(problem) if gradient else problem.potential
+    torque, d = (problem.gradient_torque if gradient else problem.torque)(q), 1e-4
     for axis in range(3):
         turned = []
         for angle in (-2 * d, -d, d, 2 * d):
             turn = np.zeros((4, 1))
             turn[0], turn[1 + axis] = np.cos(angle / 2), np.sin(angle / 2)
-            turned.append(problem.potential(quaternions.multiply(q, turn)))
+            turned.append(potential(quaternions.multiply(q, turn)))
         slope = (turned[0] - 8 * turned[1] + 8 * turned[2] - turned[3]) / (12 * d)
         np.testing.assert_allclose(torque[axis], -slope, rtol=0.0, atol=1e-10 * np.abs(torque).max())
 

@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
-from openmm_exactrb.propagate import compose
+from openmm_exactrb.propagate import move
 from openmm_exactrb.rotors import ROTORS, rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
@@ -108,6 +109,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         bodies: Sequence[Sequence[int]] | None = None,
     ) -> None:
         self._scheme = look_up(scheme)
+        if self._scheme.c:
+            raise ValueError(
+                f"scheme {self._scheme.name} needs force gradients, which OpenMM has not: choose another one"
+            )
         if rotor not in ROTORS:
             raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}")
         self._rotor = rotor
@@ -132,7 +137,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations that a step costs."""
+        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""
         return self._scheme.stages
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
@@ -170,7 +175,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ValueError
             If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
         NonFiniteError
-            If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step.
+            If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step;
+            with a processed scheme, that before this call.
         """
         start = time.perf_counter()
         coupling = self._up_to_date()
@@ -179,13 +185,20 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         h = self.getStepSize().value_in_unit(unit.picosecond)
         first = coupling.context.getStepCount() + 1
         time_now, done = coupling.context.getTime().value_in_unit(unit.picosecond), 0
+        before = coupling.state
+        ends = range(steps) if coupling.changing else (steps - 1,)
         try:
-            for _ in range(steps):
-                coupling.step(self._scheme, h, first + done)
+            for number in range(steps):
+                begins = number == 0 or coupling.changing
+                coupling.step(self._scheme, h, first + done, begins, number in ends)
                 time_now += h
                 done += 1
                 if coupling.changing:
                     coupling.let_openmm_change(self)
+        except NonFiniteError:
+            if self._scheme.processor and not coupling.changing:  # the state between is not that of the bodies
+                coupling.state, time_now, done = before, time_now - done * h, 0
+            raise
         finally:
             if not coupling.changing and done:
                 super().step(done)
@@ -315,11 +328,15 @@ class _Coupling:
         """The Context, or None when it is gone."""
         return self._context()
 
-    def step(self, scheme: Scheme, h: float, number: int) -> None:
-        """Move the bodies by one step, which errors call by its number."""
+    def step(self, scheme: Scheme, h: float, number: int, begins: bool, ends: bool) -> None:
+        """Move the bodies by one step, which errors call by its number.
+
+        `begins` and `ends` say whether a processed scheme has to prepare the state before it, or to finish it after.
+        """
         self._number = number
+        flows = chain(scheme.processor * begins, scheme.sequence, scheme.postprocessor * ends)
         with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
-            self.state = compose(scheme, self._drift, self._kick)(self.state, h)
+            self.state = move(flows, self.state, h, self._drift, self._kick)
 
     def _drift(self, state: BodyState, tau: float) -> BodyState:
         start = time.perf_counter()

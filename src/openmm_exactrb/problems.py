@@ -32,6 +32,9 @@ class Problem(Protocol):
     def torque(self, q: Array) -> Array:
         """Return the torque in the body frame, (3, N)."""
 
+    def gradient_torque(self, q: Array) -> Array:
+        """Return the torque (3, N) of the force-gradient potential f . I^-1 f, where f is the torque of V."""
+
 
 def kinetic_energy(inertia: Array, m: Array) -> Array:
     """Return T = m . I^-1 m / 2 of component-first momenta, equation (3)."""
@@ -75,7 +78,11 @@ def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, 
         q, m = state
         return q, m + tau * problem.torque(q)
 
-    return compose(scheme, drift, kick)(state, h, n)
+    def gradient(state: State, tau: float) -> State:
+        q, m = state
+        return q, m + tau * problem.gradient_torque(q)
+
+    return compose(scheme, drift, kick, gradient)(state, h, n)
 
 
 @dataclass(frozen=True)
@@ -85,15 +92,32 @@ class HeavyTop:
     Attributes
     ----------
     inertia : (3, N) array
-    epsilon : float
+    epsilon : float or (N,) array
         Size of the perturbation.
     direction : (3, N) array
         The unit vectors u0.
     """
 
     inertia: Array
-    epsilon: float
+    epsilon: float | Array
     direction: Array
+
+    @classmethod
+    def random(cls, rng: np.random.Generator, epsilon: float, T0: float, n: int) -> tuple[HeavyTop, State]:
+        """Draw n tops as section 3.3.1 does: I1 = 1, kinetic energy T0, random u0, attitude (1, 0, 0, 0).
+
+        The moments I1 < I2 < I3 <= I1 + I2 are those of physical bodies; two components of m are drawn so that the
+        third is real.
+        """
+        I2 = rng.uniform(1.0, 3.0, n)
+        inertia = np.stack([np.ones(n), I2, I2 + rng.uniform(0.0, 1.0, n)])
+        # Shares of the kinetic energy: random, of sum one.
+        shares = np.diff(np.sort(rng.random((2, n)), axis=0), axis=0, prepend=0.0, append=1.0)
+        m = np.sqrt(2.0 * T0 * inertia * shares) * rng.choice([-1.0, 1.0], (3, n))
+        u = rng.standard_normal((3, n))
+        q = np.zeros((4, n))
+        q[0] = 1.0
+        return cls(inertia, epsilon, u / np.linalg.norm(u, axis=0)), (q, m)
 
     def _u(self, q: Array) -> Array:
         u: Array = np.einsum("ijn,in->jn", matrix(q), self.direction)
@@ -108,6 +132,12 @@ class HeavyTop:
         """Return the torque epsilon (u2, -u1, 0), (3, N)."""
         u = self._u(q)
         return self.epsilon * np.stack([u[1], -u[0], np.zeros_like(u[0])])
+
+    def gradient_torque(self, q: Array) -> Array:
+        """Return the torque u x dU/du of U = epsilon² (u2²/I1 + u1²/I2), (3, N)."""
+        u, (I1, I2, _) = self._u(q), self.inertia
+        slope = np.stack([u[0] / I2, u[1] / I1, np.zeros_like(u[0])])
+        return 2.0 * self.epsilon**2 * np.cross(u, slope, axis=0)
 
 
 @dataclass(frozen=True)
@@ -142,3 +172,11 @@ class Satellite:
         """Return the torque 3 mu/r³ u x I u, (3, N)."""
         u = matrix(q)[2]
         return self.strength * np.cross(u, self.inertia * u, axis=0)
+
+    def gradient_torque(self, q: Array) -> Array:
+        """Return the torque u x dU/du of U = f . I^-1 f for f = s u x I u, (3, N)."""
+        u = matrix(q)[2]
+        Iu = self.inertia * u
+        w = np.cross(u, Iu, axis=0) / self.inertia
+        slope = np.cross(Iu, w, axis=0) + self.inertia * np.cross(w, u, axis=0)
+        return 2.0 * self.strength**2 * np.cross(u, slope, axis=0)
