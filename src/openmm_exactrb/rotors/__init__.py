@@ -5,6 +5,7 @@ A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `R
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -12,7 +13,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb.rotors import exact, mclachlan_reich
+from openmm_exactrb.rotors import euler, exact, mclachlan_reich, quaternion, rotation
+from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
 
 __all__ = ["ROTORS", "Flow", "Rotor", "free_rotor", "rotor"]
@@ -30,24 +32,50 @@ class Rotor:
     factory : callable
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
+    keeps_energy : bool
+        Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
+    largest_angle : float
+        Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
     """
 
     name: str
     order: int | None
     factory: Callable[[Array], Flow]
     reference: str
+    keeps_energy: bool = True
+    largest_angle: float = math.inf
 
+
+def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
+    """Return the factory of flows with Gauss's rule in place of the exact integral."""
+    return lambda inertia: factory(inertia, euler.gauss(points))
+
+
+_PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
 
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.rotor, "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"),
+            Rotor("exact", None, exact.rotor, _PAPER),
+            Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
+            Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
+            Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
+            Rotor("quaternion_c", None, quaternion.van_zon_schofield, f"{_PAPER}, section 2.4 (c)"),
+            *(
+                Rotor(f"rotation_gauss{2 * p}", 2 * p, _with_gauss(rotation.rotor, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
+            *(
+                Rotor(f"quaternion_gauss{2 * p}", 2 * p, _with_gauss(quaternion.kosenko, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
             Rotor(
                 "mclachlan_reich",
                 2,
                 mclachlan_reich.rotor,
                 "Dullweber, Leimkuhler and McLachlan (1997), doi:10.1063/1.474310",
+                keeps_energy=False,
             ),
         )
     }
