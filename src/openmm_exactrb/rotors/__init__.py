@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb.rotors import euler, exact, mclachlan_reich, quaternion, rotation
+from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
 from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
 
@@ -51,6 +51,7 @@ def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Cal
     return lambda inertia: factory(inertia, euler.gauss(points))
 
 
+_HAIRER_VILMART = "Hairer and Vilmart (2006), doi:10.1088/0305-4470/39/42/006"
 _PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
 
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
@@ -70,6 +71,7 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
                 Rotor(f"quaternion_gauss{2 * p}", 2 * p, _with_gauss(quaternion.kosenko, p), f"{_PAPER}, equation (39)")
                 for p in (3, 4, 5)
             ),
+            *(Rotor(f"dmv{n}", n, moser_veselov.rotor(n), _HAIRER_VILMART, largest_angle=1.0) for n in (6, 8, 10)),
             Rotor(
                 "mclachlan_reich",
                 2,

@@ -70,7 +70,8 @@ def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
 def _smallest_rotation(x: Array) -> Array:
     """Return the quaternion that takes unit vectors x (3, N) to axis 3 the short way: lemma 2.4 with p3 = 0."""
     x1, x2, x3 = x
-    return np.stack([1.0 + x3, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * (1.0 + x3))
+    p: Array = np.stack([1.0 + x3, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * (1.0 + x3))
+    return p
 
 
 def _kosenko_angle(orbit: Orbit, third_kind: ThirdKind) -> Array:
