@@ -101,6 +101,15 @@ def test_energy_reporter_writes_every_digit(tmp_path):
 # -- the dynamics -----------------------------------------------------------------------------------------------
 
 
+# Not every pair: a scheme does not know its rotor.
+every_scheme_and_every_rotor = pytest.mark.parametrize(
+    ("scheme", "method"),
+    [(s, "exact") for s in rb.SCHEMES.values()] + [(rb.SCHEMES["S4_6"], r) for r in rb.ROTORS if r != "exact"],
+    ids=lambda p: p if isinstance(p, str) else p.name,
+)
+
+
+@every_scheme_and_every_rotor
 def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(scheme, method):
     once, often = (simulation_of(4, scheme=scheme.name, rotor=method) for _ in range(2))
     once.integrator.step(100)
@@ -110,6 +119,7 @@ def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(scheme, method):
         np.testing.assert_array_equal(a, b)
 
 
+@every_scheme_and_every_rotor
 def test_turned_velocities_bring_the_start_back(scheme, method):
     simulation = simulation_of(scheme=scheme.name, rotor=method)
     simulation.step(1)
@@ -155,6 +165,7 @@ def test_measured_order_of_dipoles_with_mclachlan_reich_is_two(scheme):
     assert abs(measured_order(scheme, "mclachlan_reich", (50, 70, 100)) - 2.0) < 0.35
 
 
+@every_scheme_and_every_rotor
 def test_momenta_of_an_isolated_droplet_are_kept(scheme, method):
     simulation = simulation_of(scheme=scheme.name, rotor=method, trap=0.0)
 
