@@ -7,7 +7,6 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.quaternions import rotation_matrix
-from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 
 DMV = ["dmv6", "dmv8", "dmv10"]
 
@@ -23,14 +22,14 @@ def physical_bodies(rng, n):
 
 def quiet(*arguments, method):
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotConvergedWarning)
+        warnings.simplefilter("ignore", rb.NotConvergedWarning)
         return rb.free_rotor(*arguments, method=method)
 
 
 @pytest.mark.parametrize("method", DMV)
 def test_bodies_that_do_not_converge_are_nan_and_counted(method):
     inertia, m = [0.5, 0.8, 1.0], np.array([[0.1, 0.1, 0.1], [9.0, 8.0, 7.0], [0.0, 0.1, 0.2], [0.0, 0.0, 9.0]])
-    with pytest.warns(NotConvergedWarning, match=f"^{method}: 2 of 4 bodies"):
+    with pytest.warns(rb.NotConvergedWarning, match=f"^{method}: 2 of 4 bodies"):
         q1, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m, 1.0, method=method)
     np.testing.assert_array_equal(np.isnan(q1).all(axis=1), [False, True, False, True])
     np.testing.assert_array_equal(np.isnan(m1).all(axis=1), [False, True, False, True])

@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
 from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 
-__all__ = ["ROTORS", "Flow", "Rotor", "free_rotor", "rotor"]
+__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor"]
 
 
 @dataclass(frozen=True)
@@ -140,6 +141,11 @@ def free_rotor(
     m1 : (3,) or (N, 3) array
         New arrays; those handed in are not changed. A body with a number that is not finite becomes nan,
         its neighbours are not touched.
+
+    Warns
+    -----
+    NotConvergedWarning
+        If a step is too long for some bodies, which are then nan; only the flows with a finite `Rotor.largest_angle`.
 
     Raises
     ------

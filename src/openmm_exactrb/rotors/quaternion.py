@@ -70,7 +70,9 @@ def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
 def _smallest_rotation(x: Array) -> Array:
     """Return the quaternion that takes unit vectors x (3, N) to axis 3 the short way: lemma 2.4 with p3 = 0."""
     x1, x2, x3 = x
-    p: Array = np.stack([1.0 + x3, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * (1.0 + x3))
+    # 1 + x3, which cancels where x3 is near -1.
+    above = np.where(x3 > -0.5, 1.0 + x3, (x1 * x1 + x2 * x2) / (1.0 - x3))
+    p: Array = np.stack([above, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * above)
     return p
 
 
