@@ -119,7 +119,7 @@ def test_no_body_becomes_nan_near_the_edge_of_the_domain(method, distance, rng):
 
 
 @pytest.mark.parametrize("method", EXACT + GAUSS)
-@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e-60, 1e60, 1e150])
+@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e-60, 1e60, 1e200])
 def test_momenta_of_any_size_are_solved(method, scale):
     inertia, m = oracle.random_bodies("generic", 20, seed=6)
     q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, 0.05 / scale, method=method)
