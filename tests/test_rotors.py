@@ -15,10 +15,18 @@ def spatial(q, m):
     return np.einsum("nij,nj->ni", rotation_matrix(q), m)
 
 
+def within_reach(method, inertia, m, t):
+    """Return the times t (N,), shortened where the method does not take such long steps."""
+    rate = np.linalg.norm(m, axis=1) / np.min(inertia, axis=1)
+    with np.errstate(all="ignore"):
+        longest = np.fmin(rb.ROTORS[method].largest_angle / rate, np.abs(t))
+    return np.copysign(longest, t)
+
+
 @pytest.mark.parametrize("t", [0.03, 0.7, -20.0])
 def test_spatial_momentum_and_norms_are_kept(bodies, method, t):
     inertia, q, m = bodies
-    q1, m1 = rb.free_rotor(inertia, q, m, t, method=method)
+    q1, m1 = rb.free_rotor(inertia, q, m, within_reach(method, inertia, m, t), method=method)
     np.testing.assert_allclose(spatial(q1, m1), spatial(q, m), rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(q1, axis=1), 1.0, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(m1, axis=1), np.linalg.norm(m, axis=1), rtol=2e-15)
@@ -27,9 +35,10 @@ def test_spatial_momentum_and_norms_are_kept(bodies, method, t):
 @pytest.mark.parametrize("t", [0.03, 0.7])
 def test_flow_back_is_the_inverse(bodies, method, t):
     inertia, q, m = bodies
+    t = within_reach(method, inertia, m, t)
     q1, m1 = rb.free_rotor(inertia, *rb.free_rotor(inertia, q, m, t, method=method), -t, method=method)
     # Roundoff of the angle turned, which the way back doubles.
-    angle = 1.0 + t * np.linalg.norm(m / inertia, axis=1).max()
+    angle = 1.0 + t.max() * np.linalg.norm(m / inertia, axis=1).max()
     np.testing.assert_allclose(rotation_matrix(q1), rotation_matrix(q), rtol=0.0, atol=1e-14 * angle)
     np.testing.assert_allclose(m1, m, rtol=0.0, atol=1e-14 * angle)
 
@@ -42,25 +51,35 @@ def test_two_steps_are_one(bodies):
     np.testing.assert_allclose(m1, m2, rtol=0.0, atol=1e-13)
 
 
-def test_energy_is_kept_by_the_exact_flow(bodies):
+def test_energy_is_kept(bodies, method):
+    if not rb.ROTORS[method].keeps_energy:
+        pytest.skip("kept to the order of the flow only")
     inertia, q, m = bodies
-    _, m1 = rb.free_rotor(inertia, q, m, 50.0)
+    _, m1 = rb.free_rotor(inertia, q, m, within_reach(method, inertia, m, 50.0), method=method)
     np.testing.assert_allclose((m1**2 / inertia).sum(1), (m**2 / inertia).sum(1), rtol=1e-14)
 
 
-def test_measured_order_is_the_declared_one(bodies, method):
-    if rb.ROTORS[method].order is None:
+def test_measured_order_is_the_declared_one(method):
+    order = rb.ROTORS[method].order
+    if order is None:
         pytest.skip("exact")
-    inertia, q, m = bodies
-    exact = rb.free_rotor(inertia, q, m, 1.0)[1]
-    errors = []
-    for n in (20, 40, 80, 160):
-        q1, m1 = q, m
-        for _ in range(n):
-            q1, m1 = rb.free_rotor(inertia, q1, m1, 1.0 / n, method=method)
-        errors.append(np.abs(m1 - exact).max())
-    slopes = np.diff(np.log2(errors))
-    assert abs(-slopes[-1] - rb.ROTORS[method].order) < 0.35
+    inertia, m0 = np.array([0.3, 0.5, 1.0]), np.array([0.5, 0.8, 0.3])
+    rate = np.linalg.norm(m0 / inertia)
+    # One step from everywhere on an orbit: the root mean square of its error has no accidental zeros.
+    q, m = rb.free_rotor(inertia, [1, 0, 0, 0], m0, np.linspace(0.0, 40.0 / rate, 200))
+    steps = 1.2 ** -np.arange(12.0) / rate
+    errors = np.array([one_step_error(method, inertia, q, m, h) for h in steps])
+    clear = errors > 3e-15
+    slopes = np.diff(np.log(errors[clear])) / np.diff(np.log(steps[clear]))
+    assert len(slopes) >= 5
+    np.testing.assert_allclose(slopes[-4:], order + 1, rtol=0.0, atol=0.35)
+
+
+def one_step_error(method, inertia, q, m, h):
+    q1, m1 = rb.free_rotor(inertia, q, m, h, method=method)
+    q2, m2 = rb.free_rotor(inertia, q, m, h)
+    differences = np.concatenate([(rotation_matrix(q1) - rotation_matrix(q2)).ravel(), (m1 - m2).ravel()])
+    return np.sqrt((differences**2).mean())
 
 
 def test_inputs_are_not_modified(bodies, method):
@@ -73,7 +92,7 @@ def test_inputs_are_not_modified(bodies, method):
 
 def test_bodies_do_not_depend_on_their_neighbours(bodies, method):
     inertia, q, m = bodies
-    t = np.geomspace(1e-6, 1e3, len(m))
+    t = within_reach(method, inertia, m, np.geomspace(1e-6, 1e3, len(m)))
     q_all, m_all = rb.free_rotor(inertia, q, m, t, method=method)
     for k in range(len(m)):
         q_one, m_one = rb.free_rotor(inertia[k], q[k], m[k], t[k], method=method)
@@ -83,15 +102,17 @@ def test_bodies_do_not_depend_on_their_neighbours(bodies, method):
 
 def test_a_body_that_is_not_finite_spoils_no_neighbour(bodies, method):
     inertia, q, m = (a.copy() for a in bodies)
-    reference = rb.free_rotor(inertia, q, m, 0.4, method=method)
+    t = within_reach(method, inertia, m, 0.4)
+    reference = rb.free_rotor(inertia, q, m, t, method=method)
     m[3, 1], m[7, 0], q[11, 2] = np.nan, np.inf, np.nan
-    q1, m1 = rb.free_rotor(inertia, q, m, 0.4, method=method)
+    q1, m1 = rb.free_rotor(inertia, q, m, t, method=method)
     bad = [3, 7]
     assert np.isnan(m1[bad]).any(axis=1).all()
     assert np.isnan(q1[[*bad, 11]]).any(axis=1).all()
     good = np.setdiff1d(np.arange(len(m)), [*bad, 11])
-    np.testing.assert_array_equal(q1[good], reference[0][good])
-    np.testing.assert_array_equal(m1[good], reference[1][good])
+    # The last bit may depend on the place in the array, where numpy's vector loops end.
+    np.testing.assert_allclose(q1[good], reference[0][good], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(m1[good], reference[1][good], rtol=0.0, atol=1e-15)
 
 
 def test_rotation_of_a_sphere_agrees_with_scipy(rng, method):
@@ -112,7 +133,7 @@ def test_shapes_follow_numpy(method, n):
 def test_one_body_and_many_times_broadcast(method):
     q, _ = rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], np.linspace(0, 1, 5), method=method)
     assert q.shape == (5, 4)
-    np.testing.assert_allclose(q[0], [1, 0, 0, 0], rtol=0.0, atol=1e-16)
+    np.testing.assert_allclose(q[0], [1, 0, 0, 0], rtol=0.0, atol=1e-15)
     assert rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.5, method=method)[1].shape == (3,)
 
 

@@ -3,7 +3,7 @@
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter
-from openmm_exactrb.rotors import ROTORS, free_rotor
+from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 
@@ -13,6 +13,7 @@ __all__ = [
     "EnergyReporter",
     "ExactRigidBodyIntegrator",
     "NonFiniteError",
+    "NotConvergedWarning",
     "dipole_fluid",
     "dipole_strength",
     "free_rotor",

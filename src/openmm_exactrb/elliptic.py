@@ -181,3 +181,35 @@ def sine_short(s: Array, x: Array, z: Array) -> Array:
     xu, zu = x * u, z * u
     doubled: Array = 2.0 * w * np.sqrt((1.0 - xu) * (1.0 - zu)) / (1.0 - xu * zu)
     return doubled
+
+
+def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
+    """Legendre's incomplete integral of the third kind less its argument, Pi(n; am u, k) - u, past any half period.
+
+    That is the integral of n sn² / (1 - n sn²) from 0 to u.
+
+    Parameters
+    ----------
+    sn, cn, dn, half_turns : (N,) arrays
+        What `jacobi` returns for u and kc2.
+    kc2 : (N,) array
+        Complementary parameter 1 - k², positive.
+    nc : (N,) array
+        Complementary characteristic 1 - n, positive.
+
+    Returns
+    -------
+    (N,) array
+
+    Notes
+    -----
+    n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period, with Carlson's R_J (DLMF 19.25.14).
+    """
+    sn2, cn2 = sn * sn, cn * cn
+    folded = np.where(cn < 0.0, -sn, sn)
+    integral = folded * sn2 * elliprj(cn2, dn * dn, 1.0, cn2 + nc * sn2)
+    turned = half_turns != 0.0
+    if turned.any():
+        integral = integral + 2.0 * half_turns * elliprj(0.0, np.where(turned, kc2, 1.0), 1.0, nc)
+    excess: Array = (1.0 - nc) / 3.0 * integral
+    return excess

@@ -5,6 +5,7 @@ A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `R
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -12,10 +13,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb.rotors import exact, mclachlan_reich
+from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
+from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 
-__all__ = ["ROTORS", "Flow", "Rotor", "free_rotor", "rotor"]
+__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor"]
 
 
 @dataclass(frozen=True)
@@ -30,29 +33,55 @@ class Rotor:
     factory : callable
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
+    keeps_energy : bool
+        Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
+    largest_angle : float
+        Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
     """
 
     name: str
     order: int | None
     factory: Callable[[Array], Flow]
     reference: str
+    keeps_energy: bool = True
+    largest_angle: float = math.inf
 
 
-_EXACT = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
+def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
+    """Return the factory of flows with Gauss's rule in place of the exact integral."""
+    return lambda inertia: factory(inertia, euler.gauss(points))
+
+
+_HAIRER_VILMART = "Hairer and Vilmart (2006), doi:10.1088/0305-4470/39/42/006"
+_PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
 
 #: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.fastest_rotor, _EXACT),
-            Rotor("exact_numpy", None, exact.rotor, _EXACT),
-            Rotor("exact_compiled", None, exact.compiled_rotor, _EXACT),
+            Rotor("exact", None, exact.fastest_rotor, _PAPER),
+            Rotor("exact_numpy", None, exact.rotor, _PAPER),
+            Rotor("exact_compiled", None, exact.compiled_rotor, _PAPER),
+            Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
+            Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
+            Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
+            Rotor("quaternion_c", None, quaternion.van_zon_schofield, f"{_PAPER}, section 2.4 (c)"),
+            *(
+                Rotor(f"rotation_gauss{2 * p}", 2 * p, _with_gauss(rotation.rotor, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
+            *(
+                Rotor(f"quaternion_gauss{2 * p}", 2 * p, _with_gauss(quaternion.kosenko, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
+            *(Rotor(f"dmv{n}", n, moser_veselov.rotor(n), _HAIRER_VILMART, largest_angle=1.0) for n in (6, 8, 10)),
             Rotor(
                 "mclachlan_reich",
                 2,
                 mclachlan_reich.rotor,
                 "Dullweber, Leimkuhler and McLachlan (1997), doi:10.1063/1.474310",
+                keeps_energy=False,
             ),
         )
     }
@@ -115,6 +144,11 @@ def free_rotor(
     m1 : (3,) or (N, 3) array
         New arrays; those handed in are not changed. A body with a number that is not finite becomes nan,
         its neighbours are not touched.
+
+    Warns
+    -----
+    NotConvergedWarning
+        If a step is too long for some bodies, which are then nan; only the flows with a finite `Rotor.largest_angle`.
 
     Raises
     ------

@@ -1,0 +1,209 @@
+"""What the paper's figures share: work on both cores that resumes, a reference in extended precision, pictures, claims.
+
+Every script of this folder has `NAME`, `TITLE`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
+`claims(data)`, and hands itself to `main`. The full version keeps its data and pictures in docs/paper, the quick one in
+out/paper/quick. Finished pieces of the work lie in out/paper/pieces, so that a run that was stopped goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from tqdm import tqdm
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+PIECES = Path("out/paper/pieces")
+FOLDERS = {False: Path("docs/paper"), True: Path("out/paper/quick")}
+# Colours that colour-blind readers can tell apart (Okabe and Ito).
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+MARKERS = "osD^vPX*"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the paper, our numbers, and whether they agree with it (None: it cannot be decided)."""
+
+    sentence: str
+    numbers: str
+    agrees: bool | None
+
+
+def in_pieces(name, function, pieces):
+    """Return function(**piece) for all pieces, in order; those computed before are read from disk.
+
+    Parameters
+    ----------
+    name : str
+    function : callable
+        At the top level of a module; returns an array or a dict of arrays and numbers that JSON can hold.
+    pieces : sequence of dict
+        Keyword arguments, which JSON can hold.
+    """
+    folder = PIECES / name
+    folder.mkdir(parents=True, exist_ok=True)
+    results = {}
+
+    def file_of(piece):
+        return folder / (hashlib.sha256(json.dumps(piece, sort_keys=True).encode()).hexdigest()[:20] + ".json")
+
+    todo = []
+    for k, piece in enumerate(pieces):
+        if file_of(piece).exists():
+            results[k] = json.loads(file_of(piece).read_text())["result"]
+        else:
+            todo.append(k)
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=_one_thread) as pool:
+        running = {pool.submit(function, **pieces[k]): k for k in todo}
+        for done in tqdm(as_completed(running), total=len(todo), desc=name, disable=not todo):
+            k = running[done]
+            text = json.dumps({"piece": pieces[k], "result": _plain(done.result())})
+            partial = file_of(pieces[k]).with_suffix(".part")
+            partial.write_text(text)
+            partial.replace(file_of(pieces[k]))
+            results[k] = json.loads(text)["result"]
+    return [results[k] for k in range(len(pieces))]
+
+
+def _one_thread():
+    os.environ["OPENMM_CPU_THREADS"] = "1"
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {key: _plain(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+def main(script):
+    """Run one script from the command line."""
+    parser = argparse.ArgumentParser(description=script.TITLE)
+    parser.add_argument("--quick", action="store_true", help="a small version, for a look and for tests")
+    run(script, parser.parse_args().quick)
+
+
+def run(script, quick):
+    """Compute, keep the data, draw, and print the table and the claims of one script; return its data."""
+    folder = FOLDERS[quick]
+    (folder / "data").mkdir(parents=True, exist_ok=True)
+    data = _plain(script.compute(quick))
+    (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, indent=1) + "\n")
+    for name, figure in script.draw(data):
+        figure.savefig(folder / f"{name}.png", dpi=110)
+        plt.close(figure)
+    print(script.table(data))
+    for claim in script.claims(data):
+        print(f"- {claim.sentence} Ours: {claim.numbers} {verdict(claim)}")
+    return data
+
+
+def verdict(claim):
+    """Say whether a claim holds."""
+    return {True: "**Agrees.**", False: "**Does not agree.**", None: "**Not decided.**"}[claim.agrees]
+
+
+def markdown(header, rows):
+    """Return a table in markdown."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+# -- free bodies --------------------------------------------------------------------------------------------------
+
+
+def random_bodies(rng, n):
+    """Return n inertias I1 < I2 < I3 = 1 of physical bodies, (3, n), and unit momenta in the first octant, (3, n)."""
+    moments = np.sort(rng.random((2, 4 * n)), axis=0)
+    moments = moments[:, moments.sum(axis=0) > 1.0][:, :n]
+    m = np.abs(rng.standard_normal((3, n)))
+    return np.vstack([moments, np.ones(n)]), m / np.linalg.norm(m, axis=0)
+
+
+def unit_attitudes(n):
+    """Return n attitudes (1, 0, 0, 0), (4, n)."""
+    q = np.zeros((4, n))
+    q[0] = 1.0
+    return q
+
+
+def taylor(inertia, m, t, order=24, reach=0.4, dtype=np.longdouble):
+    """Return attitudes (4, n) and momenta (3, n) of free bodies at the time t, from attitudes (1, 0, 0, 0).
+
+    Taylor series of the given order in extended precision, 64 bits with numpy's longdouble: independent of all elliptic
+    functions. Steps are `reach` over the largest angular velocity of a body; bodies with equal numbers of steps go
+    together.
+    """
+    n = m.shape[1]
+    steps = np.ceil(t * np.linalg.norm(m, axis=0) / inertia.min(axis=0) / reach).astype(int)
+    steps = _rounded_up(np.maximum(8, steps))
+    q1, m1 = np.empty((4, n), dtype), np.empty((3, n), dtype)
+    for count in np.unique(steps):
+        for chosen in np.array_split(np.flatnonzero(steps == count), max(1, np.sum(steps == count) // 200)):
+            I, q, p = (
+                inertia[:, chosen].astype(dtype),
+                unit_attitudes(len(chosen)).astype(dtype),
+                m[:, chosen].astype(dtype),
+            )
+            h = dtype(t) / dtype(int(count))
+            for _ in range(count):
+                q, p = _taylor_step(I, q, p, h, order)
+            q1[:, chosen], m1[:, chosen] = q, p
+    return q1, m1
+
+
+def _rounded_up(steps):
+    """Round numbers of steps up to powers of sqrt(2), so that there are few different ones."""
+    return np.ceil(2.0 ** (np.ceil(2.0 * np.log2(steps)) / 2.0)).astype(int)
+
+
+def _taylor_step(I, q, m, h, order):
+    rate = np.array([(1 / I[2] - 1 / I[1]), (1 / I[0] - 1 / I[2]), (1 / I[1] - 1 / I[0])]) * h
+    half = 0.5 * h / I
+    M, Q = (np.empty((len(v), order + 1, v.shape[1]), v.dtype) for v in (m, q))  # coefficients times powers of h
+    M[:, 0], Q[:, 0] = m, q
+    for k in range(order):
+        now, back = slice(0, k + 1), slice(k, None, -1)
+
+        def product(u, v):
+            return (u[now] * v[back]).sum(axis=0)  # noqa: B023
+
+        (m0, m1, m2), (q0, q1, q2, q3) = M, Q
+        M[:, k + 1] = rate * [product(m1, m2), product(m2, m0), product(m0, m1)] / (k + 1)
+        w0, w1, w2 = ([half[i] * product(c, M[i]) for c in (q0, q1, q2, q3)] for i in range(3))
+        Q[:, k + 1] = [
+            -w0[1] - w1[2] - w2[3],
+            w0[0] + w2[2] - w1[3],
+            w1[0] - w2[1] + w0[3],
+            w2[0] + w1[1] - w0[2],
+        ]
+        Q[:, k + 1] /= k + 1
+    return Q.sum(axis=1), M.sum(axis=1)
+
+
+def matrix(q):
+    """Return rotation matrices (3, 3, n) of quaternions (4, n) in their own precision, not assuming norm one."""
+    w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def attitude_errors(q, reference):
+    """Return the largest difference of the rotation matrices of each body, (n,), in float64."""
+    difference = np.abs(matrix(q.astype(np.longdouble)) - matrix(reference))
+    return difference.max(axis=(0, 1)).astype(np.float64)

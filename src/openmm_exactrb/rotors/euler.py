@@ -1,0 +1,267 @@
+"""The momentum of a free rigid body in Jacobi's functions: what the formulations of the paper share.
+
+With I1 < I2 < I3 and x = m/norm(m), case (a) is 2T I2 > 1, where the momentum circles axis j = 1, and case (b) is
+2T I2 < 1, where it circles j = 3; l is the other of the two. A half turn about a principal axis makes x1, x3 >= 0, and
+then both signs of equations (5) and (6) are plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
+
+E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.1, doi:10.1137/070704393. The paper's 1 - 2T I_i and 1 - k²
+are written here without their cancellations, but for that of 1 - 2T I2, which vanishes on the separatrix. At a relative
+distance S from it a step that goes past the middle axis has an error of about eps h norm(omega)/S; the `exact` flow has
+not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import elliprf
+
+from openmm_exactrb.elliptic import jacobi, third_kind_legendre
+from openmm_exactrb.quaternions import multiply, renormalise
+from openmm_exactrb.rotors import exact
+from openmm_exactrb.rotors.flow import Array, Flow
+
+# Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
+NEAREST = 1e-14
+# Where the squares of a momentum are safe from over- and underflow.
+_SAFE = (1e-70, 1e70)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Jacobi's functions of the phase u at one time, with the integer nearest to u / 2K, odd where cn is negative."""
+
+    sn: Array
+    cn: Array
+    dn: Array
+    half_turns: Array
+
+    def continued(self, ratio: Array | float = 1.0) -> Array:
+        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; the amplitude am u for one."""
+        folded = np.where(self.cn < 0.0, -self.sn, self.sn)
+        return self.half_turns * np.pi + np.arctan2(ratio * folded, np.abs(self.cn))
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Bodies on their way through a step, in units where norm(m) = 1.
+
+    Attributes
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Moments in ascending order.
+    time : (N,) array
+        The step times norm(m).
+    start, end : (3, N) arrays
+        Unit momenta at both ends.
+    energy : (N,) array
+        2T of the unit momentum.
+    excess : (N,) array
+        1 - 2T I2: negative in case (a), positive in case (b).
+    first, third : (N,) arrays
+        The largest values A1 and A3 of x1 and x3 on the orbit.
+    rate : (N,) array
+        lambda of equations (5) and (6), positive.
+    k2, kc2 : (N,) arrays
+        k² and 1 - k².
+    before, after : Phase
+    """
+
+    inertia: Array
+    time: Array
+    start: Array
+    end: Array
+    energy: Array
+    excess: Array
+    first: Array
+    third: Array
+    rate: Array
+    k2: Array
+    kc2: Array
+    before: Phase
+    after: Phase
+
+    @property
+    def high(self) -> NDArray[np.bool_]:
+        """Whether case (a) holds."""
+        return self.excess < 0.0
+
+
+#: third_kind(orbit, nc): the difference over the step of Legendre's integral of the third kind, with 1 - n = nc.
+ThirdKind = Callable[[Orbit, Array], Array]
+#: attitude(orbit): the rotation of the step as a quaternion (4, N), not yet renormalised.
+Attitude = Callable[[Orbit], Array]
+
+
+def flow_of(inertia: Array, attitude: Attitude) -> Flow:
+    """Return the flow of free bodies whose momentum follows Jacobi's solution and whose attitude is as given.
+
+    Bodies for which that solution is singular take the exact flow: see `is_regular`.
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Positive moments in any order.
+    attitude : callable
+
+    Returns
+    -------
+    flow : callable
+    """
+    order = np.argsort(inertia, axis=0, kind="stable")
+    back = np.argsort(order, axis=0)
+    # An odd permutation is a reflection; momenta and vector parts of quaternions are pseudovectors.
+    handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
+    scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
+    moments = np.take_along_axis(inertia, order, axis=0) / scale
+    shared = inertia.shape[1] == 1
+
+    def regular_flow(q: Array, m: Array, t: Array, chosen: NDArray[np.bool_]) -> tuple[Array, Array]:
+        places, replaces = (np.broadcast_to(p if shared else p[:, chosen], m.shape) for p in (order, back))
+        hand, unit, body = (a if shared else a[..., chosen] for a in (handedness, scale, moments))
+        turn, m1 = _step(body, np.take_along_axis(m, places, axis=0) * hand, t / unit, attitude)
+        turn[1:] = np.take_along_axis(turn[1:], replaces, axis=0) * hand
+        return renormalise(multiply(q, turn)), np.take_along_axis(m1, replaces, axis=0) * hand
+
+    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        t = np.broadcast_to(t, m.shape[1:])
+        sorted_m = np.take_along_axis(m, np.broadcast_to(order, m.shape), axis=0)
+        regular = is_regular(moments, sorted_m)
+        if regular.all():
+            return regular_flow(q, m, t, regular)
+        q1, m1 = np.empty_like(q), np.empty_like(m)
+        q1[:, regular], m1[:, regular] = regular_flow(q[:, regular], m[:, regular], t[regular], regular)
+        other = ~regular
+        rest = inertia if shared else inertia[:, other]
+        q1[:, other], m1[:, other] = exact.rotor(rest)(q[:, other], m[:, other], t[other])
+        return q1, m1
+
+    return flow
+
+
+def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
+    """Tell the bodies that the paper's solution covers.
+
+    They have three different moments and a momentum that is finite, not zero, on none of the principal axes and not
+    on the separatrix, each by a relative distance of `NEAREST`.
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Moments in ascending order.
+    m : (3, N) array
+
+    Returns
+    -------
+    (N,) array of bool
+    """
+    I1, I2, I3 = inertia
+    with np.errstate(all="ignore"):
+        G = np.sqrt(np.einsum("in,in->n", m, m))
+        safe = (_SAFE[0] < G) & (_SAFE[1] > G)
+        x1, x2, x3 = np.abs(m / np.where(safe, G, 1.0))
+    asymmetric = (I2 - I1 > NEAREST * I3) & (I3 - I2 > NEAREST * I3)
+    moving = x1 * x2 + x2 * x3 + x3 * x1 > NEAREST
+    one, three = x1 * x1 * (I2 - I1) * I3, x3 * x3 * (I3 - I2) * I1
+    off_separatrix = np.abs(one - three) > NEAREST * (one + three)
+    regular: NDArray[np.bool_] = safe & asymmetric & moving & off_separatrix
+    return regular
+
+
+def carlson(orbit: Orbit, nc: Array) -> Array:
+    """Difference of the integral of the third kind, exactly, by Carlson's R_J."""
+    before, after = (
+        third_kind_legendre(phase.sn, phase.cn, phase.dn, phase.half_turns, orbit.kc2, nc)
+        for phase in (orbit.before, orbit.after)
+    )
+    return orbit.rate * orbit.time + (after - before)
+
+
+def gauss(points: int) -> ThirdKind:
+    """Return the difference of the integral of the third kind by Gauss's rule in the amplitude: equation (39).
+
+    Its error is of order 2 points + 1 in the step, and large once the amplitude changes by more than about one, near
+    the separatrix earlier.
+
+    Parameters
+    ----------
+    points : int
+
+    Returns
+    -------
+    third_kind : callable
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    nodes, weights = 0.5 * (1.0 + nodes[:, None]), 0.5 * weights
+
+    def third_kind(orbit: Orbit, nc: Array) -> Array:
+        start = orbit.before.continued()
+        change = orbit.after.continued() - start
+        angle = start + nodes * change
+        sine2, cosine2 = np.sin(angle) ** 2, np.cos(angle) ** 2
+        rule: Array = weights @ (1.0 / ((cosine2 + nc * sine2) * np.sqrt(cosine2 + orbit.kc2 * sine2)))
+        return change * rule
+
+    return third_kind
+
+
+def _step(inertia: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array, Array]:
+    """Return the rotation of the step as a quaternion (4, N) and the new momentum, in sorted principal axes."""
+    G = np.sqrt(np.einsum("in,in->n", m, m))
+    half_turn = np.copysign(1.0, m)
+    half_turn[1] = half_turn[0] * half_turn[2]
+    orbit = solve(inertia, half_turn * m / G, G * t)
+    turn = attitude(orbit)
+    turn[1:] *= half_turn
+    m1 = G * half_turn * orbit.end
+    # The difference of the squares, formed so, rounds without a bias, and the norm does not drift.
+    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / (G * G)))
+    return turn, m1
+
+
+def solve(inertia: Array, x: Array, time: Array) -> Orbit:
+    """Solve Euler's equations for unit momenta with x1, x3 >= 0: equations (4) to (8).
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Moments in ascending order, all different.
+    x : (3, N) array
+    time : (N,) array
+
+    Returns
+    -------
+    Orbit
+    """
+    I1, I2, I3 = inertia
+    x1, x2, x3 = x
+    a1_squared = x1 * x1 * (I3 - I1) / I1 + x2 * x2 * (I3 - I2) / I2  # 2T I3 - 1
+    a3_squared = x3 * x3 * (I3 - I1) / I3 + x2 * x2 * (I2 - I1) / I2  # 1 - 2T I1
+    excess = x3 * x3 * (I3 - I2) / I3 - x1 * x1 * (I2 - I1) / I1  # 1 - 2T I2
+    high = excess < 0.0
+    first, third = np.sqrt(I1 * a1_squared / (I3 - I1)), np.sqrt(I3 * a3_squared / (I3 - I1))
+    second = np.sqrt(I2 * np.where(high, a3_squared / (I2 - I1), a1_squared / (I3 - I2)))
+    drive = np.where(high, a1_squared * (I2 - I1), a3_squared * (I3 - I2))
+    rate = np.sqrt(drive / (I1 * I2 * I3))
+    k2 = np.where(high, a3_squared * (I3 - I2), a1_squared * (I2 - I1)) / drive
+    kc2 = np.minimum(np.abs(excess) * (I3 - I1) / drive, 1.0)
+
+    sn, cn = x2 / second, np.where(high, x3 / third, x1 / first)
+    norm = np.hypot(sn, cn)
+    sn, cn = sn / norm, cn / norm
+    dn = np.sqrt(cn * cn + kc2 * sn * sn)
+    before = Phase(sn, cn, dn, np.zeros_like(sn))
+    after = Phase(*jacobi(sn * elliprf(cn * cn, dn * dn, 1.0) + rate * time, kc2))
+
+    end = np.stack(
+        [
+            first * np.where(high, after.dn, after.cn),
+            second * after.sn,
+            third * np.where(high, after.cn, after.dn),
+        ]
+    )
+    energy = x1 * x1 / I1 + x2 * x2 / I2 + x3 * x3 / I3
+    return Orbit(inertia, time, x, renormalise(end), energy, excess, first, third, rate, k2, kc2, before, after)

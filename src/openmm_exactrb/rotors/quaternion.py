@@ -1,0 +1,131 @@
+"""The free rotor by quaternions: q = p(0)^-1 y p(t), where p turns the momentum to axis 3 and y turns about axis 3.
+
+The choices of p in the paper differ by a rotation about axis 3 by an angle theta from the smallest rotation
+p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), which is the half-angle form of its equations (33) to (37). Such rotations
+commute with y, so that theta(t) - theta(0) joins the angle psi of y.
+
+Domain: the three moments are all different, and the momentum is not zero, on no principal axis and not on the
+separatrix. Bodies outside take the `exact` flow.
+
+E. Celledoni, F. Fassò, N. Säfström and A. Zanna, sections 2.3 and 2.4, doi:10.1137/070704393. Equation (38) and the
+angle of choice (c) are printed for case (a) only; the other case is added here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from openmm_exactrb.quaternions import multiply
+from openmm_exactrb.rotors import euler, rotation
+from openmm_exactrb.rotors.euler import Orbit, Phase, ThirdKind, carlson
+from openmm_exactrb.rotors.flow import Array, Flow
+
+
+def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
+    """Return the flow with choice (a) of the paper, theta = 0: I. I. Kosenko (1998).
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+        Positive moments in any order.
+    third_kind : callable, optional
+        How the elliptic integral is evaluated: `euler.carlson` or `euler.gauss`.
+
+    Returns
+    -------
+    flow : callable
+        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
+    """
+    return _flow(inertia, lambda orbit: _kosenko_angle(orbit, third_kind))
+
+
+def moving_frame(inertia: Array) -> Flow:
+    """Return the flow with choice (b) of the paper, the frame (mdot, m x mdot, m); parameters as in `kosenko`."""
+    return _flow(inertia, _moving_frame_angle)
+
+
+def van_zon_schofield(inertia: Array) -> Flow:
+    """Return the flow with choice (c) of the paper, the frame (m x e3, m x (m x e3), m); parameters as in `kosenko`.
+
+    R. van Zon and J. Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
+    """
+    return _flow(inertia, _van_zon_schofield_angle)
+
+
+def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
+    """Return the flow of an angle psi + theta(t) - theta(0)."""
+
+    def attitude(orbit: Orbit) -> Array:
+        p0, p = _smallest_rotation(orbit.start), _smallest_rotation(orbit.end)
+        p0[1:] *= -1.0
+        half = 0.5 * angle(orbit)
+        zero = np.zeros_like(half)
+        return multiply(p0, multiply(np.stack([np.cos(half), zero, zero, np.sin(half)]), p))
+
+    return euler.flow_of(inertia, attitude)
+
+
+def _smallest_rotation(x: Array) -> Array:
+    """Return the quaternion that takes unit vectors x (3, N) to axis 3 the short way: lemma 2.4 with p3 = 0."""
+    x1, x2, x3 = x
+    # 1 + x3, which cancels where x3 is near -1.
+    above = np.where(x3 > -0.5, 1.0 + x3, (x1 * x1 + x2 * x2) / (1.0 - x3))
+    p: Array = np.stack([above, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * above)
+    return p
+
+
+def _kosenko_angle(orbit: Orbit, third_kind: ThirdKind) -> Array:
+    """Return the integral of (2T + omega3)/(1 + x3): equation (38).
+
+    1/(1 + x3) is (1 - x3)/(1 - x3²), whose two parts give the integral of the third kind of `_precession` and an
+    inverse tangent.
+    """
+    change = _inverse_tangent(orbit, orbit.after) - _inverse_tangent(orbit, orbit.before)
+    psi: Array = _precession(orbit, third_kind) - _b(orbit) / orbit.rate * orbit.third * change
+    return psi
+
+
+def _moving_frame_angle(orbit: Orbit) -> Array:
+    """Return the angle of the rotation-matrix formulation, and theta of its frame."""
+
+    def theta(x: Array) -> Array:
+        v, w, _ = rotation.frame(orbit.inertia, x)
+        angle: Array = np.arctan2(w[0] - v[1], v[0] + w[1])
+        return angle
+
+    return rotation.angle(orbit, carlson) + theta(orbit.end) - theta(orbit.start)
+
+
+def _van_zon_schofield_angle(orbit: Orbit) -> Array:
+    """Return the precession about the momentum, and theta of the node line."""
+    x, y = orbit.start, orbit.end
+    psi: Array = _precession(orbit, carlson) + np.arctan2(y[0], y[1]) - np.arctan2(x[0], x[1])
+    return psi
+
+
+def _precession(orbit: Orbit, third_kind: ThirdKind) -> Array:
+    """Return the integral of (2T - x3²/I3)/(1 - x3²) = 1/I3 + (2T - 1/I3)/(1 - x3²).
+
+    In case (a) 1 - x3² = A1² (1 - n sn²) with n = -(A3/A1)²; in case (b) n = -I3 (I2 - I1)/(I1 (I3 - I2)).
+    """
+    I1, I2, I3 = orbit.inertia
+    nc = np.where(orbit.high, 1.0 / orbit.first**2, I2 * (I3 - I1) / (I1 * (I3 - I2)))
+    psi: Array = orbit.time / I3 + _b(orbit) / orbit.rate * third_kind(orbit, nc)
+    return psi
+
+
+def _inverse_tangent(orbit: Orbit, phase: Phase) -> Array:
+    """Return the integral of cn/(1 - n sn²) in case (a) and of dn/(1 - n sn²) in case (b) up to a phase."""
+    I1, I2, I3 = orbit.inertia
+    root_a = np.sqrt(orbit.k2 + (orbit.third / orbit.first) ** 2)
+    root_b = np.sqrt(I2 * (I3 - I1) / (I1 * (I3 - I2)))
+    return np.where(orbit.high, np.arctan(root_a * phase.sn / phase.dn) / root_a, phase.continued(root_b) / root_b)
+
+
+def _b(orbit: Orbit) -> Array:
+    """Return 1/I1 - 1/I3."""
+    I1, _, I3 = orbit.inertia
+    difference: Array = (I3 - I1) / (I1 * I3)
+    return difference
