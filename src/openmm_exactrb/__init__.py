@@ -4,6 +4,7 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS, free_rotor
+from openmm_exactrb.runs import Run, written_whole
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 
@@ -13,9 +14,11 @@ __all__ = [
     "EnergyReporter",
     "ExactRigidBodyIntegrator",
     "NonFiniteError",
+    "Run",
     "dipole_fluid",
     "dipole_strength",
     "free_rotor",
     "rigid_water",
     "soft_dipole_force",
+    "written_whole",
 ]
