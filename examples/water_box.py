@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> None:
     verlet_job = rb.Run.from_options(args, "verlet", free=["duration"])
     exact_job = rb.Run.from_options(args, free=["duration"])
     picture = exact_job.path("energy_error.png")
-    pdb = app.PDBFile(str(args.pdb)) if args.pdb else make_box()
+    pdb = read_box(args.pdb) if args.pdb else make_box()
     system = app.ForceField("tip3p.xml").createSystem(
         pdb.topology,
         nonbondedMethod=app.PME,
@@ -91,6 +91,18 @@ def run(args: argparse.Namespace) -> None:
     print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, energy_error.png")
 
 
+def read_box(file: Path) -> app.PDBFile:
+    """Read a PDB file that is whole."""
+    try:
+        if not any(line.startswith("END") for line in file.read_text().splitlines()):
+            raise ValueError("there is no line END")
+        return app.PDBFile(str(file))
+    except OSError:
+        raise
+    except Exception as error:  # OpenMM's parser raises whatever it stumbles over
+        raise ValueError(f"{file} is no PDB file, or a truncated one: {error}") from error
+
+
 def make_box() -> app.Modeller:
     """Return topology and positions of 216 molecules."""
     topology, _, positions = rb.rigid_water(216, nonbondedMethod=app.PME, nonbondedCutoff=0.8 * nanometer)
@@ -101,9 +113,13 @@ def start_of(
     job: rb.Run, resume: bool, pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform
 ) -> openmm.State:
     """Return a canonical start, the same for both runs and after an accident."""
-    if resume and (job.folder / "start.xml").exists():
-        return openmm.XmlSerializer.deserialize((job.folder / "start.xml").read_text())
-    file = job.path("start.xml")
+    file = job.folder / "start.xml"
+    if resume and file.exists():
+        try:
+            return openmm.XmlSerializer.deserialize(file.read_text())
+        except openmm.OpenMMException as error:
+            raise ValueError(f"{file} is damaged: {' '.join(str(error).split())}") from error
+    job.path(file.name)
     start = equilibrate(pdb, system, platform)
     job.folder.mkdir(parents=True, exist_ok=True)
     with rb.written_whole(file) as out:
