@@ -165,9 +165,10 @@ def test_a_file_size_limit_is_one_line_and_the_run_goes_on(tmp_path, whole):
     def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (50_001, 50_001))
 
-    done = finish("--out", tmp_path / "out", preexec_fn=limit)
+    done = finish("--out", tmp_path / "out", "--checkpoint", "0.05", preexec_fn=limit)
     assert done.returncode == 1
     assert "File too large" in one_line(done.stderr)
+    assert f"safe up to step {runs._read(tmp_path / 'out' / 'checkpoint').step}: " in done.stderr
     assert "--resume" in done.stderr
     done = finish("--out", tmp_path / "out", "--resume")
     assert done.returncode == 0, done.stderr
@@ -189,6 +190,19 @@ def test_a_run_that_blows_up_has_all_before_it_on_disk(tmp_path):
     np.testing.assert_array_equal(steps, np.arange(0, bad, 2))
     assert len(mdtraj.load(str(tmp_path / "trajectory.dcd"), top=str(tmp_path / "topology.pdb"))) == len(steps)
     assert runs._read(tmp_path / "checkpoint").step == bad - 1
+
+
+def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_checkpoint(tmp_path):
+    topology, system, positions = rb.rigid_water(8)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    for folder, stops in (("whole", [200]), ("parts", [90, 200])):
+        for until in stops:
+            integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=np.arange(24).reshape(8, 3).tolist())
+            simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+            simulation.context.setPositions(positions)
+            make(tmp_path / folder, resume=True).advance(simulation, until)
+    same_bytes(tmp_path / "parts", tmp_path / "whole")
 
 
 def test_bodies_named_by_hand_keep_their_shape_to_the_bit(tmp_path):
@@ -314,6 +328,17 @@ def test_a_run_may_be_made_longer_and_go_on_in_the_same_process(half):
         run.advance(simulation, until)
     same_bytes(half, half.parent / "whole")
     assert simulation.reporters == []
+
+
+def test_a_checkpoint_that_could_not_be_written_leaves_the_one_before(half, monkeypatch):
+    run, simulation = make(half, resume=True), droplet()
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+        with pytest.raises(OSError, match=r"No space left on device .* safe up to step 33:"):
+            run.advance(simulation, 60)
+    assert runs._read(half / "checkpoint").step == 33
+    run.advance(simulation, 60)  # the same process may try again
+    same_bytes(half, half.parent / "whole")
 
 
 def test_other_reporters_and_integrators_can_be_used(tmp_path):
