@@ -1,14 +1,13 @@
 """A droplet of soft dipolar spheres: OpenMM computes the forces, the rotation is exact.
 
 Writes a trajectory (DCD, with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the
-energy error, and prints what the run cost.
+energy error, and prints what the run cost. After Ctrl-C, a kill or a full disk the same command with --resume goes on.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +30,7 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 
 
 @dataclass
-class Run:
+class Outcome:
     """What one run leaves behind."""
 
     scheme: str
@@ -53,18 +52,20 @@ class Run:
 def main() -> int:
     args = parse()
     try:
-        prepare(args.out, args.overwrite)
         if args.paper:
             print("The paper's lattice is compressed, about 4 epsilon a contact: it flies apart.")
-        runs = [simulate(args, args.scheme, args.rotor, args.step, args.out)]
+        picture = rb.Run.from_options(args).path("energy_error.png")
+        if args.compare:
+            rb.Run.from_options(args, "compare")  # refuses before there is anything to lose
+        runs = [simulate(args, args.scheme, args.rotor, args.step)]
         if args.compare:
             # The same start and the same number of force evaluations.
             h = args.step / rb.SCHEMES[args.scheme].stages
-            runs.append(simulate(args, "V2", "mclachlan_reich", h, args.out / "compare"))
+            runs.append(simulate(args, "V2", "mclachlan_reich", h, "compare"))
     except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
         print(f"dipole_fluid.py: {error}", file=sys.stderr)
         return 1
-    draw(runs, args.out / "energy_error.png")
+    draw(runs, picture)
     report(runs, args.out)
     return 0
 
@@ -106,8 +107,7 @@ def parse() -> argparse.Namespace:
     add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
     add("--frames", type=whole, default=200, metavar="N", help="frames and lines to write (%(default)s)")
     add("--compare", action="store_true", help="then the same start with V2 and McLachlan-Reich, at the same cost")
-    add("--out", type=Path, default=Path("out"), metavar="DIR", help="output folder (%(default)s)")
-    add("--overwrite", action="store_true", help="replace the files of an earlier run")
+    rb.Run.add_options(parser)
     return parser.parse_args()
 
 
@@ -133,15 +133,14 @@ not_negative = number(float, "number of at least 0", lambda value: value >= 0.0)
 finite = number(float, "finite number", lambda value: True)
 
 
-def prepare(out: Path, overwrite: bool) -> None:
-    """Make the output folder; refuse to replace an earlier run."""
-    if (out / "energies.csv").exists() and not overwrite:
-        raise ValueError(f"{out} holds an earlier run: choose another --out, or add --overwrite")
-    out.mkdir(parents=True, exist_ok=True)
+def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, subfolder: str = "") -> Outcome:
+    """Run one scheme from the start that the options describe, or from its checkpoint."""
+    steps = max(1, round(args.duration / h))
+    interval = max(1, steps // args.frames)
+    job = rb.Run.from_options(args, subfolder, free=("compare", "duration", "frames"))
+    job.add_reporter(app.DCDReporter, "trajectory.dcd", interval)
+    job.add_reporter(rb.EnergyReporter, "energies.csv", interval)
 
-
-def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: Path) -> Run:
-    """Run one scheme from the start that the options describe."""
     geometry = {"spacing": 1.0} if args.paper else {"trap": args.trap}
     topology, system, positions = rb.dipole_fluid(args.n, args.seed, **geometry)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
@@ -149,36 +148,13 @@ def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: P
     simulation.context.setPositions(positions)
     set_momenta(simulation.context, args, integrator)
 
-    out.mkdir(exist_ok=True)
-    with (out / "topology.pdb").open("w") as file:
-        app.PDBFile.writeFile(topology, positions, file)
-    steps = max(1, round(args.duration / h))
-    interval = max(1, steps // args.frames)
-    energies = rb.EnergyReporter(out / "energies.csv", interval)
-    trajectory = app.DCDReporter(str(out / "trajectory.dcd"), interval)
-    reporters = [trajectory, energies]
-    start = simulation.context.getState(positions=True, energy=True)
-    for reporter in reporters:
-        reporter.report(simulation, start)
-    simulation.reporters.extend(reporters)
-    integrator.timings.reset()
-
     pause = 0.1 if sys.stderr.isatty() else 5.0
-    began = time.perf_counter()
-    try:
-        with tqdm(total=steps, desc=f"{scheme} + {rotor}", unit="step", mininterval=pause) as bar:
-            chunk = max(1, steps // 100)
-            for done in range(0, steps, chunk):
-                simulation.step(min(chunk, steps - done))
-                bar.update(min(chunk, steps - done))
-    finally:
-        wall = time.perf_counter() - began
-        energies.close()
-        simulation.reporters.clear()
-        del trajectory, reporters  # OpenMM closes the DCD file with its reporter
+    with tqdm(total=steps, desc=f"{scheme} + {rotor}", unit="step", mininterval=pause, delay=1.0) as bar:
+        job.advance(simulation, steps, progress=bar.update)
     timings = integrator.timings
-    table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)
-    return Run(scheme, rotor, h, timings.evaluations, table[:, 1], table[:, -1], wall, timings.forces, timings.rotor)
+    table = np.loadtxt(job.folder / "energies.csv", delimiter=",", skiprows=1, ndmin=2)
+    times, energies = table[:, 1], table[:, -1]
+    return Outcome(scheme, rotor, h, timings.evaluations, times, energies, job.wall, timings.forces, timings.rotor)
 
 
 def platform(name: str) -> openmm.Platform:
@@ -212,7 +188,7 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
         context.setVelocities(velocities * np.sqrt((args.energy - potential) / kinetic))
 
 
-def report(runs: list[Run], out: Path) -> None:
+def report(runs: list[Outcome], out: Path) -> None:
     """Print what the runs cost and how well they kept the energy."""
     print(
         f"\n{'scheme + rotor':<26}{'step':>9}{'forces':>8}{'max error':>11}{'at end':>11}   wall: forces, rotor, rest"
@@ -227,7 +203,7 @@ def report(runs: list[Run], out: Path) -> None:
     print(f"\n{out}: trajectory.dcd, topology.pdb, energies.csv, energy_error.png")
 
 
-def draw(runs: list[Run], file: Path) -> None:
+def draw(runs: list[Outcome], file: Path) -> None:
     """Draw the relative energy error over time."""
     figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     for run, colour, width in zip(runs, ("#0072B2", "#D55E00"), (1.6, 1.0), strict=False):

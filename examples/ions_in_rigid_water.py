@@ -1,6 +1,7 @@
 """Sodium and chloride in rigid water: free particles move beside rigid bodies by the same splitting.
 
-Writes a trajectory and its energies, and prints the temperatures of translation and rotation.
+Writes a trajectory and its energies, and prints the temperatures of translation and rotation. After an accident the
+same command with --resume goes on.
 """
 
 from __future__ import annotations
@@ -8,7 +9,6 @@ from __future__ import annotations
 import argparse
 import random
 import sys
-from pathlib import Path
 
 import numpy as np
 import openmm
@@ -22,7 +22,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=300, metavar="N", help="steps of 6 fs (%(default)s)")
     parser.add_argument("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
-    parser.add_argument("--out", type=Path, default=Path("out/ions"), metavar="DIR", help="output folder (%(default)s)")
+    rb.Run.add_options(parser, "out/ions")
     args = parser.parse_args()
     try:
         run(args)
@@ -33,7 +33,9 @@ def main() -> int:
 
 
 def run(args: argparse.Namespace) -> None:
-    args.out.mkdir(parents=True, exist_ok=True)
+    job = rb.Run.from_options(args, free=["steps"])
+    job.add_reporter(app.DCDReporter, "trajectory.dcd", 10)
+    job.add_reporter(rb.EnergyReporter, "energies.csv", 10)
     force_field = app.ForceField("amber14/tip3p.xml")
     random.seed(1)  # Modeller places ions with Python's generator
     modeller = app.Modeller(app.Topology(), unit.Quantity([], nanometer))
@@ -49,13 +51,10 @@ def run(args: argparse.Namespace) -> None:
     platform = openmm.Platform.getPlatform(args.platform)
     simulation = app.Simulation(modeller.topology, system, integrator, platform)
     simulation.context.setPositions(modeller.positions)
-    simulation.minimizeEnergy()
-    integrator.setVelocitiesToTemperature(300 * kelvin, 1)
-    with (args.out / "topology.pdb").open("w") as file:
-        app.PDBFile.writeFile(modeller.topology, modeller.positions, file)
-    simulation.reporters.append(app.DCDReporter(str(args.out / "trajectory.dcd"), 10))
-    simulation.reporters.append(rb.EnergyReporter(args.out / "energies.csv", 10))
-    simulation.step(args.steps)
+    if not job.resuming:
+        simulation.minimizeEnergy()
+        integrator.setVelocitiesToTemperature(300 * kelvin, 1)
+    job.advance(simulation, args.steps)
 
     bodies, _ = integrator.bodyState()
     energy = np.loadtxt(args.out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, -1]

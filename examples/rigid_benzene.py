@@ -1,7 +1,8 @@
 """Benzene made rigid by hand: bodies=[...] names the molecules, their flexible terms only add a constant.
 
 A small cluster with the flexible description of OPLS-AA (bonds, angles, Lennard-Jones, charges); the shape of the
-bodies is that of the positions at the first step. Writes a trajectory and its energies.
+bodies is that of the positions at the first step. Writes a trajectory and its energies; --resume goes on after an
+accident.
 """
 
 from __future__ import annotations
@@ -9,12 +10,11 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from pathlib import Path
 
 import numpy as np
 import openmm
 from openmm import app
-from openmm.unit import femtoseconds, kelvin, nanometer
+from openmm.unit import femtoseconds, kelvin
 
 import openmm_exactrb as rb
 from openmm_exactrb import quaternions
@@ -32,9 +32,7 @@ def main() -> int:
     parser.add_argument("-n", type=int, default=27, metavar="N", help="molecules (%(default)s)")
     parser.add_argument("--steps", type=int, default=200, metavar="N", help="steps of 30 fs (%(default)s)")
     parser.add_argument("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/benzene"), metavar="DIR", help="output folder (%(default)s)"
-    )
+    rb.Run.add_options(parser, "out/benzene")
     args = parser.parse_args()
     try:
         run(args)
@@ -45,7 +43,9 @@ def main() -> int:
 
 
 def run(args: argparse.Namespace) -> None:
-    args.out.mkdir(parents=True, exist_ok=True)
+    job = rb.Run.from_options(args, free=["steps"])
+    job.add_reporter(app.DCDReporter, "trajectory.dcd", 5)
+    job.add_reporter(rb.EnergyReporter, "energies.csv", 5)
     topology, system = cluster(args.n)
     shape = measured_molecule()
     rng = np.random.default_rng(1)
@@ -59,12 +59,8 @@ def run(args: argparse.Namespace) -> None:
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(args.platform))
     simulation.context.setPositions(positions)
     integrator.setVelocitiesToTemperature(150 * kelvin, 1)
-    with (args.out / "topology.pdb").open("w") as file:
-        app.PDBFile.writeFile(topology, positions * nanometer, file)
     inner = inner_energy(simulation)
-    simulation.reporters.append(app.DCDReporter(str(args.out / "trajectory.dcd"), 5))
-    simulation.reporters.append(rb.EnergyReporter(args.out / "energies.csv", 5))
-    simulation.step(args.steps)
+    job.advance(simulation, args.steps)
 
     energy = np.loadtxt(args.out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, -1]
     print(f"energy of bonds and angles: {inner:.6f} kJ/mol before, {inner_energy(simulation):.6f} after")

@@ -1,14 +1,15 @@
 """A box of rigid water from a PDB file: one line of an OpenMM script changes, and the energy error with it.
 
-The script is the usual one: force field, PME, Simulation, DCDReporter. Only the integrator is ours. It writes a
-trajectory (DCD with its topology as PDB), the energies and a picture of the energy error, and runs OpenMM's own
-VerletIntegrator from the same start for the picture.
+The script is the usual one: force field, PME, Simulation, DCDReporter. Only the integrator is ours, and what lets the
+script go on after an accident (--resume). It writes a trajectory (DCD with its topology as PDB), the energies and a
+picture of the energy error, and runs OpenMM's own VerletIntegrator from the same start for the picture.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 import matplotlib as mpl
@@ -37,18 +38,20 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--pdb", type=Path, help="a PDB file of water (a box of 216 molecules that the script makes)")
+    add("--pdb", type=Path, help="a PDB file of water (216 molecules that the script makes)")
     add("--scheme", choices=rb.SCHEMES, default="S2_3", metavar="NAME", help=f"{', '.join(rb.SCHEMES)} (%(default)s)")
     add("--force-interval", type=float, default=2.0, metavar="FS", help="time a force evaluation, fs (%(default)s)")
     add("--duration", type=float, default=4.0, metavar="PS", help="length of the run, ps (%(default)s)")
     add("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
-    add("--out", type=Path, default=Path("out/water_box"), metavar="DIR", help="output folder (%(default)s)")
+    rb.Run.add_options(parser, "out/water_box")
     return parser.parse_args()
 
 
 def run(args: argparse.Namespace) -> None:
-    args.out.mkdir(parents=True, exist_ok=True)
-    pdb = app.PDBFile(str(args.pdb or make_box(args.out)))
+    verlet_job = rb.Run.from_options(args, "verlet", free=["duration"])
+    exact_job = rb.Run.from_options(args, free=["duration"])
+    picture = exact_job.path("energy_error.png")
+    pdb = read_box(args.pdb) if args.pdb else make_box()
     system = app.ForceField("tip3p.xml").createSystem(
         pdb.topology,
         nonbondedMethod=app.PME,
@@ -59,7 +62,7 @@ def run(args: argparse.Namespace) -> None:
         removeCMMotion=False,
     )
     platform = openmm.Platform.getPlatform(args.platform)
-    start = equilibrate(pdb, system, platform)
+    start = start_of(exact_job, args.resume, pdb, system, platform)
 
     # The line that changes. The step is that of the whole scheme, so the cost of both runs is the same.
     verlet = openmm.VerletIntegrator(args.force_interval * femtoseconds)
@@ -67,31 +70,64 @@ def run(args: argparse.Namespace) -> None:
         args.force_interval * rb.SCHEMES[args.scheme].stages * femtoseconds, scheme=args.scheme
     )
 
+    own, table = rb.EnergyReporter, partial(app.StateDataReporter, step=True, time=True, totalEnergy=True)
     errors = {}
-    for name, integrator in (("VerletIntegrator", verlet), (f"ExactRigidBodyIntegrator, {args.scheme}", exact)):
+    for name, integrator, job, energies in (
+        ("VerletIntegrator", verlet, verlet_job, table),
+        (f"ExactRigidBodyIntegrator, {args.scheme}", exact, exact_job, own),
+    ):
+        h = integrator.getStepSize().value_in_unit(unit.picosecond)
+        job.add_reporter(app.DCDReporter, "trajectory.dcd", max(1, round(0.05 / h)))
+        job.add_reporter(energies, "energies.csv", max(1, round(0.02 / h)))
         simulation = app.Simulation(pdb.topology, system, integrator, platform)
         simulation.context.setState(start)
-        if integrator is exact:
-            frames = max(1, round(0.05 / (integrator.getStepSize().value_in_unit(unit.picosecond))))
-            simulation.reporters.append(app.DCDReporter(str(args.out / "trajectory.dcd"), frames))
-            simulation.reporters.append(rb.EnergyReporter(args.out / "energies.csv", frames))
-        errors[name] = follow_energy(simulation, args.duration, name)
+        steps = round(args.duration / h)
+        with tqdm(total=steps, desc=name, mininterval=1.0, delay=1.0) as bar:
+            job.advance(simulation, steps, progress=bar.update)
+        errors[name] = np.loadtxt(job.folder / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, [1, -1]].T
         noise = np.std(errors[name][1]) / pdb.topology.getNumResidues()
         print(f"{name:<40} std of the total energy {noise:.1e} kJ/mol a molecule")
-    draw(errors, pdb.topology.getNumResidues(), args.force_interval, args.out / "energy_error.png")
-    print(f"{args.out}: box.pdb, trajectory.dcd, energies.csv, energy_error.png")
+    draw(errors, pdb.topology.getNumResidues(), args.force_interval, picture)
+    print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, energy_error.png")
 
 
-def make_box(out: Path) -> Path:
-    """Write a PDB file of 216 molecules."""
+def read_box(file: Path) -> app.PDBFile:
+    """Read a PDB file that is whole."""
+    try:
+        if not any(line.startswith("END") for line in file.read_text().splitlines()):
+            raise ValueError("there is no line END")
+        return app.PDBFile(str(file))
+    except OSError:
+        raise
+    except Exception as error:  # OpenMM's parser raises whatever it stumbles over
+        raise ValueError(f"{file} is no PDB file, or a truncated one: {error}") from error
+
+
+def make_box() -> app.Modeller:
+    """Return topology and positions of 216 molecules."""
     topology, _, positions = rb.rigid_water(216, nonbondedMethod=app.PME, nonbondedCutoff=0.8 * nanometer)
-    file = out / "box.pdb"
-    with file.open("w") as handle:
-        app.PDBFile.writeFile(topology, positions, handle)
-    return file
+    return app.Modeller(topology, positions)
 
 
-def equilibrate(pdb: app.PDBFile, system: openmm.System, platform: openmm.Platform) -> openmm.State:
+def start_of(
+    job: rb.Run, resume: bool, pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform
+) -> openmm.State:
+    """Return a canonical start, the same for both runs and after an accident."""
+    file = job.folder / "start.xml"
+    if resume and file.exists():
+        try:
+            return openmm.XmlSerializer.deserialize(file.read_text())
+        except openmm.OpenMMException as error:
+            raise ValueError(f"{file} is damaged: {' '.join(str(error).split())}") from error
+    job.path(file.name)
+    start = equilibrate(pdb, system, platform)
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with rb.written_whole(file) as out:
+        out.write(openmm.XmlSerializer.serialize(start))
+    return start
+
+
+def equilibrate(pdb: app.PDBFile | app.Modeller, system: openmm.System, platform: openmm.Platform) -> openmm.State:
     """Return a canonical start."""
     langevin = openmm.LangevinMiddleIntegrator(300 * kelvin, 5 / unit.picosecond, 2 * femtoseconds)
     langevin.setRandomNumberSeed(1)
@@ -100,23 +136,12 @@ def equilibrate(pdb: app.PDBFile, system: openmm.System, platform: openmm.Platfo
     simulation.minimizeEnergy()
     simulation.context.setVelocitiesToTemperature(300 * kelvin, 1)
     simulation.step(1000)
+    simulation.currentStep = 0
+    simulation.context.setTime(0.0)
     return simulation.context.getState(positions=True, velocities=True)
 
 
-def follow_energy(simulation: app.Simulation, duration: float, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Run and return times (ps) and total energies (kJ/mol)."""
-    h = simulation.integrator.getStepSize().value_in_unit(unit.picosecond)
-    interval = max(1, round(0.02 / h))
-    samples = []
-    for _ in tqdm(range(round(duration / (interval * h))), desc=name, mininterval=1.0):
-        simulation.step(interval)
-        state = simulation.context.getState(energy=True)
-        energy = state.getPotentialEnergy() + state.getKineticEnergy()
-        samples.append((state.getTime().value_in_unit(unit.picosecond), energy.value_in_unit(unit.kilojoule_per_mole)))
-    return tuple(np.array(samples).T)
-
-
-def draw(errors: dict[str, tuple[np.ndarray, np.ndarray]], molecules: int, interval: float, file: Path) -> None:
+def draw(errors: dict[str, np.ndarray], molecules: int, interval: float, file: Path) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
     for (name, (times, energies)), colour in zip(errors.items(), ("#D55E00", "#0072B2"), strict=True):
         axes.plot(times - times[0], (energies - energies.mean()) / molecules, color=colour, lw=1.0, label=name)

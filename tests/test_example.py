@@ -66,7 +66,7 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
 @pytest.mark.parametrize(
     ("example", "arguments", "files"),
     [
-        ("water_box.py", ["--duration", "0.2"], ["box.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
+        ("water_box.py", ["--duration", "0.2"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
         ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
     ],
@@ -75,8 +75,9 @@ def test_the_other_examples_leave_their_files(tmp_path, example, arguments, file
     done = run(*arguments, "--out", str(tmp_path), example=example)
     assert done.returncode == 0, done.stderr
     assert all((tmp_path / file).stat().st_size > 0 for file in files)
-    again = run(*arguments, "--platform", "Abacus", "--out", str(tmp_path), example=example)
+    again = run(*arguments, "--platform", "Abacus", "--out", str(tmp_path / "again"), example=example)
     assert again.returncode == 1
+    assert not (tmp_path / "again").exists()
     assert "Abacus" in again.stderr
     assert "Traceback" not in again.stderr
 

@@ -4,6 +4,7 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
+from openmm_exactrb.runs import Run, written_whole
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 
@@ -14,9 +15,11 @@ __all__ = [
     "ExactRigidBodyIntegrator",
     "NonFiniteError",
     "NotConvergedWarning",
+    "Run",
     "dipole_fluid",
     "dipole_strength",
     "free_rotor",
     "rigid_water",
     "soft_dipole_force",
+    "written_whole",
 ]

@@ -135,6 +135,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return the name of the free-rotor flow."""
         return self._rotor
 
+    def hasNamedBodies(self) -> bool:
+        """Tell whether there are bodies beside those that constraints make."""
+        return self._bodies is not None
+
     @property
     def forceEvaluationsPerStep(self) -> int:
         """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""

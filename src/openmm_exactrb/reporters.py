@@ -19,6 +19,8 @@ class EnergyReporter:
     file : str, path or open text file
     reportInterval : int
         Steps between two lines.
+    append : bool, optional
+        Write behind the lines that the file has.
 
     Notes
     -----
@@ -26,13 +28,14 @@ class EnergyReporter:
     a run that ends badly leaves all lines before.
     """
 
-    def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int) -> None:
+    def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
         if reportInterval < 1:
             raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
         self._interval = reportInterval
         self._owned = isinstance(file, (str, os.PathLike))
-        self._out: TextIO = Path(file).open("w") if isinstance(file, (str, os.PathLike)) else file  # noqa: SIM115
-        self._out.write(",".join(_COLUMNS) + "\n")
+        self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
+        if not append:
+            self._out.write(",".join(_COLUMNS) + "\n")
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Tell OpenMM when the next line is due and what it needs."""
@@ -60,3 +63,7 @@ class EnergyReporter:
         """Close the file, if the reporter opened it."""
         if self._owned:
             self._out.close()
+
+
+def _open(file: str | os.PathLike[str], append: bool) -> TextIO:
+    return Path(file).open("a") if append else Path(file).open("w")
