@@ -27,7 +27,7 @@ _SHARED = 200_000
 
 
 def soft_dipoles(
-    x: Array, repulsion: float, coupling: float, truncation: Truncation | None = None
+    x: Array, repulsion: float, coupling: float, truncation: Truncation | None = None, threads: int | None = None
 ) -> tuple[float, Array]:
     """Return the energy and the forces on centres and tips, as `potentials.soft_dipole_force` defines them.
 
@@ -39,6 +39,8 @@ def soft_dipoles(
         4 epsilon sigma^12 and (strength/length)².
     truncation : tuple of six floats, optional
         With it the boundaries are periodic.
+    threads : int, optional
+        All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
 
     Returns
     -------
@@ -48,9 +50,10 @@ def soft_dipoles(
         In kJ/mol/nm.
     """
     n = len(x) // 2
-    arrows, forces, energies = np.empty((6, n)), np.empty((2 * n, 3)), np.empty(n)
+    arrows, forces, energies = np.zeros((6, -(-n // 8) * 8)), np.empty((2 * n, 3)), np.empty(n)
     _split(x, arrows)
-    threads = numba.config.NUMBA_NUM_THREADS if n * n > _SHARED else 1
+    if threads is None:
+        threads = numba.config.NUMBA_NUM_THREADS if n * n > _SHARED else 1
     ours, *others = pairwise(n * k // threads for k in range(threads + 1))
 
     def sum_rows(first: int, last: int) -> None:
@@ -72,7 +75,7 @@ def _pool(process: int) -> ThreadPoolExecutor:
 @_compiled
 def _split(x: Array, arrows: Array) -> None:
     """Write centres and arrows (tip minus centre), component-first."""
-    for i in range(arrows.shape[1]):
+    for i in range(len(x) // 2):
         for k in range(3):
             arrows[k, i] = x[2 * i, k]
             arrows[3 + k, i] = x[2 * i + 1, k] - x[2 * i, k]
@@ -103,6 +106,7 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):  # type: ignore[no
 @_compiled
 def _rows(first, last, arrows, repulsion, coupling, truncation, energies, forces):  # type: ignore[no-untyped-def]
     """Sum twice the energy, and the forces, of some spheres with all others."""
+    n = len(energies)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]
         energy = fx = fy = fz = gx = gy = gz = turn = 0.0
@@ -113,7 +117,7 @@ def _rows(first, last, arrows, repulsion, coupling, truncation, energies, forces
                 x -= truncation[0] * np.rint(x / truncation[0])
                 y -= truncation[1] * np.rint(y / truncation[1])
                 z -= truncation[2] * np.rint(z / truncation[2])
-            r2 = x * x + y * y + z * z if j != i else np.inf
+            r2 = x * x + y * y + z * z if (j != i) & (j < n) else np.inf
             uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
             e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling)
             if truncation is not None:
