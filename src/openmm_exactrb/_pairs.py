@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Edges of the box, squared distance where switching begins, 1/(width of the switch in r²), reaction field.
+#: Edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the reaction field.
 Truncation = tuple[float, float, float, float, float, float]
 
 # Sums may be reordered and products fused; nan and inf stay what they are, no square root or division is approximated.
@@ -94,12 +94,12 @@ def pair(r2, uv, ur, vr, repulsion, coupling):  # type: ignore[no-untyped-def]
 @_compiled
 def truncated(r2, uv, energy, a, b, c, coupling, truncation):  # type: ignore[no-untyped-def]
     """Add the reaction field, and multiply by a switch S(r²) that is smooth to the third derivative."""
-    _, _, _, begin, rate, reaction = truncation
+    _, _, _, end, rate, reaction = truncation
     b -= coupling * reaction
     energy -= coupling * reaction * uv
-    t = min(1.0, max(0.0, (r2 - begin) * rate))
-    S = 1.0 - t * t * t * t * (35.0 - t * (84.0 - t * (70.0 - 20.0 * t)))
-    slope = -140.0 * rate * (t * (1.0 - t)) ** 3
+    s = min(1.0, max(0.0, (end - r2) * rate))
+    S = s * s * s * s * (35.0 - s * (84.0 - s * (70.0 - 20.0 * s)))
+    slope = -140.0 * rate * (s * (1.0 - s)) ** 3
     return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
 
 

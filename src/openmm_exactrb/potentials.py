@@ -72,8 +72,8 @@ def soft_dipole_force(
 
     Section 3.4 of the paper. With a box the boundaries are periodic: the nearest image within a cutoff, the field of
     a dielectric around it, -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/cutoff³ for a pair (Barker and Watts, Mol. Phys. 26,
-    789 (1973)), and a switch 1 - 35 t^4 + 84 t^5 - 70 t^6 + 20 t^7 on the whole energy, t running from 0 to 1 in r²
-    between `switch` and `cutoff`: forces have two continuous derivatives.
+    789 (1973)), and a switch 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 on the whole energy, s running from 1 to 0 in r² between
+    `switch` and `cutoff`: forces have two continuous derivatives.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class SoftDipoles:
             raise ValueError("soft dipoles need a rectangular box")
         _check_cutoff(cutoff, edges)
         a, b, c = map(float, edges)
-        return a, b, c, switch**2, 1.0 / (cutoff**2 - switch**2), reaction
+        return a, b, c, cutoff**2, 1.0 / (cutoff**2 - switch**2), reaction
 
 
 def _truncation(
@@ -204,8 +204,8 @@ def _soft_dipole_formula(
         cutoff, switch, reaction = truncation
         energy = (
             f"S*(soft_repulsion*i^6 + dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr));"
-            "S = 1 - t^4*(35 - 84*t + 70*t^2 - 20*t^3);"
-            f"t = min(1, max(0, (r2 - {switch**2!r})/{cutoff**2 - switch**2!r}));"
+            "S = s^4*(35 - 84*s + 70*s^2 - 20*s^3);"
+            f"s = min(1, max(0, ({cutoff**2!r} - r2)/{cutoff**2 - switch**2!r}));"
         )
         displacement = "".join(
             f"{x} = d{x} - box_{x}*floor(d{x}/box_{x} + 0.5); d{x} = {x}1 - {x}3;" for x in ("x", "y", "z")
