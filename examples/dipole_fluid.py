@@ -143,7 +143,8 @@ def prepare(out: Path, overwrite: bool) -> None:
 def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, out: Path) -> Run:
     """Run one scheme from the start that the options describe."""
     geometry = {"spacing": 1.0} if args.paper else {"trap": args.trap}
-    topology, system, positions = rb.dipole_fluid(args.n, args.seed, **geometry)
+    kernel = "auto" if args.platform in ("Reference", "CPU") else "openmm"  # a GPU computes its own forces
+    topology, system, positions = rb.dipole_fluid(args.n, args.seed, kernel=kernel, **geometry)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
     simulation = app.Simulation(topology, system, integrator, platform(args.platform))
     simulation.context.setPositions(positions)
