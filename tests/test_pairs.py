@@ -8,8 +8,10 @@ import sys
 import numpy as np
 import openmm
 import pytest
+from openmm import unit
 
 import openmm_exactrb as rb
+from ewald import dipole_ewald
 from openmm_exactrb import _compiled, _pairs
 from openmm_exactrb.potentials import SoftDipoles
 
@@ -252,6 +254,69 @@ def test_the_box_of_a_liquid_has_its_density():
     assert volume == pytest.approx(50 / 0.4)
     assert system.usesPeriodicBoundaryConditions()
     assert topology.getUnitCellDimensions()._value[0] ** 3 == pytest.approx(volume)
+
+
+def liquid(n, seed=3):
+    """Return centres, dipoles and box of soft dipolar spheres at rho* = 0.8, mu*² = 4, T* = 1.35, just molten."""
+    options = {"dipole": (0.0, 0.0, 2.0), "inertia": (0.3, 0.3, 0.3)}
+    _, system, positions = rb.dipole_fluid(n, seed, periodic=True, kernel="compiled", **options)
+    integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="S2_2")
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
+    for k in range(4):
+        integrator.setVelocitiesToTemperature(1.35 / 8.314462618e-3, k)
+        integrator.step(60)
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value.reshape(n, -1, 3)[:, -2:]
+    return x[:, 0], 4.0 * (x[:, 1] - x[:, 0]), (n / 0.8) ** (1.0 / 3.0)
+
+
+def amoeba_energy(R, mu, box):
+    """Return the energy of the same dipoles from the particle mesh Ewald sum of OpenMM's AMOEBA."""
+    force, system = openmm.AmoebaMultipoleForce(), openmm.System()
+    force.setNonbondedMethod(force.PME)
+    force.setPolarizationType(force.Direct)
+    force.setCutoffDistance(0.499 * box)
+    force.setAEwald(8.0 / box)
+    force.setPmeGridDimensions([64, 64, 64])
+    strength = float(np.linalg.norm(mu[0])) / rb.dipole_strength(1.0 * unit.elementary_charge * unit.nanometer)
+    for i in range(len(R)):
+        system.addParticle(1.0)
+        system.addParticle(1.0)
+        force.addMultipole(0.0, [0, 0, strength], [0] * 9, force.ZOnly, 2 * i + 1, -1, -1, 0.39, 0.0, 0.0)
+        force.addMultipole(0.0, [0, 0, 0], [0] * 9, force.NoAxisType, -1, -1, -1, 0.39, 0.0, 0.0)
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    context.setPositions(np.stack([R, R + 0.1 * mu], axis=1).reshape(-1, 3))
+    return context.getState(energy=True).getPotentialEnergy()._value
+
+
+def test_the_ewald_sum_is_right():
+    """It does not depend on its splitting, has minus the gradient as its field, and agrees with OpenMM's AMOEBA."""
+    R, mu, box = liquid(27)
+    energy, field = dipole_ewald(R, mu, box, 13.0 / box)
+    assert dipole_ewald(R, mu, box, 15.0 / box)[0] == pytest.approx(energy, rel=1e-11)
+    step = np.zeros_like(mu)
+    step[3] = 0.01, 0.02, -0.03
+    rise = dipole_ewald(R, mu + step, box, 13.0 / box)[0] - dipole_ewald(R, mu - step, box, 13.0 / box)[0]
+    assert rise == pytest.approx(-2.0 * np.sum(field * step), rel=1e-9)
+    assert amoeba_energy(R, mu, box) == pytest.approx(energy, rel=1e-5)
+
+
+def test_a_reaction_field_comes_close_to_the_ewald_sum_in_a_large_box():
+    """Largest root mean square errors of the field on a dipole: 0.12 for 125, 0.05 for 512; twice that without it."""
+    for n, most in ((125, 0.12), (512, 0.05)):
+        R, mu, box = liquid(n)
+        _, exact = dipole_ewald(R, mu, box, 9.0 / box)
+        x = np.stack([R, R + mu], axis=1).reshape(-1, 3)
+        errors = []
+        for reaction in (1.0 / (0.5 * box) ** 3, 0.0):
+            truncation = box, box, box, 0.25 * box**2, 1.0 / (0.25 - 0.375**2) / box**2, reaction
+            field = _pairs.soft_dipoles(x, 0.0, 1.0, truncation)[1][1::2]
+            errors.append(np.linalg.norm(field - exact) / np.linalg.norm(exact))
+        assert errors[0] < most
+        assert errors[0] < 0.75 * errors[1]
 
 
 # -- who computes it --------------------------------------------------------------------------------------------
