@@ -50,14 +50,13 @@ def soft_dipoles(
         In kJ/mol/nm.
     """
     n = len(x) // 2
-    arrows, forces, energies = np.zeros((6, -(-n // 8) * 8)), np.empty((2 * n, 3)), np.empty(n)
-    _split(x, arrows)
+    forces, energies = np.empty((2 * n, 3)), np.empty(n)
     if threads is None:
         threads = numba.config.NUMBA_NUM_THREADS if n * n > _SHARED else 1
     ours, *others = pairwise(n * k // threads for k in range(threads + 1))
 
     def sum_rows(first: int, last: int) -> None:
-        _rows(first, last, arrows, repulsion, coupling, truncation, energies, forces)
+        _rows(first, last, x, repulsion, coupling, truncation, energies, forces)
 
     waiting = [_pool(os.getpid()).submit(sum_rows, *rows) for rows in others]
     sum_rows(*ours)
@@ -73,12 +72,15 @@ def _pool(process: int) -> ThreadPoolExecutor:
 
 
 @_compiled
-def _split(x: Array, arrows: Array) -> None:
-    """Write centres and arrows (tip minus centre), component-first."""
-    for i in range(len(x) // 2):
+def _split(x):  # type: ignore[no-untyped-def]
+    """Return centres and arrows (tip minus centre), component-first, with room to fill vector registers."""
+    n = len(x) // 2
+    arrows = np.zeros((6, (n + 7) // 8 * 8))
+    for i in range(n):
         for k in range(3):
             arrows[k, i] = x[2 * i, k]
             arrows[3 + k, i] = x[2 * i + 1, k] - x[2 * i, k]
+    return arrows
 
 
 @_compiled
@@ -104,9 +106,9 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):  # type: ignore[no
 
 
 @_compiled
-def _rows(first, last, arrows, repulsion, coupling, truncation, energies, forces):  # type: ignore[no-untyped-def]
+def _rows(first, last, sites, repulsion, coupling, truncation, energies, forces):  # type: ignore[no-untyped-def]
     """Sum twice the energy, and the forces, of some spheres with all others."""
-    n = len(energies)
+    n, arrows = len(energies), _split(sites)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]
         energy = fx = fy = fz = gx = gy = gz = turn = 0.0
