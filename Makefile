@@ -24,6 +24,7 @@ validate: $(VENV)/.test
 benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/rotor_cost.py
 	$(BIN)/python benchmarks/step_cost.py
+	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
 
 clean:

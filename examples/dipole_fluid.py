@@ -142,7 +142,8 @@ def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, subfol
     job.add_reporter(rb.EnergyReporter, "energies.csv", interval)
 
     geometry = {"spacing": 1.0} if args.paper else {"trap": args.trap}
-    topology, system, positions = rb.dipole_fluid(args.n, args.seed, **geometry)
+    kernel = "auto" if args.platform in ("Reference", "CPU") else "openmm"  # a GPU computes its own forces
+    topology, system, positions = rb.dipole_fluid(args.n, args.seed, kernel=kernel, **geometry)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
     simulation = app.Simulation(topology, system, integrator, platform(args.platform))
     simulation.context.setPositions(positions)

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -78,8 +77,9 @@ def test_numba_can_be_refused():
 
 def test_what_is_missing_is_said(monkeypatch):
     monkeypatch.setattr(kernels, "find_spec", lambda name: None)
+    kernels.load.cache_clear()
     assert not kernels.available()
-    with pytest.raises(ImportError, match=r"pip install openmm-exactrb\[fast\]"):
+    with pytest.raises(ModuleNotFoundError, match=r'pip install "openmm-exactrb\[fast\]"'):
         rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1, method="exact_compiled")
     q, _ = rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1)
     assert np.isfinite(q).all()
@@ -94,15 +94,5 @@ def test_compiled_code_is_kept_between_processes(tmp_path):
     )
     runs = [python(code, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)]
     assert [run.stdout.strip() for run in runs] == ["0", "1"]
-    assert "compiling the exact rotor" in runs[0].stderr
+    assert "compiling kernels" in runs[0].stderr
     assert not runs[1].stderr
-
-
-def test_only_a_long_wait_is_announced(capsys):
-    with kernels.announced("nothing", patience=0.05):
-        pass
-    time.sleep(0.1)
-    assert not capsys.readouterr().err
-    with kernels.announced("something", patience=0.05):
-        time.sleep(0.2)
-    assert "compiling something" in capsys.readouterr().err

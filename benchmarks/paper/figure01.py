@@ -117,7 +117,13 @@ def table(data):
         )
     first, last = data["h"][0], data["h"][-1]
     return common.markdown(
-        ("method", f"digits, h = {first:.2f}", f"digits, h = {last:.3f}", "runs of 100 that converge", "µs a body and step"),
+        (
+            "method",
+            f"digits, h = {first:.2f}",
+            f"digits, h = {last:.3f}",
+            "runs of 100 that converge",
+            "µs a body and step",
+        ),
         lines,
     )
 
@@ -131,9 +137,14 @@ def claims(data):
         f"exact {min(min(methods[m]['converged']) for m in exact)} of 100; "
         + ", ".join(f"{m} {min(methods[m]['converged'])}" for m in dmv)
         + " of 100 at the step where fewest do.",
-        all(min(methods[m]["converged"]) == 100 for m in exact) and all(min(methods[m]["converged"]) < 100 for m in dmv),
+        all(min(methods[m]["converged"]) == 100 for m in exact)
+        and all(min(methods[m]["converged"]) < 100 for m in dmv),
     )
-    ratios = [cost[f"{kind}_gauss{n}"] / cost[full] for kind, full in (("rotation", "rotation"), ("quaternion", "quaternion_a")) for n in (6, 8, 10)]
+    ratios = [
+        cost[f"{kind}_gauss{n}"] / cost[full]
+        for kind, full in (("rotation", "rotation"), ("quaternion", "quaternion_a"))
+        for n in (6, 8, 10)
+    ]
     yield common.Claim(
         "With Gauss's rule the cost is about a third of that with the exact elliptic integral.",
         f"between {min(ratios):.2f} and {max(ratios):.2f}; our exact flow, which needs one incremental integral where the paper's "
@@ -150,7 +161,9 @@ def claims(data):
     growth = {m: methods[m]["digits"][0] - methods[m]["digits"][-1] for m in exact}
     yield common.Claim(
         "The exact methods accumulate more roundoff the shorter the step.",
-        "digits lost from the largest to the smallest step: " + ", ".join(f"{m} {g:.1f}" for m, g in growth.items()) + ".",
+        "digits lost from the largest to the smallest step: "
+        + ", ".join(f"{m} {g:.1f}" for m, g in growth.items())
+        + ".",
         all(g > 0 for g in growth.values()),
     )
 

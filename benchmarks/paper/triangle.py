@@ -138,7 +138,9 @@ def claims(data):
         f"medians {exact[0][0]:.1f} and {exact[1][0]:.1f} digits, least at a point {exact[0][1]:.1f} and {exact[1][1]:.1f}.",
         abs(exact[0][0] - exact[1][0]) < 1.0 and min(e[1] for e in exact) > 12.0,
     )
-    approximate = [key for key in found if "0.4" in key.split()[1] and ("gauss" in key or "dmv" in key) and key.endswith(" 0.4")]
+    approximate = [
+        key for key in found if "0.4" in key.split()[1] and ("gauss" in key or "dmv" in key) and key.endswith(" 0.4")
+    ]
     thin = {key: corner(data, key) for key in approximate}
     yield common.Claim(
         "All approximate methods are worse near the corner where I1 is much smaller than I2 and I3 (figures 5 to 7).",
@@ -160,7 +162,9 @@ def claims(data):
     fine = [(found[f"{m} 0.4"][0], found[f"{m} 0.04"][0]) for m in EXACT]
     yield common.Claim(
         "For h = 0.04 the exact methods show a worse accumulation of roundoff (figure 8).",
-        "digits at h = 0.4 and 0.04: " + ", ".join(f"{m} {a:.1f} and {b:.1f}" for m, (a, b) in zip(EXACT, fine, strict=True)) + ".",
+        "digits at h = 0.4 and 0.04: "
+        + ", ".join(f"{m} {a:.1f} and {b:.1f}" for m, (a, b) in zip(EXACT, fine, strict=True))
+        + ".",
         all(b < a for a, b in fine),
     )
     dmv = found["dmv10 0.04"], corner(data, "dmv10 0.04")

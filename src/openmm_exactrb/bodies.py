@@ -519,8 +519,7 @@ def _particle_kernels() -> tuple[Callable[..., None], Callable[..., None]]:
     """Return `_place` and `_collect`, compiled where numba is installed."""
     if not kernels.available():
         return _place, _collect
-    with kernels.announced("the particles of rigid bodies"):
-        from openmm_exactrb import bodies_compiled as compiled
+    compiled = kernels.load("bodies_compiled")
 
     def place(kind: Kind, state: BodyState, out: Array) -> None:
         compiled.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)

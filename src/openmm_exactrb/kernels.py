@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
+import logging
 import os
-import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from functools import cache
 from importlib.util import find_spec
+from types import ModuleType
 from typing import Any
+
+_log = logging.getLogger("openmm_exactrb")
 
 Function = Callable[..., Any]
 
@@ -22,29 +25,63 @@ def available() -> bool:
     return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None
 
 
-def require() -> None:
-    """Refuse to go on without numba.
+def chosen(kernel: str) -> bool:
+    """Tell whether "auto", "openmm" or "compiled" stands for the compiled kernel here.
 
     Raises
     ------
-    ImportError
-        If it is not installed.
+    ValueError
+        If the name is unknown.
+    ModuleNotFoundError
+        If "compiled" is asked for and numba is not installed.
     """
+    if kernel not in ("auto", "openmm", "compiled"):
+        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, compiled")
+    if kernel == "compiled":
+        require()
+    return kernel == "compiled" or (kernel == "auto" and available())
+
+
+def require() -> None:
+    """Raise ModuleNotFoundError if numba is not installed."""
     if find_spec("numba") is None:
-        raise ImportError("compiled kernels need numba: pip install openmm-exactrb[fast]")
+        raise ModuleNotFoundError(
+            'compiled kernels need numba: python -m pip install "openmm-exactrb[fast]"', name="numba"
+        )
 
 
-@contextmanager
-def announced(what: str, patience: float = 1.5) -> Iterator[None]:
-    """Say on stderr what is being compiled, if it takes longer than `patience` seconds."""
-    text = f"openmm-exactrb: compiling {what} for this machine, once; later runs load it\n"
-    message = threading.Timer(patience, sys.stderr.write, (text,))
-    message.daemon = True
-    message.start()
-    try:
-        yield
-    finally:
-        message.cancel()
+@cache
+def load(module: str) -> ModuleType:
+    """Import a module of this package that holds compiled kernels, such as "pairs_compiled".
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If numba is not installed.
+    """
+    require()
+    events: Any = importlib.import_module("numba.core.event")
+    events.register("numba:compile", _announcer(events))
+    return importlib.import_module(f"openmm_exactrb.{module}")
+
+
+@cache
+def _announcer(events: Any) -> Any:
+    """Return a listener that says once what the first run waits for."""
+
+    class Announcer(events.Listener):  # type: ignore[misc]
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            ours = event.data["dispatcher"].py_func.__module__.startswith("openmm_exactrb.")
+            if ours and not self.told:
+                self.told = True
+                _log.warning("compiling kernels: a few seconds, once; the next process finds them in the cache")
+
+        def on_end(self, event: Any) -> None:
+            pass
+
+    return Announcer()
 
 
 def compiled(arguments: str) -> Callable[[Function], Function]:

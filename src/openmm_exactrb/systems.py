@@ -74,8 +74,14 @@ def dipole_fluid(
     spacing: float = BINDING_DISTANCE,
     perturbation: float = 0.01,
     trap: float = 0.0,
+    periodic: bool = False,
+    density: float | None = None,
+    cutoff: float | None = None,
+    switch: float | None = None,
+    dielectric: float = np.inf,
+    kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
-    """Build a droplet of soft dipolar spheres, section 3.4 of the paper.
+    """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
 
     Parameters
     ----------
@@ -97,6 +103,12 @@ def dipole_fluid(
     trap : float
         Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles
         alone bind to chains, and the chains drift apart: nothing but a trap holds a droplet together.
+    periodic : bool
+        Whether the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
+    density : float, optional
+        Spheres per nm³ in the box; 0.8/sigma³, a liquid.
+    cutoff, switch, dielectric, kernel
+        As `soft_dipole_force` takes them.
 
     Returns
     -------
@@ -111,7 +123,9 @@ def dipole_fluid(
     Raises
     ------
     ValueError
-        If a number is out of its range or a unit does not fit.
+        If a number is out of its range, a unit does not fit, or an option is one of the other boundaries.
+    ModuleNotFoundError
+        If the compiled kernel is asked for and numba is not installed.
     """
     vector = _dipole_vector(dipole)
     if int(n) != n or n < 1:
@@ -123,6 +137,12 @@ def dipole_fluid(
         if not (np.isfinite(value) and value >= 0.0):
             raise ValueError(f"{name} must not be negative, not {value}")
     n = int(n)
+    edge = next(k for k in range(1, n + 1) if k**3 >= n)
+    box = _box(n, sigma, density, trap) if periodic else None
+    if box is not None:
+        spacing = box / edge
+    elif density is not None or cutoff is not None or switch is not None:
+        raise ValueError("density, cutoff and switch are for a periodic box: add periodic=True")
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
     arrow = 0.5 * sigma * (vector / strength)
@@ -131,19 +151,43 @@ def dipole_fluid(
     chain = topology.addChain()
     for _ in range(n):
         arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
-    system.addForce(soft_dipole_force(arrows, strength=strength, length=0.5 * sigma, sigma=sigma, epsilon=epsilon))
-
+    potential = soft_dipole_force(
+        arrows,
+        strength=strength,
+        length=0.5 * sigma,
+        sigma=sigma,
+        epsilon=epsilon,
+        box=None if box is None else (box, box, box),
+        cutoff=cutoff,
+        switch=switch,
+        dielectric=dielectric,
+        kernel=kernel,
+    )
+    system.addForce(potential)
+    if box is not None:
+        vectors = box * np.eye(3)
+        system.setDefaultPeriodicBoxVectors(*vectors)
+        topology.setPeriodicBoxVectors(vectors * unit.nanometer)
     if trap > 0.0:
         system.addForce(_harmonic_trap([centre for centre, _ in arrows], trap))
 
     rng = np.random.default_rng(seed)
-    edge = next(k for k in range(1, n + 1) if k**3 >= n)
     lattice = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] - 0.5 * (edge - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     Q = quaternions.rotation_matrix(quaternions.random(rng, n))
     shape = np.vstack([sites, np.zeros(3), arrow])
     positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
     return topology, system, unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
+
+
+def _box(n: int, sigma: float, density: float | None, trap: float) -> float:
+    """Return the edge of the cubic box of a liquid."""
+    density = 0.8 / sigma**3 if density is None else density
+    if not (np.isfinite(density) and density > 0.0):
+        raise ValueError(f"density must be positive, not {density}")
+    if trap > 0.0:
+        raise ValueError("a trap holds a droplet: a periodic liquid needs none")
+    return float((n / density) ** (1.0 / 3.0))
 
 
 def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternalForce:
@@ -189,21 +233,14 @@ def _add_molecule(
     return first + k, first + k + 1
 
 
-def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.LocalCoordinatesSite:
-    """Return a virtual site at a place given in the principal axes of the body."""
-    k = len(sites)
-    origin = np.full(k, 1.0 / k)
-    # The local frame: x from site 1 to site 2, y in the plane with site 3.
+def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
+    """Return a virtual site at a place given in the principal axes of the body.
+
+    OpenMM needs a third of the time of a LocalCoordinatesSite for it.
+    """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
-    x = to_second / np.linalg.norm(to_second)
-    z = np.cross(to_second, to_third)
-    z /= np.linalg.norm(z)
-    local = np.array([x, np.cross(z, x), z]) @ place
-    x_weights, y_weights = np.zeros(k), np.zeros(k)
-    x_weights[:2], y_weights[[0, 2]] = (-1.0, 1.0), (-1.0, 1.0)
-    return openmm.LocalCoordinatesSite(
-        particles, origin.tolist(), x_weights.tolist(), y_weights.tolist(), openmm.Vec3(*map(float, local))
-    )
+    frame = np.column_stack([to_second, to_third, np.cross(to_second, to_third)])
+    return openmm.OutOfPlaneSite(*particles[:3], *map(float, np.linalg.solve(frame, place - sites[0])))
 
 
 # Force field file, O-H distance in nm and H-O-H angle in degrees.

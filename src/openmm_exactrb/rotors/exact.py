@@ -23,8 +23,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb import kernels
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
-from openmm_exactrb.kernels import announced, available, require
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 
@@ -62,12 +62,10 @@ def compiled_rotor(inertia: Array) -> Flow:
 
     Raises
     ------
-    ImportError
+    ModuleNotFoundError
         If numba is not installed.
     """
-    require()
-    with announced("the exact rotor"):
-        from openmm_exactrb.rotors.compiled import advance
+    advance = kernels.load("rotors.compiled").advance
 
     def kernel(body: Array, q: Array, m: Array, t: Array) -> tuple[Array, Array]:
         q1, m1 = np.empty_like(q), np.empty_like(m)
@@ -79,7 +77,7 @@ def compiled_rotor(inertia: Array) -> Flow:
 
 def fastest_rotor(inertia: Array) -> Flow:
     """Return the exact flow, compiled where numba is installed."""
-    return (compiled_rotor if available() else rotor)(inertia)
+    return (compiled_rotor if kernels.available() else rotor)(inertia)
 
 
 def _in_any_order(inertia: Array, kernel: Kernel) -> Flow:

