@@ -53,9 +53,9 @@ class BodyState(NamedTuple):
     m: Array
 
     def finite(self) -> NDArray[np.bool_]:
-        """Tell which bodies have finite momenta, (N,)."""
-        fine = np.asarray(np.isfinite(self.P).all(axis=0))
-        fine[: self.m.shape[1]] &= np.isfinite(self.m).all(axis=0)
+        """Tell which bodies have momenta with finite squares, (N,)."""
+        fine = np.asarray(np.isfinite(self.P * self.P).all(axis=0))
+        fine[: self.m.shape[1]] &= np.isfinite(self.m * self.m).all(axis=0)
         return fine
 
 

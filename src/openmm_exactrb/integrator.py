@@ -15,6 +15,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
+from openmm_exactrb import vectors
 from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import move
 from openmm_exactrb.rotors import ROTORS, rotor
@@ -354,7 +355,8 @@ class _Coupling:
             self._forces = self.bodies.forces(state, self._particle_forces(state))
         force, torque = self._forces
         after = state._replace(P=state.P + tau * force, m=state.m + tau * torque)
-        if not np.isfinite(after.P.sum() + after.m.sum()):  # before OpenMM sees positions that are not numbers
+        # Squares, because finite momenta of 1e200 are as useless; before OpenMM sees positions that are not numbers.
+        if not np.isfinite(np.vdot(after.P, after.P) + np.vdot(after.m, after.m)):
             self.forget_forces()
             raise NonFiniteError(self._complaint(after))
         return after
@@ -364,11 +366,10 @@ class _Coupling:
         start = time.perf_counter()
         self.context.setPositions(x)
         self.context.computeVirtualSites()
-        forces = self.context.getState(forces=True, groups=self.groups).getForces(asNumpy=True)
+        forces = vectors.forces(self.context.getState(forces=True, groups=self.groups))
         self.timings.forces += time.perf_counter() - start
         self.timings.evaluations += 1
-        values: Array = forces._value
-        return values
+        return forces
 
     def _complaint(self, after: BodyState) -> str:
         bad = np.flatnonzero(~after.finite())
@@ -476,7 +477,7 @@ def _gas_constant_times(temperature: float | unit.Quantity) -> float:
 
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
     state = context.getState(positions=True, velocities=True)
-    return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+    return vectors.positions(state), vectors.velocities(state)
 
 
 def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:

@@ -14,7 +14,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb import kernels
+from openmm_exactrb import kernels, vectors
 
 # Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
 _COULOMB = 138.93545764438198
@@ -149,7 +149,7 @@ class SoftDipoles:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
         parameters = state.getParameters()
         energy, forces = kernels.load("pairs_compiled").soft_dipoles(
-            state.getPositions(asNumpy=True)._value,
+            vectors.positions(state),
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],
             self.truncation and self._in_box(state.getPeriodicBoxVectors(asNumpy=True)._value),
