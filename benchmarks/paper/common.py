@@ -1,4 +1,4 @@
-"""What the paper's figures share: work on both cores that resumes, a reference in extended precision, pictures, claims.
+"""What the paper's figures share: work on both cores that resumes, pictures, claims.
 
 Every script of this folder has `NAME`, `TITLE`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
 `claims(data)`, and hands itself to `main`. The full version keeps its data and pictures in docs/paper, the quick one in
@@ -135,60 +135,6 @@ def unit_attitudes(n):
     q = np.zeros((4, n))
     q[0] = 1.0
     return q
-
-
-def taylor(inertia, m, t, order=24, reach=0.4, dtype=np.longdouble):
-    """Return attitudes (4, n) and momenta (3, n) of free bodies at the time t, from attitudes (1, 0, 0, 0).
-
-    Taylor series of the given order in extended precision, 64 bits with numpy's longdouble: independent of all elliptic
-    functions. Steps are `reach` over the largest angular velocity of a body; bodies with equal numbers of steps go
-    together.
-    """
-    n = m.shape[1]
-    steps = np.ceil(t * np.linalg.norm(m, axis=0) / inertia.min(axis=0) / reach).astype(int)
-    steps = _rounded_up(np.maximum(8, steps))
-    q1, m1 = np.empty((4, n), dtype), np.empty((3, n), dtype)
-    for count in np.unique(steps):
-        for chosen in np.array_split(np.flatnonzero(steps == count), max(1, np.sum(steps == count) // 200)):
-            I, q, p = (
-                inertia[:, chosen].astype(dtype),
-                unit_attitudes(len(chosen)).astype(dtype),
-                m[:, chosen].astype(dtype),
-            )
-            h = dtype(t) / dtype(int(count))
-            for _ in range(count):
-                q, p = _taylor_step(I, q, p, h, order)
-            q1[:, chosen], m1[:, chosen] = q, p
-    return q1, m1
-
-
-def _rounded_up(steps):
-    """Round numbers of steps up to powers of sqrt(2), so that there are few different ones."""
-    return np.ceil(2.0 ** (np.ceil(2.0 * np.log2(steps)) / 2.0)).astype(int)
-
-
-def _taylor_step(I, q, m, h, order):
-    rate = np.array([(1 / I[2] - 1 / I[1]), (1 / I[0] - 1 / I[2]), (1 / I[1] - 1 / I[0])]) * h
-    half = 0.5 * h / I
-    M, Q = (np.empty((len(v), order + 1, v.shape[1]), v.dtype) for v in (m, q))  # coefficients times powers of h
-    M[:, 0], Q[:, 0] = m, q
-    for k in range(order):
-        now, back = slice(0, k + 1), slice(k, None, -1)
-
-        def product(u, v):
-            return (u[now] * v[back]).sum(axis=0)  # noqa: B023
-
-        (m0, m1, m2), (q0, q1, q2, q3) = M, Q
-        M[:, k + 1] = rate * [product(m1, m2), product(m2, m0), product(m0, m1)] / (k + 1)
-        w0, w1, w2 = ([half[i] * product(c, M[i]) for c in (q0, q1, q2, q3)] for i in range(3))
-        Q[:, k + 1] = [
-            -w0[1] - w1[2] - w2[3],
-            w0[0] + w2[2] - w1[3],
-            w1[0] - w2[1] + w0[3],
-            w2[0] + w1[1] - w0[2],
-        ]
-        Q[:, k + 1] /= k + 1
-    return Q.sum(axis=1), M.sum(axis=1)
 
 
 def matrix(q):

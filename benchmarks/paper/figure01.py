@@ -10,6 +10,7 @@ import warnings
 import common
 import matplotlib.pyplot as plt
 import numpy as np
+from reference import taylor
 
 from openmm_exactrb.rotors import NotConvergedWarning, rotor
 
@@ -47,7 +48,7 @@ def compute(quick):
     n = 100
     numbers = np.unique(np.round(np.geomspace(29, 714, 5 if quick else 20)).astype(int))
     inertia, m = common.random_bodies(np.random.default_rng(1), n)
-    reference, _ = common.taylor(inertia, m, T)
+    reference, _ = taylor(inertia, m, T)
     many = np.tile(inertia, 10), np.tile(m, 10), common.unit_attitudes(10 * n)
     data = {"h": T / numbers, "methods": {}}
     with warnings.catch_warnings():

@@ -2,7 +2,7 @@
 
 They tell for which bodies each method is good: the exact ones, their approximations by Gauss's rule of order 6, 8 and
 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference is a Taylor series in
-extended precision; the paper took Matlab's ode45 at its tolerance.
+double-double precision; the paper took Matlab's ode45 at its tolerance.
 """
 
 import sys
@@ -11,6 +11,7 @@ import warnings
 import common
 import matplotlib.pyplot as plt
 import numpy as np
+from reference import taylor
 
 from openmm_exactrb.rotors import NotConvergedWarning, rotor
 
@@ -50,7 +51,7 @@ def digits(quick, row):
     """Return the mean digits at each point of a row and the number of failures, by step and method."""
     inertia, m = bodies(quick, row)
     momenta = grid(quick)[2]
-    reference, _ = common.taylor(inertia, m, T)
+    reference, _ = taylor(inertia, m, T)
     result = {}
     for h in STEPS:
         for method in dict.fromkeys(method for step, methods in FIGURES.values() if step == h for method in methods):
