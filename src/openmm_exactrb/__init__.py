@@ -6,6 +6,7 @@ from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS, free_rotor
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
+from openmm_exactrb.tuning import tune
 
 __all__ = [
     "ROTORS",
@@ -18,4 +19,5 @@ __all__ = [
     "free_rotor",
     "rigid_water",
     "soft_dipole_force",
+    "tune",
 ]
