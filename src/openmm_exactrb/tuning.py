@@ -29,12 +29,13 @@ CANDIDATES = ("V2", "S2_2", "S2_3", "S2_4", "W2_6", "SRKN4_6b", "SRKN6_11b", "SR
 # the survey, and the length of the run for which errors are promised.
 _COARSE, _SURVEY, _HORIZON = 0.4, 100.0, 1000.0
 #: The recommended setting is run this much longer than those of the survey.
-_CONFIRM = 3.0
+_CONFIRM = 5.0
 _RATIO = 2.0**0.5
 _TIMED_AT = 0.1
 _UNCERTAIN = 4  # stable points of a method before it may be given up
 _SEARCHED = 8  # levels on either side of _COARSE where a scheme may become unstable
-_OKABE_ITO = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#000000", "#999999")
+# Of Okabe and Ito, and of Tol: told apart by colour-blind readers, with markers beside.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#999999", "#882255")
 _MARKERS = "so^vDPX*"
 
 
@@ -304,7 +305,7 @@ class Tuning:
             raise ModuleNotFoundError(
                 "the picture needs matplotlib: install it, or openmm-exactrb[plot]", name="matplotlib"
             ) from None
-        figure = Figure(figsize=(7.5, 5.0), layout="constrained")
+        figure = Figure(figsize=(8.5, 5.0), layout="constrained")
         FigureCanvasAgg(figure)
         self._plot(figure.add_subplot())
         figure.savefig(file, dpi=150)
@@ -316,8 +317,8 @@ class Tuning:
             style = {"color": "black", "ls": "--", "marker": "o"}
             if method != VERLET:
                 style = {
-                    "color": _OKABE_ITO[ours % len(_OKABE_ITO)],
-                    "ls": ("-", ":")[ours // len(_OKABE_ITO) % 2],
+                    "color": _COLOURS[ours % len(_COLOURS)],
+                    "ls": ("-", ":")[ours // len(_COLOURS) % 2],
                     "marker": _MARKERS[ours % len(_MARKERS)],
                 }
                 ours += 1
@@ -336,7 +337,10 @@ class Tuning:
         axes.set_ylabel(f"std of total energy over {self.horizon:.3g} ps (kJ/mol per body)")
         axes.set_title(f"{self.n_bodies} bodies, {self.platform} platform")
         axes.grid(True, which="both", alpha=0.2)
-        axes.legend(fontsize=8, ncols=2)
+        for kind in ("major", "minor"):
+            getattr(axes.xaxis, f"set_{kind}_formatter")("{x:.3g}")
+        axes.tick_params(axis="x", which="minor", labelsize=8)
+        axes.figure.legend(loc="outside right upper", fontsize=8)
 
     # -- within -------------------------------------------------------------------------------------------------
 
@@ -404,17 +408,14 @@ class Tuning:
         if VERLET not in self.seconds or not self._curve(VERLET):
             return []
         try:
-            theirs = self.cheapest(chosen.error, VERLET)
-        except UnreachableError:
+            cost, about = self.cheapest(chosen.error, VERLET).cost, ""
+        except UnreachableError:  # carry its order 2 on
             last = self._curve(VERLET)[-1]
-            factor = last.error / chosen.error
-            return [f"{VERLET}: {factor:.2g} times that error at {last.cost / chosen.cost:.2g} times the cost"]
-        ratio = theirs.cost / chosen.cost
+            cost, about = last.cost * (last.error / chosen.error) ** 0.5, "about "
+        ratio, step = cost / chosen.cost, 1e3 * self.seconds[VERLET] / cost
         if ratio < 1.0:
-            return [
-                f"{VERLET} is cheaper here: the same error at {ratio:.2g} times the cost, {1e3 * theirs.step:.3g} fs"
-            ]
-        return [f"{VERLET} needs {ratio:.2g} times the cost for the same error ({1e3 * theirs.step:.3g} fs)"]
+            return [f"{VERLET} is cheaper here: the same error at {about}{ratio:.2g} times the cost ({step:.3g} fs)"]
+        return [f"{VERLET} needs {about}{ratio:.2g} times the cost for the same error ({step:.3g} fs)"]
 
 
 def stable_curve(points: Sequence[Point]) -> list[Point]:
@@ -594,14 +595,15 @@ class _Search:
     def _approach(self, name: str, cost: float) -> None:
         """Run a method longer at a cost, and at higher ones until it holds the target or is no longer the best."""
         assert self.target is not None
-        for _ in range(4):
+        slope = max(self._slope(name), float(self._order(name)))
+        for _ in range(5):
             if self.chosen is not None and cost > 0.98 * self.chosen.cost:
                 return
             point = self.measure(name, self.seconds[name] / cost, _CONFIRM * self.duration)
             if point.error <= self.target:
                 self.chosen = point
                 return
-            cost *= min(max((point.error / self.target) ** (1.0 / self._order(name)), 1.03), _RATIO)
+            cost *= min(max(1.02 * (point.error / self.target) ** (1.0 / slope), 1.03), _RATIO)
 
 
 # -- what a user calls ------------------------------------------------------------------------------------------
@@ -628,7 +630,7 @@ def tune(
     The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
     body (rigid bodies, and particles beside them), within an NVE run as long as the horizon: ten times the runs of the
     survey. These run `duration`; how their variance grows from 1/8 of a run to all of it tells how it goes on, and the
-    recommended setting is run three times longer. Short swings alone would not do: near hard cores the energy of
+    recommended setting is run five times longer. Short swings alone would not do: near hard cores the energy of
     high-order schemes wanders as a random walk does, and their advantage is lost in longer runs.
 
     Parameters
