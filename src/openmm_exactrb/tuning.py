@@ -630,7 +630,8 @@ def tune(
     The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
     body (rigid bodies, and particles beside them), within an NVE run as long as the horizon: ten times the runs of the
     survey. These run `duration`; how their variance grows from 1/8 of a run to all of it tells how it goes on, and the
-    recommended setting is run five times longer. Short swings alone would not do: near hard cores the energy of
+    recommended setting is run five times longer. A wandering energy is known badly from one run, so that its error is
+    raised by up to a half. Short swings alone would not do: near hard cores the energy of
     high-order schemes wanders as a random walk does, and their advantage is lost in longer runs.
 
     Parameters
