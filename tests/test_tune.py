@@ -213,6 +213,13 @@ def test_the_floor_of_single_precision_is_named(droplet):
         result.best()
 
 
+def test_a_loose_target_gets_the_largest_steps(droplet):
+    result = rb.tune(*droplet, target=0.5, schemes=["V2", "S2_3"], platform="Reference", duration=0.4)
+    choice = result.best()
+    assert choice.error <= 0.5
+    assert choice.step > 0.7 * result.largest_stable_step(choice.method)
+
+
 # -- what a user has at hand ------------------------------------------------------------------------------------
 
 

@@ -321,7 +321,7 @@ class Bench:
         return Series(np.array(energies), every * step, True)
 
     def seconds_per_evaluation(
-        self, methods: Sequence[str | Scheme], interval: float, repeats: int = 5, evaluations: int = 28
+        self, methods: Sequence[str | Scheme], interval: float, repeats: int = 7, evaluations: int = 28
     ) -> list[float]:
         """Time a force evaluation within `step`, with all that the integrator does beside it.
 
