@@ -285,6 +285,16 @@ def test_a_wrong_value_is_one_clear_error(droplet, options, message):
         rb.tune(**({"system": system, "start": state, "platform": "Reference"} | options))
 
 
+def test_a_state_without_positions_is_refused(droplet):
+    system, state = droplet
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    with pytest.raises(ValueError, match="the State has no positions"):
+        rb.tune(system, context.getState(energy=True))
+    context.setPositions(state.getPositions())
+    with pytest.raises(ValueError, match="all velocities of the start are zero"):
+        rb.tune(system, context.getState(positions=True), platform="Reference")
+
+
 def test_the_default_schemes_are_of_the_catalogue():
     assert set(tuning.CANDIDATES) <= set(rb.SCHEMES)
 

@@ -338,8 +338,8 @@ class Tuning:
             at = self.chosen.cost, self.chosen.error
             label = f"chosen: {self.chosen.method}, {1e3 * self.chosen.step:.3g} fs"
             axes.loglog(*at, "o", ms=14, mfc="none", mec="black", mew=1.5, ls="", label=label)
-        values = [p.error for name in self.seconds for p in self._curve(name)] + [self.target or math.inf]
-        axes.set_ylim(bottom=0.4 * min(values))
+        errors = [p.error for name in self.seconds for p in self._curve(name)]
+        axes.set_ylim(bottom=0.4 * min([*errors, self.target or math.inf], default=1.0))
         axes.set_xlabel("wall time (s per ps)")
         axes.set_ylabel(f"std of total energy over {self.horizon:.3g} ps (kJ/mol per body)")
         axes.set_title(f"{self.n_bodies} bodies, {self.platform} platform")
@@ -774,8 +774,9 @@ def _start(
     if velocities is not None:
         v = _coordinates(velocities, system, unit.nanometer / unit.picosecond, "velocities")
     notes = [f"{', '.join(left_out)} of the System left out of the measurements"] if left_out else []
-    known = set(openmm.Context(twin, openmm.VerletIntegrator(0.001), _named("Reference")).getParameters())
-    parameters = {name: value for name, value in parameters.items() if name in known}
+    if parameters:  # not those of the forces left out
+        known = openmm.Context(twin, openmm.VerletIntegrator(0.001), _named("Reference")).getParameters()
+        parameters = {name: value for name, value in parameters.items() if name in known}
     named = _fastest() if platform is None else platform
     named = named if isinstance(named, str) else named.getName()
     _named(named)
