@@ -580,9 +580,9 @@ class _Search:
     def _find_floor(self) -> None:
         names = [name for name in self._ours() if self._flat(name)]
         least = min((p.error for name in self._ours() for p in self.curve(name)), default=math.inf)
-        at_floor = [self.curve(name)[-1].error for name in names if self.curve(name)[-1].error < 2.0 * least]
+        at_floor = [name for name in names if self.curve(name)[-1].error < 2.0 * least]
         if len(at_floor) >= min(2, len(self._ours())):
-            self.floor = min(at_floor)
+            self.floor = least
 
     def _confirm(self) -> bool:
         """Run the cheapest settings near the target longer, and choose the cheapest that holds it."""
