@@ -7,6 +7,7 @@ from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run, written_whole
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
+from openmm_exactrb.tuning import tune
 
 __all__ = [
     "ROTORS",
@@ -21,5 +22,6 @@ __all__ = [
     "free_rotor",
     "rigid_water",
     "soft_dipole_force",
+    "tune",
     "written_whole",
 ]
