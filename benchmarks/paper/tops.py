@@ -60,7 +60,7 @@ def errors(name, method, h, tops, T):
 
 
 def compute(quick):
-    tops, T = (4, 200.0) if quick else (TOPS, 2000.0)
+    tops, T = (2, 40.0) if quick else (TOPS, 2000.0)
     lines = [(name, "exact") for name in PAPER + OURS] + [(name, "mclachlan_reich") for name in PAPER]
     pieces = [{"name": name, "method": method, "h": h, "tops": tops, "T": T} for h in H for name, method in lines]
     data = {"h": H, "lines": {}}
