@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: run test lint validate benchmarks clean
+.PHONY: run test lint validate benchmarks paper clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --overwrite $(ARGS)
@@ -26,6 +26,11 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
+	$(BIN)/python benchmarks/dipole_cost.py
+	$(BIN)/python benchmarks/dipole_precision.py
+
+paper: $(VENV)/.test
+	$(BIN)/python benchmarks/paper/report.py $(ARGS)
 
 clean:
 	rm -rf $(VENV) out
