@@ -40,6 +40,8 @@ __all__ = ["Outcome", "Recipe", "as_completed", "energies", "run", "sweep"]
 _PATIENCE = 20.0
 # What makes the forces of a platform the same numbers at every run.
 _DETERMINISTIC = {"CPU": {"Threads": "1", "DeterministicForces": "true"}}
+# All that is known of a recipe whose workers died; what its function raises is reported by `_perform`.
+_DEADLY = {"error": "KilledWorker: every process that began it died, by a crash, for memory, or by somebody's hand"}
 _SERIALISABLE = (openmm.System, openmm.State, openmm.Force, openmm.Integrator)
 
 
@@ -187,7 +189,8 @@ def as_completed(
     """Carry out recipes and hand over their outcomes as they come, those on disk first.
 
     A recipe whose function raises is reported with its error and not tried again by this call; a later call tries it
-    once more. The recipes of a worker process that dies are started again on another one, up to four times each.
+    once more. The recipes of a worker process that dies are started again on another one; one that goes on killing its
+    workers is reported too, in the end.
     Leaving the iterator early stops what is running.
 
     Parameters
@@ -350,26 +353,33 @@ def _outcomes(
 
 def _computed(client: Any, recipes: list[Recipe]) -> Iterator[Outcome]:
     """Send recipes to the workers and yield outcomes as they come."""
+    suspects = []
+    for recipe, future in _done(client, recipes):
+        if future.status == "error":
+            suspects.append(recipe)
+        else:
+            yield Outcome(recipe, **future.result())
+    # The scheduler gave these up, since several workers died that held them. They may have waited there while another
+    # one killed the worker: each has its last chance alone.
+    for suspect in suspects:
+        for recipe, future in _done(client, [suspect]):
+            yield Outcome(recipe, **(_DEADLY if future.status == "error" else future.result()))
+
+
+def _done(client: Any, recipes: list[Recipe]) -> Iterator[tuple[Recipe, Any]]:
+    """Send recipes to the workers and yield futures as they come."""
     call = uuid.uuid4().hex  # another call on the same scheduler may hold futures of the same recipes
     keys = [f"exactrb-{recipe.key}-{call}" for recipe in recipes]
     futures = client.map(_perform, recipes, [_version()] * len(recipes), key=keys, pure=False)
     recipe_of = dict(zip(keys, recipes, strict=True))
     try:
-        for future in _distributed().as_completed(futures):
+        for future in _distributed().as_completed(futures, loop=client.loop):
             if future.status not in ("finished", "error"):
                 raise ConnectionError("the scheduler has gone: what is finished is kept, the same call goes on there")
-            yield _received(recipe_of[future.key], future)
+            yield recipe_of[future.key], future
             future.release()
     finally:
         client.cancel([future for future in futures if not future.done()])
-
-
-def _received(recipe: Recipe, future: Any) -> Outcome:
-    """Return the outcome that a future holds."""
-    error = future.exception()  # not of the function, whose errors are reported: of the workers that died at it
-    if error is not None:
-        return Outcome(recipe, error=f"{type(error).__name__}: {error}")
-    return Outcome(recipe, **future.result())
 
 
 def _perform(recipe: Recipe, wanted: str) -> dict[str, Any]:
@@ -390,8 +400,9 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
     distributed = _distributed()
     if scheduler is None:
         with (
+            _patient(),
             distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
+                n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.ERROR
             ) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
@@ -403,6 +414,17 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise ConnectionError(f"no dask scheduler answers at {scheduler!r}: {error}") from error
     with client:
         yield client
+
+
+def _patient() -> Any:
+    """Have a LocalCluster wait for its workers to come back, however long.
+
+    It dismisses, for good, one that is away at the moment when an earlier death of it is 15 s old, even if it is just
+    starting again; the last one dismissed would leave the ensemble waiting for ever.
+    """
+    import dask
+
+    return dask.config.set({"distributed.deploy.lost-worker-timeout": "7 days"})
 
 
 @contextmanager
