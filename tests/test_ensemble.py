@@ -1,5 +1,6 @@
 """Ensembles: the same numbers however they are run, whatever dies, and wherever they were stopped."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -167,8 +168,16 @@ def unkeepable():
     return {"object": object()}
 
 
+def test_function_that_workers_cannot_import(tmp_path, scheduler, monkeypatch):
+    (tmp_path / "only_here.py").write_text("def one():\n    return 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    recipe = Recipe(importlib.import_module("only_here").one)
+    (outcome,) = ensemble.run([recipe], tmp_path / "kept", scheduler=scheduler, progress=False)
+    assert "No module named 'only_here'" in outcome.error
+
+
 def test_worker_of_another_version_does_not_compute():
-    report = ensemble._perform(Recipe(square, x=2), "0.0")
+    report = ensemble._perform(ensemble._packed(Recipe(square, x=2)), "0.0")
     assert "the recipes come from 0.0" in report["error"]
 
 

@@ -13,6 +13,7 @@ import inspect
 import json
 import logging
 import os
+import pickle
 import sys
 import time
 import traceback
@@ -354,40 +355,63 @@ def _outcomes(
 def _computed(client: Any, recipes: list[Recipe]) -> Iterator[Outcome]:
     """Send recipes to the workers and yield outcomes as they come."""
     suspects = []
-    for recipe, future in _done(client, recipes):
-        if future.status == "error":
+    for recipe, fields in _done(client, recipes):
+        if fields is _DEADLY:
             suspects.append(recipe)
         else:
-            yield Outcome(recipe, **future.result())
+            yield Outcome(recipe, **fields)
     # The scheduler gave these up, since several workers died that held them. They may have waited there while another
     # one killed the worker: each has its last chance alone.
     for suspect in suspects:
-        for recipe, future in _done(client, [suspect]):
-            yield Outcome(recipe, **(_DEADLY if future.status == "error" else future.result()))
+        for recipe, fields in _done(client, [suspect]):
+            yield Outcome(recipe, **fields)
 
 
-def _done(client: Any, recipes: list[Recipe]) -> Iterator[tuple[Recipe, Any]]:
-    """Send recipes to the workers and yield futures as they come."""
+def _done(client: Any, recipes: list[Recipe]) -> Iterator[tuple[Recipe, dict[str, Any]]]:
+    """Send recipes to the workers and yield the fields of their outcomes as they come."""
     call = uuid.uuid4().hex  # another call on the same scheduler may hold futures of the same recipes
     keys = [f"exactrb-{recipe.key}-{call}" for recipe in recipes]
-    futures = client.map(_perform, recipes, [_version()] * len(recipes), key=keys, pure=False)
+    parcels = [_packed(recipe) for recipe in recipes]
+    futures = client.map(_perform, parcels, [_version()] * len(recipes), key=keys, pure=False)
     recipe_of = dict(zip(keys, recipes, strict=True))
     try:
         for future in _distributed().as_completed(futures, loop=client.loop):
-            if future.status not in ("finished", "error"):
-                raise ConnectionError("the scheduler has gone: what is finished is kept, the same call goes on there")
-            yield recipe_of[future.key], future
+            yield recipe_of[future.key], _received(future)
             future.release()
     finally:
         client.cancel([future for future in futures if not future.done()])
 
 
-def _perform(recipe: Recipe, wanted: str) -> dict[str, Any]:
+def _received(future: Any) -> dict[str, Any]:
+    """Return the fields of an outcome; wait, if it was lost with its worker and is computed anew."""
+    distributed = _distributed()
+    try:
+        fields: dict[str, Any] = future.result()
+    except distributed.CancelledError as error:
+        raise ConnectionError(
+            "the scheduler has gone: what is finished is kept, the same call goes on there"
+        ) from error
+    except distributed.KilledWorker:
+        return _DEADLY
+    except Exception as error:  # what the function raises, `_perform` reports; this is dask's own
+        return {"error": f"{type(error).__name__}: {error}"}
+    return fields
+
+
+def _packed(recipe: Recipe) -> bytes:
+    """Pickle a recipe; only `_perform` unpacks it, since a worker that cannot import its module would hang."""
+    import cloudpickle
+
+    return bytes(cloudpickle.dumps(recipe))
+
+
+def _perform(parcel: bytes, wanted: str) -> dict[str, Any]:
     """Call the function of a recipe, on a worker; return the fields of its Outcome."""
     began = time.perf_counter()
     try:
         if _version() != wanted:
             raise RuntimeError(f"this worker has openmm-exactrb {_version()}, the recipes come from {wanted}")
+        recipe = pickle.loads(parcel)
         report = {"result": _plain(recipe.function(**recipe.arguments))}
     except (Exception, SystemExit) as error:
         report = {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}
