@@ -1,25 +1,26 @@
 """Energy error against wall time for 125 soft dipoles: our schemes, V2 with McLachlan-Reich, and LAMMPS.
 
-It answers who is fastest at which error. All integrate the same System from the same start at rest over T = 5: a droplet
-of spheres with one moment of inertia, because LAMMPS's fix nve/sphere knows no other. LAMMPS has no pure (σ/r)^12, so
-its energies come from pair_style hybrid/overlay of dipoles and a Mie potential whose attraction is a constant; its time is
-that of plain lj/cut/dipole/cut, which it computes faster. Times are the seconds of an evaluation, the least of several
-rounds in turns, times the evaluations of the run. Raw data go to out/benchmarks/dipole_precision.json, the picture to
-docs/dipole_precision.png.
+It answers who is fastest at which error. All integrate the same System from the same start at rest over T = 5: a
+droplet of spheres with one moment of inertia, because LAMMPS's fix nve/sphere knows no other. LAMMPS has no pure
+(σ/r)^12, so its energies come from pair_style hybrid/overlay of dipoles and a Mie potential whose attraction is a
+constant; its time is that of plain lj/cut/dipole/cut, which it computes faster. Times are the seconds of an
+evaluation, the least of several rounds in turns, times the evaluations of the run. Raw data go to
+out/benchmarks/dipole_precision.json, the picture to docs/dipole_precision.png.
 """
 
 from __future__ import annotations
 
 import json
 import time
+from itertools import pairwise
 from pathlib import Path
 
-import dipole_cost
 import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import unit
 
+import dipole_cost
 import openmm_exactrb as rb
 
 mpl.use("Agg")
@@ -109,7 +110,7 @@ def seconds():
     """Return the seconds of a force evaluation by contender, the least of rounds in turns."""
     runs = {}
     for scheme, rotor in [*((s, "exact") for s in OURS), ("V2", "mclachlan_reich")]:
-        topology, system, positions = start()
+        _, system, positions = start()
         integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, rotor=rotor)
         context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
         context.setPositions(positions)
@@ -156,7 +157,7 @@ def main():
 def time_for(target, points, cost):
     """Return the least seconds for an error, between the measured points of falling error; nan out of range."""
     fine = [(n, e) for n, e in points if 0.0 < e < 0.3]
-    for (n0, e0), (n1, e1) in zip(fine, fine[1:], strict=False):
+    for (n0, e0), (n1, e1) in pairwise(fine):
         if e0 >= target >= e1 and e0 > e1:
             part = np.log(e0 / target) / np.log(e0 / e1)
             return cost * n0 * (n1 / n0) ** part

@@ -93,11 +93,14 @@ def main(script):
     run(script, parser.parse_args().quick)
 
 
-def run(script, quick):
-    """Compute, keep the data, draw, and print the table and the claims of one script; return its data."""
-    folder = FOLDERS[quick]
+def run(script, quick, own=False, **options):
+    """Compute, keep the data, draw, and print the table and the claims of one script; return its data.
+
+    The full version goes to docs/paper; the quick one, and one with a user's own options, to out/paper/quick.
+    """
+    folder = FOLDERS[quick or own]
     (folder / "data").mkdir(parents=True, exist_ok=True)
-    data = _plain(script.compute(quick))
+    data = _plain(script.compute(quick, **options))
     (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, indent=1) + "\n")
     for name, figure in script.draw(data):
         figure.savefig(folder / f"{name}.png", dpi=110)

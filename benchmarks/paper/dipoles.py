@@ -119,7 +119,7 @@ def draw(data):
 def slope(line, last=3):
     """Return the order over the last points above roundoff."""
     points = [(p["evaluations"], p["error"]) for p in line if 9e-13 < p["error"] < 1e-2][-last:]
-    if len(points) < 2:
+    if len({n for n, _ in points}) < 2:
         return float("nan")
     x, y = np.log(np.array(points)).T
     return float(-np.polyfit(x, y, 1)[0])

@@ -1,5 +1,6 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
+from openmm_exactrb import ensemble
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter
@@ -19,6 +20,7 @@ __all__ = [
     "Run",
     "dipole_fluid",
     "dipole_strength",
+    "ensemble",
     "free_rotor",
     "rigid_water",
     "soft_dipole_force",
