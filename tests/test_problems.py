@@ -5,7 +5,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb import quaternions
-from openmm_exactrb.problems import HeavyTop, Satellite, energy, integrate
+from openmm_exactrb.problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
 
 
 @pytest.fixture(params=["top", "satellite"])
@@ -41,9 +41,7 @@ def test_torque_is_minus_the_derivative_of_the_potential(problem, rng, gradient)
 
 
 def test_the_satellite_has_the_papers_energy_and_error():
-    satellite = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
-    m = satellite.inertia * np.array([[15.0], [-15.0], [15.0]])
-    state = np.array([[1.0], [0.0], [0.0], [0.0]]), m
+    satellite, state = Satellite.paper()
     start = energy(satellite, state)[0]
     assert abs(start - 1.21595664e7) < 1.0
     worst = 0.0
@@ -51,3 +49,16 @@ def test_the_satellite_has_the_papers_energy_and_error():
         state = integrate(satellite, state, 0.1, 10, rb.SCHEMES["SRKN6_14a"])
         worst = max(worst, abs(energy(satellite, state)[0] / start - 1.0))
     assert 1e-9 < worst < 2e-7
+
+
+@pytest.mark.parametrize("epsilon", [1e-3, 1e-6])
+@pytest.mark.parametrize("power", [2, 1, 0, -1, -2])
+def test_random_tops_start_as_the_paper_says(rng, epsilon, power):
+    top, (q, m) = HeavyTop.random(rng, epsilon, epsilon**power, 50)
+    np.testing.assert_allclose(kinetic_energy(top.inertia, m), epsilon**power, rtol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(top.direction, axis=0), 1.0, rtol=1e-15)
+    assert (top.inertia[0] == 1.0).all()
+    assert (np.diff(top.inertia, axis=0) > 0.0).all()
+    assert (top.inertia[2] < top.inertia[0] + top.inertia[1]).all()
+    assert (q == [[1.0], [0.0], [0.0], [0.0]]).all()
+    assert (np.abs(top.potential(q)) <= epsilon).all()

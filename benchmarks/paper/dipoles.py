@@ -93,7 +93,10 @@ def compute(quick):
 
 
 def draw(data):
-    for number, title in ((16, "100 dipoles at 100 randn, at rest, T = 1"), (18, "125 dipoles on a lattice, T = 10")):
+    for number, title in (
+        (16, "100 dipoles at 100 randn, at rest, T = 1"),
+        (18, "125 dipoles on a lattice, T = 10 (errors above 10 drawn at 10)"),
+    ):
         figure, axis = plt.subplots(figsize=(7.0, 5.0), layout="constrained")
         for key, line in data[str(number)].items():
             name, method, *spacing = key.split()

@@ -32,9 +32,7 @@ DRAWN = {14: LINES[0], 15: LINES[1]}
 
 def run(name, method, h, T):
     """Return times, the axis Q^T e3 and the relative error of the energy along a run."""
-    satellite = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
-    m = satellite.inertia * np.array([[15.0], [-15.0], [15.0]])
-    state = np.array([[1.0], [0.0], [0.0], [0.0]]), m
+    satellite, state = Satellite.paper()
     start = energy(satellite, state)[0]
     every = max(1, round(0.4 / h))
     times, axes, errors = [0.0], [matrix(state[0])[2, :, 0]], [0.0]

@@ -98,6 +98,8 @@ def draw(data):
             axis.axhline(epsilon, color="0.6", lw=0.8)
             axis.set_title(f"$T_0$ = {ENERGIES[j]}")
             axis.set_xlabel("force evaluations per unit of time")
+            axis.set_xticks([1.25, 2.5, 5, 10, 20], ["1.25", "2.5", "5", "10", "20"])
+            axis.minorticks_off()
             axis.set_ylabel("largest relative energy error, mean of 20")
             axis.grid(True, alpha=0.3)
         axes.ravel()[5].axis("off")

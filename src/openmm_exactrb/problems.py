@@ -157,6 +157,13 @@ class Satellite:
     gravity: float = 3.986e14
     radius: float = 1.5e5
 
+    @classmethod
+    def paper(cls) -> tuple[Satellite, State]:
+        """Return the satellite of section 3.3.2 and its state at the start."""
+        satellite = cls(np.array([[1.7e4], [3.7e4], [5.4e4]]))
+        omega = np.array([[15.0], [-15.0], [15.0]])
+        return satellite, (np.array([[1.0], [0.0], [0.0], [0.0]]), satellite.inertia * omega)
+
     @property
     def strength(self) -> float:
         """The factor 3 mu/r³."""
