@@ -101,7 +101,7 @@ def run(script, quick, own=False, **options):
     folder = FOLDERS[quick or own]
     (folder / "data").mkdir(parents=True, exist_ok=True)
     data = _plain(script.compute(quick, **options))
-    (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, indent=1) + "\n")
+    (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, separators=(",", ":")) + "\n")
     for name, figure in script.draw(data):
         figure.savefig(folder / f"{name}.png", dpi=110)
         plt.close(figure)
