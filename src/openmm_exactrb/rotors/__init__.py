@@ -17,8 +17,9 @@ from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, 
 from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
 from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
+from openmm_exactrb.sums import exactly
 
-__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor"]
+__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor", "rotor_of_sums"]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Rotor:
         Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
     largest_angle : float
         Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
+    sums : bool
+        Whether the flow takes sums high + low of `openmm_exactrb.sums` too, and then rounds next to nothing.
     """
 
     name: str
@@ -45,6 +48,7 @@ class Rotor:
     reference: str
     keeps_energy: bool = True
     largest_angle: float = math.inf
+    sums: bool = False
 
 
 def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
@@ -60,9 +64,9 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.fastest_rotor, _PAPER),
-            Rotor("exact_numpy", None, exact.rotor, _PAPER),
-            Rotor("exact_compiled", None, exact.compiled_rotor, _PAPER),
+            Rotor("exact", None, exact.fastest_rotor, _PAPER, sums=True),
+            Rotor("exact_numpy", None, exact.rotor, _PAPER, sums=True),
+            Rotor("exact_compiled", None, exact.compiled_rotor, _PAPER, sums=True),
             Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
@@ -116,6 +120,22 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
     return ROTORS[name].factory(np.ascontiguousarray(np.atleast_2d(moments).T))
+
+
+def rotor_of_sums(name: str, inertia: ArrayLike) -> Flow:
+    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
+
+    Parameters and errors are those of `rotor`. Flows without `Rotor.sums` round what they return to the high part.
+    """
+    flow = rotor(name, inertia)
+    if ROTORS[name].sums:
+        return flow
+
+    def rounding(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        q1, m1 = flow(q[0], m[0], t)
+        return exactly(q1), exactly(m1)
+
+    return rounding
 
 
 def free_rotor(
