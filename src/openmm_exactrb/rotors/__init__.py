@@ -22,6 +22,12 @@ from openmm_exactrb.sums import exactly
 __all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor", "rotor_of_sums"]
 
 
+#: The smallest moment whose reciprocal is a number.
+SMALLEST_MOMENT = 1e-307
+#: The largest ratio of the moments of a body: beyond it formulas lose the smallest one.
+WIDEST = 1e15
+
+
 @dataclass(frozen=True)
 class Rotor:
     """A way to advance free rigid bodies.
@@ -110,7 +116,12 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are not positive and finite or not of this shape.
+        If there is no such rotor, or moments are not positive and finite, not of this shape, below `SMALLEST_MOMENT` or
+        further apart than `WIDEST`.
+
+    Notes
+    -----
+    I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
     """
     if name not in ROTORS:
         raise ValueError(f"unknown rotor {name!r}: choose one of {', '.join(ROTORS)}")
@@ -119,6 +130,12 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
+    least, largest = moments.min(axis=-1), moments.max(axis=-1)
+    if (least < SMALLEST_MOMENT).any() or (largest > WIDEST * least).any():
+        raise ValueError(
+            f"inertia must not be below {SMALLEST_MOMENT:g}, nor the moments of a body differ by more than a factor "
+            f"{WIDEST:g}: use other units, or treat the body as linear"
+        )
     return ROTORS[name].factory(np.ascontiguousarray(np.atleast_2d(moments).T))
 
 

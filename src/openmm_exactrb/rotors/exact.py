@@ -36,8 +36,8 @@ from openmm_exactrb.sums import add, exactly
 SHORT = 0.3
 # Where the squares of a momentum are safe from over- and underflow.
 SAFE = (1e-70, 1e70)
-# Where the fourth powers of the components of a unit vector vanish.
-VANISHING = 1e-60
+# Where the eighth powers of the components of a unit vector vanish.
+VANISHING = 1e-36
 # Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
 ON_SEPARATRIX = 1e-30
 
