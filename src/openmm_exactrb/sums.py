@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 def exactly(x: Array) -> Array:
     """Return the sum (2, ...) of an array and nothing."""
-    return np.stack([x, np.zeros_like(x)])
+    return np.array([x, np.zeros(x.shape)])
 
 
 def add(x: Array, step: Array) -> Array:
@@ -25,7 +25,7 @@ def add(x: Array, step: Array) -> Array:
 
     The rounding of the high part is computed exactly: D. E. Knuth, The Art of Computer Programming 2, 4.2.2, theorem B.
     """
-    total = np.empty_like(x)
+    total = np.empty(x.shape)
     if len(x) == 1:
         np.add(x[0], step, out=total[0])
         return total
@@ -40,14 +40,14 @@ def advance(x: Array, rate: Array, t: float) -> Array:
     """Return x + t rate for a sum x (2, k, N) and rates (k, N)."""
     if not kernels.available():
         return add(x, t * rate)
-    total = np.empty_like(x)
-    _compiled()(x, rate, t, total)
+    total = np.empty(x.shape)
+    _compiled()(*map(np.ascontiguousarray, (x, rate)), t, total)
     return total
 
 
 def renewed(x: Array, high: Array) -> Array:
     """Return the sum with a new high part; the low part stays where the high part is what it was."""
-    return np.stack([high, np.where(high == x[0], x[1], 0.0)])
+    return np.array([high, np.where(high == x[0], x[1], 0.0)])
 
 
 @cache
