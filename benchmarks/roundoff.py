@@ -5,9 +5,9 @@
 2. An isolated cluster of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
    VerletIntegrator with SETTLE from the same starts, with a step six times as long.
 
-Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. --draw makes
-docs/roundoff.csv, the root mean squares over the starts, and docs/roundoff.png of them. --quick makes a hundredth of the
-steps, in a folder of its own.
+Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. Root mean
+squares over the starts go to docs/roundoff.csv and docs/roundoff.png. --quick makes a hundredth of the steps, in a
+folder of its own.
 """
 
 from __future__ import annotations

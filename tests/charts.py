@@ -6,7 +6,7 @@ from openmm_exactrb import quaternions
 
 
 def state_at(q_ref, x):
-    """Return q (4, 1) and m (3, 1) at coordinates (theta, pi): q = q_ref exp(theta/2), m dual to theta in this chart."""
+    """Return q (4, 1) and m (3, 1) at coordinates (theta, pi): q = q_ref exp(theta/2), m dual to theta there."""
     theta, p = x[:3], x[3:]
     angle = np.linalg.norm(theta)
     half = np.concatenate([[np.cos(angle / 2)], np.sinc(angle / 2 / np.pi) / 2 * theta])

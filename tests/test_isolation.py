@@ -7,6 +7,7 @@ import resource
 import sys
 import threading
 import weakref
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -103,8 +104,7 @@ def test_one_flow_serves_several_threads(method, switching_often):
 
 def megabytes():
     """Return the memory that the process holds now."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * resource.getpagesize() / 2**20
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
 
 
 def context_of_a_triangle():
