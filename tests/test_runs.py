@@ -419,8 +419,8 @@ def test_a_checkpoint_of_another_version_is_refused(half, monkeypatch):
         patch.setattr(openmm, "__version__", "7.0")
         refused(half, "openmm is .* in it, but 7.0 now")
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "_FORMAT", b"2")
-        refused(half, "another version of openmm-exactrb, in format 1")
+        patch.setattr(runs, "_FORMAT", b"99")
+        refused(half, "another version of openmm-exactrb, in format 2")
     go_on(half)
 
 

@@ -52,6 +52,11 @@ class BodyState(NamedTuple):
     q: Array
     m: Array
 
+    @property
+    def high(self) -> BodyState:
+        """The numbers themselves, where arrays are sums (2, ...) of `openmm_exactrb.sums`."""
+        return BodyState(*(x[0] for x in self))
+
     def finite(self) -> NDArray[np.bool_]:
         """Tell which bodies have momenta with finite squares, (N,)."""
         fine = np.asarray(np.isfinite(self.P * self.P).all(axis=0))

@@ -18,17 +18,19 @@ from openmm import unit
 from openmm_exactrb import vectors
 from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import move
-from openmm_exactrb.rotors import ROTORS, rotor
+from openmm_exactrb.rotors import ROTORS, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.sums import advance, exactly, renewed
 
 Array = NDArray[np.float64]
 
 # Positions (nm) and velocities (nm/ps) closer than this to those of the stored bodies are theirs: an integrator that
 # finds its Context changed by less goes on from the full float64 state.
 _SAME = 1e-9
-# Per-DOF variables, on the first particle of each body, in which the state travels in checkpoints and States.
-_STORED = ("exactrb_R", "exactrb_P", "exactrb_m", "exactrb_q", "exactrb_w")
+# Per-DOF variables, on the first particle of each body, in which the state travels in checkpoints and States: high
+# parts, then low parts of the sums.
+_STORED = tuple(f"exactrb_{name}{part}" for part in ("", "_low") for name in "RPmqw")
 _IS_STORED = "exactrb_stored"
 # Forces that change positions or velocities between steps.
 _CHANGING = (
@@ -190,7 +192,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         h = self.getStepSize().value_in_unit(unit.picosecond)
         first = coupling.context.getStepCount() + 1
         time_now, done = coupling.context.getTime().value_in_unit(unit.picosecond), 0
-        before = coupling.state
+        before = coupling.sums
         ends = range(steps) if coupling.changing else (steps - 1,)
         try:
             for number in range(steps):
@@ -202,7 +204,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
                     coupling.let_openmm_change(self)
         except NonFiniteError:
             if self._scheme.processor and not coupling.changing:  # the state between is not that of the bodies
-                coupling.state, time_now, done = before, time_now - done * h, 0
+                coupling.sums, time_now, done = before, time_now - done * h, 0
             raise
         finally:
             if not coupling.changing and done:
@@ -321,12 +323,22 @@ class _Coupling:
         #: Whether OpenMM itself changes positions or velocities between steps.
         self.changing = any(type(force).__name__ in _CHANGING for force in system.getForces())
         self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
-        self._flow = rotor(method, self.bodies.inertia)
+        self._flow = rotor_of_sums(method, self.bodies.inertia)
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
         self._number = 0
-        self.state = self.bodies.fit(x, v)
+        #: The state as sums high + low, (2, k, N), so that no step rounds it.
+        self.sums = BodyState(*map(exactly, self.bodies.fit(x, v)))
+
+    @property
+    def state(self) -> BodyState:
+        """The state rounded to float64."""
+        return self.sums.high
+
+    @state.setter
+    def state(self, state: BodyState) -> None:
+        self.sums = BodyState(*map(renewed, self.sums, state))
 
     @property
     def context(self) -> Any:
@@ -341,24 +353,24 @@ class _Coupling:
         self._number = number
         flows = chain(scheme.processor * begins, scheme.sequence, scheme.postprocessor * ends)
         with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
-            self.state = move(flows, self.state, h, self._drift, self._kick)
+            self.sums = move(flows, self.sums, h, self._drift, self._kick)
 
     def _drift(self, state: BodyState, tau: float) -> BodyState:
         start = time.perf_counter()
         q, m = self._flow(state.q, state.m, tau)
         self.timings.rotor += time.perf_counter() - start
         self._forces = None
-        return BodyState(state.R + tau * state.P / self.bodies.mass, state.P, q, m)
+        return BodyState(advance(state.R, state.P[0] / self.bodies.mass, tau), state.P, q, m)
 
     def _kick(self, state: BodyState, tau: float) -> BodyState:
         if self._forces is None:
-            self._forces = self.bodies.forces(state, self._particle_forces(state))
+            self._forces = self.bodies.forces(state.high, self._particle_forces(state.high))
         force, torque = self._forces
-        after = state._replace(P=state.P + tau * force, m=state.m + tau * torque)
+        after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
         # Squares, because finite momenta of 1e200 are as useless; before OpenMM sees positions that are not numbers.
-        if not np.isfinite(np.vdot(after.P, after.P) + np.vdot(after.m, after.m)):
+        if not np.isfinite(np.vdot(after.P[0], after.P[0]) + np.vdot(after.m[0], after.m[0])):
             self.forget_forces()
-            raise NonFiniteError(self._complaint(after))
+            raise NonFiniteError(self._complaint(after.high))
         return after
 
     def _particle_forces(self, state: BodyState) -> Array:
@@ -388,21 +400,23 @@ class _Coupling:
             self._compare(self._stored(store), x, v)
 
     def _compare(self, known: BodyState | None, x: Array, v: Array) -> None:
-        """Take the state from x and v, or from the known one for the bodies that are where it says."""
+        """Take the state from x and v, or from the known sums for the bodies that are where they say."""
         self._seen = (x, v)
         self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         if known is None:
             self.state = self.bodies.fit(x, v)
             return
-        moved = _differs(self.bodies, x, self.bodies.positions(known, self._x))
-        pushed = _differs(self.bodies, v, self.bodies.velocities(known, self._v))
-        self.state = self.bodies.refit(known, x, v, moved, pushed) if len(moved) or len(pushed) else known
+        self.sums = known
+        moved = _differs(self.bodies, x, self.bodies.positions(known.high, self._x))
+        pushed = _differs(self.bodies, v, self.bodies.velocities(known.high, self._v))
+        if len(moved) or len(pushed):
+            self.state = self.bodies.refit(known.high, x, v, moved, pushed)
 
     def let_openmm_change(self, store: openmm.CustomIntegrator) -> None:
         """Let barostats, thermostats and the like of the System do their part of a step."""
         self._write()
         openmm.CustomIntegrator.step(store, 1)
-        self._compare(self.state, *_positions_and_velocities(self.context))
+        self._compare(self.sums, *_positions_and_velocities(self.context))
 
     def thermalise(self, kT: float, rng: np.random.Generator) -> None:
         """Draw momenta at a temperature."""
@@ -423,12 +437,13 @@ class _Coupling:
     def publish(self, store: openmm.CustomIntegrator) -> None:
         """Write the state into the Context: as particles, and in full into the per-DOF variables of the integrator."""
         self._write()
-        state, bodies = self.state, self.bodies
+        (R, P, q, m), bodies = self.sums, self.bodies
         first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
-        full = np.zeros((len(_STORED), bodies.n_particles, 3))
-        full[0, first], full[1, first] = state.R.T, state.P.T
-        full[2, turning], full[3, turning], full[4, turning, 0] = state.m.T, state.q[1:].T, state.q[0]
-        for name, values in zip(_STORED, full, strict=True):
+        full = np.zeros((2, 5, bodies.n_particles, 3))
+        full[:, 0, first], full[:, 1, first] = R.swapaxes(1, 2), P.swapaxes(1, 2)
+        full[:, 2, turning], full[:, 3, turning] = m.swapaxes(1, 2), q[:, 1:].swapaxes(1, 2)
+        full[:, 4, turning, 0] = q[:, 0]
+        for name, values in zip(_STORED, full.reshape(-1, bodies.n_particles, 3), strict=True):
             store.setPerDofVariableByName(name, values)
         store.setGlobalVariableByName(_IS_STORED, 1.0)
         self._seen = _positions_and_velocities(self.context)
@@ -443,11 +458,10 @@ class _Coupling:
         if not store.getGlobalVariableByName(_IS_STORED):
             return None
         first, k = self.bodies.first_particle, self.bodies.n_turning
-        R, P, m, vector, w = (
-            np.ascontiguousarray(np.array(store.getPerDofVariableByName(name), dtype=np.float64)[first].T)
-            for name in _STORED
-        )
-        return BodyState(R, P, np.vstack([w[:1, :k], vector[:, :k]]), np.ascontiguousarray(m[:, :k]))
+        columns = [np.array(store.getPerDofVariableByName(name), dtype=np.float64)[first].T for name in _STORED]
+        R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
+        q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
+        return BodyState(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
 
 
 def _plain(value: float | unit.Quantity, in_unit: unit.Unit, what: str) -> float:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.propagate import compose
 from openmm_exactrb.quaternions import matrix
-from openmm_exactrb.rotors import rotor
+from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.sums import advance, exactly
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
@@ -55,7 +56,8 @@ def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, 
     ----------
     problem : Problem
     state : tuple
-        (q, m), not changed.
+        (q, m), not changed: arrays (4, N) and (3, N), or sums (2, 4, N) and (2, 3, N) of `openmm_exactrb.sums`. Within
+        a call everything is a sum; between calls only if sums are handed in.
     h : float
         Step size.
     n : int
@@ -67,22 +69,24 @@ def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, 
     Returns
     -------
     tuple
-        (q, m) after the last step.
+        (q, m) after the last step, as it was handed in.
     """
-    flow = rotor(method, problem.inertia.T)
+    flow = rotor_of_sums(method, problem.inertia.T)
 
     def drift(state: State, tau: float) -> State:
         return flow(*state, tau)
 
     def kick(state: State, tau: float) -> State:
         q, m = state
-        return q, m + tau * problem.torque(q)
+        return q, advance(m, problem.torque(q[0]), tau)
 
     def gradient(state: State, tau: float) -> State:
         q, m = state
-        return q, m + tau * problem.gradient_torque(q)
+        return q, advance(m, problem.gradient_torque(q[0]), tau)
 
-    return compose(scheme, drift, kick, gradient)(state, h, n)
+    q, m = (x if x.ndim == 3 else exactly(x) for x in state)
+    q, m = compose(scheme, drift, kick, gradient)((q, m), h, n)
+    return (q, m) if state[0].ndim == 3 else (q[0], m[0])
 
 
 @dataclass(frozen=True)

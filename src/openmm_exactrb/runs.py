@@ -31,7 +31,7 @@ except ImportError:  # Windows has no such locks
 #: Names of the files that a run always writes.
 CHECKPOINT, TOPOLOGY = "checkpoint", "topology.pdb"
 
-_MAGIC, _FORMAT = b"openmm-exactrb checkpoint", b"1"
+_MAGIC, _FORMAT = b"openmm-exactrb checkpoint", b"2"
 # Steps between two looks at signals and the clock: as many as Simulation.step takes at once.
 _CHUNK = 10
 # Bytes at the beginning of a file that may change while it grows: a DCD file counts its frames there.

@@ -17,8 +17,15 @@ from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, 
 from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow
 from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
+from openmm_exactrb.sums import exactly
 
-__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor"]
+__all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor", "rotor_of_sums"]
+
+
+#: The smallest moment whose reciprocal is a number.
+SMALLEST_MOMENT = 1e-307
+#: The largest ratio of the moments of a body: beyond it formulas lose the smallest one.
+WIDEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,8 @@ class Rotor:
         Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
     largest_angle : float
         Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
+    sums : bool
+        Whether the flow takes sums high + low of `openmm_exactrb.sums` too, and then rounds next to nothing.
     """
 
     name: str
@@ -45,6 +54,7 @@ class Rotor:
     reference: str
     keeps_energy: bool = True
     largest_angle: float = math.inf
+    sums: bool = False
 
 
 def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
@@ -60,9 +70,9 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.fastest_rotor, _PAPER),
-            Rotor("exact_numpy", None, exact.rotor, _PAPER),
-            Rotor("exact_compiled", None, exact.compiled_rotor, _PAPER),
+            Rotor("exact", None, exact.fastest_rotor, _PAPER, sums=True),
+            Rotor("exact_numpy", None, exact.rotor, _PAPER, sums=True),
+            Rotor("exact_compiled", None, exact.compiled_rotor, _PAPER, sums=True),
             Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
@@ -106,7 +116,12 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are not positive and finite or not of this shape.
+        If there is no such rotor, or moments are not positive and finite, not of this shape, below `SMALLEST_MOMENT` or
+        further apart than `WIDEST`.
+
+    Notes
+    -----
+    I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
     """
     if name not in ROTORS:
         raise ValueError(f"unknown rotor {name!r}: choose one of {', '.join(ROTORS)}")
@@ -115,7 +130,29 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
+    least, largest = moments.min(axis=-1), moments.max(axis=-1)
+    if (least < SMALLEST_MOMENT).any() or (largest > WIDEST * least).any():
+        raise ValueError(
+            f"inertia must not be below {SMALLEST_MOMENT:g}, nor the moments of a body differ by more than a factor "
+            f"{WIDEST:g}: use other units, or treat the body as linear"
+        )
     return ROTORS[name].factory(np.ascontiguousarray(np.atleast_2d(moments).T))
+
+
+def rotor_of_sums(name: str, inertia: ArrayLike) -> Flow:
+    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
+
+    Parameters and errors are those of `rotor`. Flows without `Rotor.sums` round what they return to the high part.
+    """
+    flow = rotor(name, inertia)
+    if ROTORS[name].sums:
+        return flow
+
+    def rounding(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        q1, m1 = flow(q[0], m[0], t)
+        return exactly(q1), exactly(m1)
+
+    return rounding
 
 
 def free_rotor(

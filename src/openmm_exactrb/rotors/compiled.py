@@ -16,11 +16,12 @@ import numpy as np
 from openmm_exactrb.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.kernels import compiled, inlined, inner
 from openmm_exactrb.rotors.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
+from openmm_exactrb.sums_compiled import two_sum
 
 # Bodies in a block. Its rows lie next to each other at distances that the compiler knows, so that it sees that they
 # do not overlap.
 _BLOCK = 64
-_ROWS = 16
+_ROWS = 23
 # h G/I3 up to which the reduction of its angle is exact to roundoff.
 _LARGEST_ANGLE = 1e4
 # pi/2 in three parts, the first two of 33 bits.
@@ -34,24 +35,43 @@ _LANDEN = 24
 
 @inner
 def _short_block(block):
-    """Advance a block. Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), and whether the step was short."""
+    """Advance a block.
+
+    Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, the low parts of q (4) and
+    of m (3).
+    """
     for i in range(_BLOCK):
         b, rho, sigma, inverse_I3 = block[i], block[_BLOCK + i], block[2 * _BLOCK + i], block[3 * _BLOCK + i]
         x1, x2, x3 = block[4 * _BLOCK + i], block[5 * _BLOCK + i], block[6 * _BLOCK + i]
-        t0, t1, t2, t3, n1, n2, n3, is_short = _short(b, rho, sigma, inverse_I3, x1, x2, x3, block[7 * _BLOCK + i])
+        t0, t1, t2, t3, d1, d2, d3, is_short = _short(b, rho, sigma, inverse_I3, x1, x2, x3, block[7 * _BLOCK + i])
         q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
-        q0, q1, q2, q3 = _turned(q0, q1, q2, q3, t0, t1, t2, t3)
-        block[8 * _BLOCK + i] = q0 if is_short else block[8 * _BLOCK + i]
-        block[9 * _BLOCK + i] = q1 if is_short else block[9 * _BLOCK + i]
-        block[10 * _BLOCK + i] = q2 if is_short else block[10 * _BLOCK + i]
-        block[11 * _BLOCK + i] = q3 if is_short else block[11 * _BLOCK + i]
-        block[12 * _BLOCK + i], block[13 * _BLOCK + i], block[14 * _BLOCK + i] = n1, n2, n3
+        l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
+        p0, p1, p2, p3 = _product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
+        defect = 0.5 * (1.0 - (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
+        p0, l0 = two_sum(q0, l0, p0 + q0 * defect)
+        p1, l1 = two_sum(q1, l1, p1 + q1 * defect)
+        p2, l2 = two_sum(q2, l2, p2 + q2 * defect)
+        p3, l3 = two_sum(q3, l3, p3 + q3 * defect)
+        block[8 * _BLOCK + i] = p0 if is_short else q0
+        block[9 * _BLOCK + i] = p1 if is_short else q1
+        block[10 * _BLOCK + i] = p2 if is_short else q2
+        block[11 * _BLOCK + i] = p3 if is_short else q3
+        block[12 * _BLOCK + i], d1 = two_sum(x1, block[20 * _BLOCK + i], d1)
+        block[13 * _BLOCK + i], d2 = two_sum(x2, block[21 * _BLOCK + i], d2)
+        block[14 * _BLOCK + i], d3 = two_sum(x3, block[22 * _BLOCK + i], d3)
         block[15 * _BLOCK + i] = 1.0 if is_short else 0.0
+        block[16 * _BLOCK + i] = l0 if is_short else 0.0
+        block[17 * _BLOCK + i] = l1 if is_short else 0.0
+        block[18 * _BLOCK + i] = l2 if is_short else 0.0
+        block[19 * _BLOCK + i] = l3 if is_short else 0.0
+        block[20 * _BLOCK + i] = d1 if is_short else 0.0
+        block[21 * _BLOCK + i] = d2 if is_short else 0.0
+        block[22 * _BLOCK + i] = d3 if is_short else 0.0
 
 
 @inlined
 def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
-    """Return the rotation of a step, the new momentum, and whether the step is short enough for both to hold."""
+    """Return the rotation of a step less one, the change of the momentum, and whether the step is short enough."""
     square_G = x1 * x1 + x2 * x2 + x3 * x3
     G = math.sqrt(square_G)
     hG = t * G
@@ -75,9 +95,50 @@ def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
     cn, dn = math.sqrt(1.0 - x * u), math.sqrt(1.0 - z * u)
     half_angle = 0.5 * (hG * inverse_I3 + _third_kind_short(w, x, z, B))
     cosine, sine = _cosine_and_sine(half_angle)
-    t0, t1, t2, t3, n1, n2, n3 = _rotate(y1, y2, y3, y1, y2, 1.0, cn, dn, w, sigma, rho, cn * dn, w, cosine, sine)
-    n1, n2, n3 = _of_the_same_norm(flip * n1, n2, flip * n3, x1, x2, x3, G, square_G)
-    return t0, flip * t1, t2, flip * t3, n1, n2, n3, is_short
+    cn_less, dn_less = x * u / (1.0 + cn), z * u / (1.0 + dn)
+    t0, t1, t2, t3, d1, d2, d3 = _rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, sigma, rho, cosine, sine)
+    d1, d2, d3 = _keeping_the_norm(flip * d1 * G, d2 * G, flip * d3 * G, x1, x2, x3, square_G)
+    return t0, flip * t1, t2, flip * t3, d1, d2, d3, is_short
+
+
+@inlined
+def _rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
+    """Do as `_rotate`, but return the rotation less one and the change of y, with errors as small as they are.
+
+    `cn_less` and `dn_less` are 1 - cn and 1 - dn.
+    """
+    wy3, cd = w * y3, cn * dn
+    rw2 = r * wy3 * wy3
+    inverse = 1.0 / (cn * cn + rw2)
+    d1 = (y1 * (cn * cn_less - rw2) - r * wy3 * dn * y2) * inverse
+    d2 = (y2 * (cn * (cn_less - dn_less) - rw2) + wy3 * y1) * inverse
+    d3 = (y3 * (cn_less * (1.0 + cn) - dn_less - rw2) - s * w * cn * y1 * y2) * inverse
+    n1, n2, n3 = y1 + d1, y2 + d2, y3 + d3
+
+    re, im = y2 * y2 + y1 * (cn * n1 + wy3 * n2), -s * w * y2 * n2
+    re, im = re * cd - im * w, re * w + im * cd
+    across_re, across_im = y1 * n1 + y2 * n2, y2 * d1 - y1 * d2
+    re, im = re * across_re - im * across_im, re * across_im + im * across_re
+    half_cosine, half_sine = _half_argument(re, im)
+    c, e = cosine * half_cosine - sine * half_sine, sine * half_cosine + cosine * half_sine
+    less = _one_less(c, e)
+
+    # z is the change of (y1 + i y2) as it turns.
+    z1, z2 = d1 * c - d2 * e - (y1 * less + y2 * e), d1 * e + d2 * c - (y2 * less - y1 * e)
+    a0, a1 = 1.0 + y3, 1.0 + n3
+    product = a0 * a1
+    scale = 0.5 / math.sqrt(product)
+    t2 = -scale * (a0 * (z1 + y1 * less - y2 * e) - d3 * (y1 * c + y2 * e))
+    t1 = scale * (a0 * (z2 + y2 * less + y1 * e) - d3 * (y2 * c - y1 * e))
+    t3 = scale * (product * e + y2 * z1 - y1 * z2)
+    along = scale * (product * c + y1 * (y1 + z1) + y2 * (y2 + z2))
+    return -_one_less(along, math.sqrt(t1 * t1 + t2 * t2 + t3 * t3)), t1, t2, t3, d1, d2, d3
+
+
+@inlined
+def _one_less(cosine, sine):
+    """Return 1 - cosine, without cancellation."""
+    return sine * sine / (1.0 + cosine) if cosine > 0.0 else 1.0 - cosine
 
 
 @inlined
@@ -118,14 +179,29 @@ def _half_argument(re, im):
 
 
 @inlined
+def _product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3):
+    return (
+        q0 * t0 - q1 * t1 - q2 * t2 - q3 * t3,
+        q0 * t1 + q1 * t0 + q2 * t3 - q3 * t2,
+        q0 * t2 - q1 * t3 + q2 * t0 + q3 * t1,
+        q0 * t3 + q1 * t2 - q2 * t1 + q3 * t0,
+    )
+
+
+@inlined
 def _turned(q0, q1, q2, q3, t0, t1, t2, t3):
     """Return the product of two quaternions, of norm one."""
-    p0 = q0 * t0 - q1 * t1 - q2 * t2 - q3 * t3
-    p1 = q0 * t1 + q1 * t0 + q2 * t3 - q3 * t2
-    p2 = q0 * t2 - q1 * t3 + q2 * t0 + q3 * t1
-    p3 = q0 * t3 + q1 * t2 - q2 * t1 + q3 * t0
+    p0, p1, p2, p3 = _product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
     half_defect = 0.5 * (1.0 - (p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3))
     return p0 + p0 * half_defect, p1 + p1 * half_defect, p2 + p2 * half_defect, p3 + p3 * half_defect
+
+
+@inlined
+def _keeping_the_norm(d1, d2, d3, x1, x2, x3, square_G):
+    """Return the change of x, corrected so that it keeps the norm."""
+    n1, n2, n3 = x1 + d1, x2 + d2, x3 + d3
+    correction = (d1 * (x1 + n1) + d2 * (x2 + n2) + d3 * (x3 + n3)) * (0.5 / square_G)
+    return d1 - n1 * correction, d2 - n2 * correction, d3 - n3 * correction
 
 
 @inlined
@@ -436,23 +512,24 @@ def _halves(a):
     return high, a - high
 
 
-@compiled("f2 f2 f2 f1 F2 F2")
+@compiled("f2 f3 f3 f1 F3 F3")
 def advance(body, q, m, t, q1, m1):
-    """Advance bodies by t into q1 (4, N) and m1 (3, N), in ascending principal axes.
+    """Advance bodies by t into q1 and m1, in ascending principal axes.
 
     Parameters
     ----------
     body : (7, 1) or (7, N) array
         What `exact.constants` returns.
-    q, m : (4, N) and (3, N) arrays
+    q, m : (2, 4, N) and (2, 3, N) arrays, or (1, 4, N) and (1, 3, N)
+        Sums, or plain numbers.
     t : (1,) or (N,) array
-    q1, m1 : (4, N) and (3, N) arrays
+    q1, m1 : arrays of the same shapes
         For the results; they may be q and m.
     """
-    block = np.empty(_ROWS * _BLOCK)
+    block = np.zeros(_ROWS * _BLOCK)
     turn, means = np.empty(4), np.empty((2, _LANDEN))
-    each, shared, every = body.shape[1] > 1, 0, t.shape[0] > 1
-    n = m.shape[1]
+    each, shared, every, summing = body.shape[1] > 1, 0, t.shape[0] > 1, q.shape[0] > 1
+    n = m.shape[2]
     for start in range(0, n, _BLOCK):
         length = min(_BLOCK, n - start)
         for row in range(4):
@@ -460,12 +537,14 @@ def advance(body, q, m, t, q1, m1):
                 block[row * _BLOCK + i] = body[row, start + i if each else shared]
         for row in range(3):
             for i in range(length):
-                block[(4 + row) * _BLOCK + i] = m[row, start + i]
+                block[(4 + row) * _BLOCK + i] = m[0, row, start + i]
+                block[(20 + row) * _BLOCK + i] = m[1, row, start + i] if summing else 0.0
         for i in range(length):
             block[7 * _BLOCK + i] = t[start + i if every else 0]
         for row in range(4):
             for i in range(length):
-                block[(8 + row) * _BLOCK + i] = q[row, start + i]
+                block[(8 + row) * _BLOCK + i] = q[0, row, start + i]
+                block[(16 + row) * _BLOCK + i] = q[1, row, start + i] if summing else 0.0
         for i in range(length, _BLOCK):  # the rest is not used, but has to be a number
             for row in range(12):
                 block[row * _BLOCK + i] = 1.0
@@ -475,7 +554,11 @@ def advance(body, q, m, t, q1, m1):
                 _long(body[:, start + i if each else 0], block, i, turn, means)
         for row in range(4):
             for i in range(length):
-                q1[row, start + i] = block[(8 + row) * _BLOCK + i]
+                q1[0, row, start + i] = block[(8 + row) * _BLOCK + i]
+                if summing:
+                    q1[1, row, start + i] = block[(16 + row) * _BLOCK + i]
         for row in range(3):
             for i in range(length):
-                m1[row, start + i] = block[(12 + row) * _BLOCK + i]
+                m1[0, row, start + i] = block[(12 + row) * _BLOCK + i]
+                if summing:
+                    m1[1, row, start + i] = block[(20 + row) * _BLOCK + i]

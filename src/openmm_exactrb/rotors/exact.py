@@ -14,6 +14,9 @@ axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwi
 (r, s) = (sigma, rho) or (rho, sigma). A turn by pi about axis 2 makes y3 >= 0.
 
 Exchanging two axes mirrors the body, so angles change sign where j = 1.
+
+A short step computes what it changes, with an error that is as small as the change. Attitudes and momenta may be sums
+high + low (`openmm_exactrb.sums`), to which the changes are added: then a run has no other roundoff.
 """
 
 from __future__ import annotations
@@ -27,13 +30,14 @@ from openmm_exactrb import kernels
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.sums import add, exactly
 
 # Up to this b G h the series of `_short` are exact to roundoff.
 SHORT = 0.3
 # Where the squares of a momentum are safe from over- and underflow.
 SAFE = (1e-70, 1e70)
-# Where the fourth powers of the components of a unit vector vanish.
-VANISHING = 1e-60
+# Where the eighth powers of the components of a unit vector vanish.
+VANISHING = 1e-36
 # Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
 ON_SEPARATRIX = 1e-30
 
@@ -52,7 +56,8 @@ def rotor(inertia: Array) -> Flow:
     Returns
     -------
     flow : callable
-        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
+        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,); or with sums q
+        (2, 4, N) and m (2, 3, N).
     """
     return _in_any_order(inertia, _advance)
 
@@ -90,18 +95,26 @@ def _in_any_order(inertia: Array, kernel: Kernel) -> Flow:
     ascending = bool((order == np.arange(3)[:, None]).all())
 
     def arrange(v: Array, places: NDArray[np.intp]) -> Array:
-        arranged = v[places[:, 0]] if places.shape[1] == 1 else np.take_along_axis(v, places, axis=0)
+        arranged = v[..., places[:, 0], :] if places.shape[1] == 1 else np.take_along_axis(v, places[None], axis=1)
         return arranged * handedness
 
-    def contiguous(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+    def in_order(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         return kernel(body, np.ascontiguousarray(q), np.ascontiguousarray(m), np.ascontiguousarray(t, dtype=np.float64))
 
-    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-        q1, m1 = contiguous(np.vstack([q[:1], arrange(q[1:], order)]), arrange(m, order), t)
-        q1[1:] = arrange(q1[1:], back)
+    def arranged(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        q1, m1 = in_order(np.concatenate([q[:, :1], arrange(q[:, 1:], order)], axis=1), arrange(m, order), t)
+        q1[:, 1:] = arrange(q1[:, 1:], back)
         return q1, arrange(m1, back)
 
-    return contiguous if ascending else flow
+    of_sums = in_order if ascending else arranged
+
+    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        if q.ndim == 3:
+            return of_sums(q, m, t)
+        q1, m1 = of_sums(q[None], m[None], t)
+        return q1[0], m1[0]
+
+    return flow
 
 
 def constants(inertia: Array) -> Array:
@@ -117,28 +130,41 @@ def constants(inertia: Array) -> Array:
 
 
 def _advance(body: Array, q: Array, m: Array, t: Array) -> tuple[Array, Array]:
-    """Return attitudes and momenta after the times t, (N,) or (1,), in ascending principal axes."""
-    turn, m1 = _flow(body, m, np.broadcast_to(t, m.shape[1:]))
-    return renormalise(multiply(q, turn)), m1
-
-
-def _flow(body: Array, m: Array, t: Array) -> tuple[Array, Array]:
-    """Return the rotation of the step as a quaternion (4, N), and the new momentum, in sorted principal axes."""
-    G = np.sqrt(np.einsum("in,in->n", m, m))
-    short = (np.abs(body[0] * t) * G <= SHORT) & (SAFE[0] < G) & (SAFE[1] > G)
+    """Return attitudes (., 4, N) and momenta (., 3, N) after the times t, (N,) or (1,), in ascending principal axes."""
+    t = np.broadcast_to(t, m.shape[2:])
+    G = np.sqrt(np.einsum("in,in->n", m[0], m[0]))
+    across = np.maximum(np.abs(m[0, 0]), np.abs(m[0, 1]))
+    short = (np.abs(body[0] * t) * G <= SHORT) & (SAFE[0] < G) & (SAFE[1] > G) & (across > VANISHING * G)
     if short.all():
-        return _short(body, m, G, t)
-    long = ~short
-    turn, m1 = np.empty((4, m.shape[1])), np.empty_like(m)
-    for chosen, path in ((short, _short), (long, _long)):
+        return _step_short(body, q, m, G, t)
+    q1, m1 = np.zeros_like(q), np.zeros_like(m)
+    for chosen, step in ((short, _step_short), (~short, _step_long)):
         if chosen.any():
             part = body if body.shape[1] == 1 else body[:, chosen]
-            turn[:, chosen], m1[:, chosen] = path(part, m[:, chosen], G[chosen], t[chosen])
-    return turn, m1
+            q1[:, :, chosen], m1[:, :, chosen] = step(part, q[:, :, chosen], m[:, :, chosen], G[chosen], t[chosen])
+    return q1, m1
+
+
+def _step_short(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
+    turn, change = _short(body, m[0], G, t)
+    high = q[0]
+    defect = 0.5 * (1.0 - np.einsum("in,in->n", high, high))
+    if len(q) == 2:
+        defect -= np.einsum("in,in->n", high, q[1])
+    return add(q, multiply(high, turn) + high * defect), add(m, change)
+
+
+def _step_long(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
+    turn, m1 = _long(body, m[0], G, t)
+    q1 = renormalise(multiply(q[0], turn))
+    return (q1[None], m1[None]) if len(q) == 1 else (exactly(q1), exactly(m1))
 
 
 def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
-    """Step with b G h <= 0.3: series instead of elliptic functions, and either family by the one form j = 3."""
+    """Return the rotation less one and the change of the momentum for b G h <= 0.3.
+
+    Series instead of elliptic functions, and either family by the one form j = 3.
+    """
     b, rho, sigma, inverse_I3 = body[:4]
     flip = np.copysign(1.0, m[2])
     y = m / G
@@ -154,10 +180,10 @@ def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     u = w * w
     cn, dn = np.sqrt(1.0 - x * u), np.sqrt(1.0 - z * u)
     angle = hG * inverse_I3 + third_kind_short(w, x, z, B)
-    turn, y1 = _rotate(y, cn, dn, w, sigma, rho, angle, _complex(cn * dn, w))
-    for component in (turn[1], turn[3], y1[0], y1[2]):
+    turn, change = _rotate_little(y, cn, dn, w, x * u / (1.0 + cn), z * u / (1.0 + dn), sigma, rho, angle)
+    for component in (turn[1], turn[3], change[0], change[2]):
         component *= flip
-    return turn, _of_the_same_norm(y1, m, G)
+    return turn, _keeping_the_norm(G * change, m, G)
 
 
 def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
@@ -198,6 +224,48 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     y1[::2] = np.where(mirrored, y1[::-2], y1[::2])
     m1 = np.where(resting, 0.0, _of_the_same_norm(y1, m, G))
     return turn, np.ldexp(m1, exponent)
+
+
+def _rotate_little(
+    y: Array, cn: Array, dn: Array, w: Array, cn_less: Array, dn_less: Array, r: Array, s: Array, angle: Array
+) -> tuple[Array, Array]:
+    """Do as `_rotate`, but return the rotation less one and the change of y, with errors as small as they are.
+
+    `cn_less` and `dn_less` are 1 - cn and 1 - dn.
+    """
+    y1, y2, y3 = y
+    wy3, cd = w * y3, cn * dn
+    rw2 = r * wy3 * wy3
+    inverse = 1.0 / (cn * cn + rw2)
+    change = np.empty_like(y)
+    change[0] = (y1 * (cn * cn_less - rw2) - r * wy3 * dn * y2) * inverse
+    change[1] = (y2 * (cn * (cn_less - dn_less) - rw2) + wy3 * y1) * inverse
+    change[2] = (y3 * (cn_less * (1.0 + cn) - dn_less - rw2) - s * w * cn * y1 * y2) * inverse
+    n1, n2, n3 = y + change
+
+    twist = _complex(y2 * y2 + y1 * (cn * n1 + wy3 * n2), -s * w * y2 * n2) * _complex(cd, w)
+    twist *= _complex(y1 * n1 + y2 * n2, y1 * -change[1] + y2 * change[0])
+    psi = 0.5 * (angle + np.arctan2(twist.imag, twist.real))
+    cosine, sine = np.cos(psi), np.sin(psi)
+    turned, less = _complex(cosine, sine), _complex(_one_less(cosine, sine), -sine)
+
+    xi0 = _complex(y1, y2)
+    xi_change = _complex(change[0], change[1]) * turned - xi0 * less
+    a0, a1 = 1.0 + y3, 1.0 + n3
+    product = a0 * a1
+    scale = 0.5 / np.sqrt(product)
+    across = a0 * (xi_change + xi0 * less.conj()) - change[2] * (xi0 * turned.conj())
+    turn = np.empty((4, len(w)))
+    turn[1], turn[2], turn[3] = across.imag, -across.real, product * sine - (xi0.conj() * xi_change).imag
+    turn[1:] *= scale
+    along = scale * (product * cosine + (xi0 * (xi0 + xi_change).conj()).real)
+    turn[0] = -_one_less(along, np.sqrt(np.einsum("in,in->n", turn[1:], turn[1:])))
+    return turn, change
+
+
+def _one_less(cosine: Array, sine: Array) -> Array:
+    """Return 1 - cosine, without cancellation."""
+    return np.where(cosine > 0.0, sine * sine / (1.0 + cosine), 1.0 - cosine)
 
 
 def _rotate(
@@ -251,6 +319,13 @@ def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
     out.real = real
     out.imag = imag
     return out
+
+
+def _keeping_the_norm(change: Array, m: Array, G: Array) -> Array:
+    """Return the change of m, corrected so that it keeps the norm."""
+    m1 = m + change
+    change -= m1 * (np.einsum("in,in->n", change, m + m1) * (0.5 / (G * G)))
+    return change
 
 
 def _of_the_same_norm(y1: Array, m: Array, G: Array) -> Array:

@@ -1,0 +1,257 @@
+"""How roundoff grows where the error of the scheme is below it: Brouwer's law.
+
+1. Heavy tops, SRKN4_6b with a step whose own energy error is below 1e-15, up to 1e6 steps; as sums high + low, and with
+   every drift and kick rounded to float64.
+2. An isolated cluster of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
+   VerletIntegrator with SETTLE from the same starts, with a step six times as long.
+
+Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. Root mean
+squares over the starts go to docs/roundoff.csv and docs/roundoff.png. --quick makes a hundredth of the steps, in a
+folder of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb import problems
+from openmm_exactrb.bodies import BodyState
+from openmm_exactrb.propagate import compose
+from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.rotors import rotor
+from openmm_exactrb.sums import exactly
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+SCHEME = rb.SCHEMES["SRKN4_6b"]
+TOP_STEP, DIPOLE_STEP = 0.005, 0.0005  # measured by --truncation: energy errors below 1e-15
+KT = 0.1  # kJ/mol; the cluster holds together
+DOCS = Path("docs")
+QUANTITIES = {
+    "energy": "relative energy error",
+    "direction": "angular momentum: error of its direction (rad)",
+    "momentum": "linear momentum: error / sum of norms",
+}
+
+
+def recorded_steps(last):
+    """Return numbers of steps, six a decade."""
+    return np.unique(np.round(np.geomspace(10, last, 6 * round(np.log10(last / 10)) + 1)).astype(int))
+
+
+# -- tops -----------------------------------------------------------------------------------------------------------
+
+
+def top_of(start):
+    """Return the problem and the state (q, m) of 64 tops."""
+    return problems.HeavyTop.random(np.random.default_rng([7, start]), epsilon=0.1, T0=1.0, n=64)
+
+
+def rounded_tops(problem):
+    """Return advance(state, h, n) in which every flow ends in float64."""
+    flow = rotor("exact", problem.inertia.T)
+
+    def kick(state, tau):
+        return state[0], state[1] + tau * problem.torque(state[0])
+
+    return compose(SCHEME, lambda state, tau: flow(*state, tau), kick)
+
+
+def tops(start, variant, last, h=TOP_STEP):
+    """Return energy errors of 64 tops, (64, records), and errors of the momentum along the field."""
+    problem, state = top_of(start)
+    if variant == "sums":
+
+        def advance(state, h, n):
+            return problems.integrate(problem, state, h, n, SCHEME)
+    else:
+        advance = rounded_tops(problem)
+
+    size = np.linalg.norm(state[1], axis=0)
+    if variant == "sums":
+        state = tuple(map(exactly, state))
+
+    def observe(state):
+        q, m = (x[0] if x.ndim == 3 else x for x in state)
+        along = np.einsum("in,ijn,jn->n", problem.direction, matrix(q), m)
+        return problems.energy(problem, (q, m)), along / size
+
+    energy, along, before = *observe(state), 0
+    records = {"energy": [], "direction": []}
+    for step in recorded_steps(last):
+        state, before = advance(state, h, step - before), step
+        now = observe(state)
+        records["energy"].append(now[0] / energy - 1.0)
+        records["direction"].append(now[1] - along)
+    return {name: np.array(rows).T for name, rows in records.items()}
+
+
+# -- dipoles --------------------------------------------------------------------------------------------------------
+
+
+def dipoles_of(start, integrator):
+    """Return a Simulation of a cluster of 27 dipoles at rest in itself, with thermal momenta."""
+    topology, system, positions = rb.dipole_fluid(27, seed=start)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    ours = rb.ExactRigidBodyIntegrator(0.001)
+    other = openmm.Context(system, ours, openmm.Platform.getPlatform("Reference"))
+    other.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(other, 1e-3)
+    kelvin = KT / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+    ours.setVelocitiesToTemperature(kelvin, start)
+    state = other.getState(positions=True, velocities=True)
+    simulation.context.setPositions(state.getPositions())
+    simulation.context.setVelocities(state.getVelocities())
+    return simulation
+
+
+def round_everything(integrator):
+    """Drop the low parts of an integrator's sums after every flow."""
+    integrator.bodyState()
+    coupling = integrator._coupling
+    for name in ("_drift", "_kick"):
+        flow = getattr(coupling, name)
+        setattr(coupling, name, lambda state, tau, flow=flow: BodyState(*map(exactly, flow(state, tau).high)))
+
+
+def dipoles(start, variant, last, h=DIPOLE_STEP):
+    """Return the records of one cluster, (1, records)."""
+    settle = variant == "settle"
+    integrator = openmm.VerletIntegrator(h * SCHEME.stages) if settle else rb.ExactRigidBodyIntegrator(h, scheme=SCHEME)
+    simulation = dipoles_of(start, integrator)
+    context = simulation.context
+    if variant == "rounded":
+        round_everything(integrator)
+    masses = np.array([simulation.system.getParticleMass(i)._value for i in range(simulation.system.getNumParticles())])
+
+    def observe():
+        state = context.getState(positions=True, velocities=True, energy=True)
+        if settle:
+            x, v = state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+            p = masses[:, None] * v
+            momentum, spin, kinetic = p, np.cross(x, p).sum(axis=0), state.getKineticEnergy()._value
+        else:
+            _, body = integrator.bodyState()
+            momentum = body.P.T
+            spin = np.cross(body.R.T, momentum).sum(axis=0) + np.einsum("ijn,jn->i", matrix(body.q), body.m)
+            kinetic = sum(energy._value for energy in integrator.kineticEnergies())
+        return kinetic + state.getPotentialEnergy()._value, momentum, spin / np.linalg.norm(spin)
+
+    first, before = observe(), 0
+    size = np.linalg.norm(first[1], axis=1).sum()
+    records = {name: [] for name in QUANTITIES}
+    for step in recorded_steps(last):
+        integrator.step(int(step - before))
+        now, before = observe(), step
+        records["energy"].append(now[0] / first[0] - 1.0)
+        records["momentum"].append(np.linalg.norm((now[1] - first[1]).sum(axis=0)) / size)
+        records["direction"].append(np.linalg.norm(np.cross(now[2], first[2])))
+    return {name: np.array(rows)[None] for name, rows in records.items()}
+
+
+# -- all of it ------------------------------------------------------------------------------------------------------
+
+SYSTEMS = {"top": (tops, ("sums", "rounded"), 1_000_000), "dipoles": (dipoles, ("sums", "rounded", "settle"), 100_000)}
+
+
+def compute(folder, chosen, variants, starts, fraction):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, (function, known, last) in SYSTEMS.items():
+        for start in range(starts if name == "dipoles" else 1):
+            for variant in known:
+                file = folder / f"{name}_{variant}_{start}.npz"
+                if name in chosen and variant in variants and not file.exists():
+                    np.savez(file, **function(start, variant, last // fraction))
+                    print(file, flush=True)
+
+
+def curves(folder):
+    """Yield system, variant, quantity, number of starts, and root mean squares over them."""
+    for name, (_, known, _) in SYSTEMS.items():
+        for variant in known:
+            files = [np.load(file) for file in sorted(folder.glob(f"{name}_{variant}_*.npz"))]
+            for quantity in files[0].files if files else ():
+                rows = np.concatenate([file[quantity] for file in files])
+                yield name, variant, quantity, len(rows), np.sqrt((rows**2).mean(axis=0))
+
+
+def exponent(steps, errors, first):
+    """Return the slope of log(error) over log(steps), from step `first` on."""
+    late = steps >= first
+    return np.polyfit(np.log(steps[late]), np.log(errors[late]), 1)[0]
+
+
+def truncation():
+    """Print the energy error of the schemes at larger steps, and extrapolated by its order to the steps taken here."""
+    for name, function, taken, sizes in (
+        ("top", tops, TOP_STEP, (0.1, 0.05)),
+        ("dipoles", dipoles, DIPOLE_STEP, (0.02, 0.01)),
+    ):
+        for h in sizes:
+            worst = max(np.abs(function(start, "sums", 1000, h)["energy"]).max() for start in range(2))
+            print(f"{name}: h = {h:g}: {worst:.1e}; at {taken:g}: {worst * (taken / h) ** SCHEME.order:.1e}")
+
+
+STYLES = {
+    "sums": ("#0072B2", "o", "openmm-exactrb: sums high + low"),
+    "rounded": ("#D55E00", "s", "the same, rounded at every stage"),
+    "settle": ("#000000", "^", "OpenMM Verlet + SETTLE"),
+}
+
+
+def draw(folder, fraction, csv, picture):
+    lines = ["system,variant,quantity,starts,step,rms"]
+    figure, axes = plt.subplots(2, 3, figsize=(13.0, 7.6), sharey="row", layout="constrained")
+    for name, variant, quantity, starts, errors in curves(folder):
+        row, last = list(SYSTEMS).index(name), SYSTEMS[name][2] // fraction
+        steps, axis = recorded_steps(last), axes[row, list(QUANTITIES).index(quantity)]
+        lines += [f"{name},{variant},{quantity},{starts},{n},{e:.4e}" for n, e in zip(steps, errors, strict=True)]
+        colour, marker, label = STYLES[variant]
+        axis.loglog(steps, np.maximum(errors, 1e-18), color=colour, marker=marker, markersize=4, label=label)
+        slope = exponent(steps, errors, last / 100)
+        print(f"{name:8} {variant:8} {quantity:10} {starts:4} starts  end {errors[-1]:.1e}  exponent {slope:.2f}")
+    for row, (name, axes_of_row) in enumerate(zip(("heavy tops", "27 dipoles, Reference"), axes, strict=True)):
+        for axis, label in zip(axes_of_row, QUANTITIES.values(), strict=True):
+            last = list(SYSTEMS.values())[row][2] // fraction
+            guide = np.array([10.0, last])
+            axis.loglog(guide, 1e-16 * np.sqrt(guide / 10.0), color="#999999", linestyle="--", label="n^(1/2)")
+            axis.set(title=f"{name}", xlabel="steps n", ylabel=label)
+            axis.grid(alpha=0.3)
+    axes[0, 1].set(ylabel="angular momentum along the field: error / norm")
+    axes[0, 2].set_visible(False)
+    figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="upper right", bbox_to_anchor=(0.98, 0.93))
+    csv.parent.mkdir(parents=True, exist_ok=True)
+    csv.write_text("\n".join(lines) + "\n")
+    figure.savefig(picture, dpi=110)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=list(SYSTEMS))
+    parser.add_argument("--variants", nargs="+", choices=STYLES, default=list(STYLES))
+    parser.add_argument("--starts", type=int, default=8)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--draw", action="store_true", help="only draw what is there")
+    parser.add_argument("--truncation", action="store_true", help="only measure the error of the scheme")
+    options = parser.parse_args()
+    fraction = 100 if options.quick else 1
+    folder = Path("out/benchmarks") / ("roundoff_quick" if options.quick else "roundoff")
+    if options.truncation:
+        truncation()
+        return
+    if not options.draw:
+        compute(folder, options.systems, options.variants, options.starts, fraction)
+    target = folder if options.quick else DOCS
+    draw(folder, fraction, target / "roundoff.csv", target / "roundoff.png")
+
+
+if __name__ == "__main__":
+    main()

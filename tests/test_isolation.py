@@ -1,0 +1,178 @@
+"""Integrators, Contexts and threads of one process do not disturb each other, and nothing is left of them."""
+
+import copy
+import gc
+import pickle
+import resource
+import sys
+import threading
+import weakref
+from pathlib import Path
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from openmm_exactrb import problems
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
+
+
+def context_of(kind, seed):
+    scheme, rotor, h = kind
+    _, system, positions = rb.dipole_fluid(4, seed=seed, trap=0.5)
+    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor), REFERENCE)
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(20.0, seed)
+    return context
+
+
+def result(context):
+    state = context.getState(positions=True, velocities=True)
+    return np.array([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
+
+
+def together(*tasks):
+    """Run functions in threads that start at once, and raise what they raise."""
+    barrier, errors = threading.Barrier(len(tasks)), []
+
+    def run(task):
+        barrier.wait()
+        try:
+            task()
+        except BaseException as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=run, args=(task,)) for task in tasks]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for error in errors:
+        raise error
+
+
+@pytest.fixture
+def switching_often():
+    """Let threads take turns a thousand times as often as usual."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(5e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alone(switching_often):
+    pairs = [(kind, seed) for kind in KINDS for seed in (1, 2)]
+    alone = [context_of(*pair) for pair in pairs]
+    for context in alone:
+        context.getIntegrator().step(40)
+    by_turns, threaded = ([context_of(*pair) for pair in pairs] for _ in range(2))
+    for _ in range(4):
+        for context in by_turns:
+            context.getIntegrator().step(10)
+    together(*(lambda c=context: [c.getIntegrator().step(10) for _ in range(4)] for context in threaded))
+    for one, others in zip(alone, zip(by_turns, threaded, strict=True), strict=True):
+        for other in others:
+            np.testing.assert_array_equal(result(other), result(one))
+
+
+def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
+    contexts = [context_of(KINDS[0], seed) for seed in range(6)]
+    together(*(context.getIntegrator().bodyState for context in contexts))
+    for context in contexts:
+        assert context.getIntegrator()._coupling.context is context
+
+
+@pytest.mark.parametrize("method", rb.ROTORS)
+def test_one_flow_serves_several_threads(method, switching_often):
+    top, start = problems.HeavyTop.random(np.random.default_rng(1), 0.1, 1.0, 20)
+    flow = rb.rotors.rotor(method, top.inertia.T)
+
+    def run(state):
+        for _ in range(30):
+            state = flow(*state, 0.05)
+        return np.vstack(state)
+
+    starts = [(start[0], sign * start[1]) for sign in (1.0, -1.0, 0.5)]
+    expected, got = [run(state) for state in starts], {}
+    together(*(lambda k=k: got.update({k: run(starts[k])}) for k in range(3)))
+    for k, one in enumerate(expected):
+        np.testing.assert_array_equal(got[k], one)
+
+
+def megabytes():
+    """Return the memory that the process holds now."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+
+
+def context_of_a_triangle():
+    """Return a Context with an integrator that has made a step."""
+    system = openmm.System()
+    for i in range(3):
+        system.addParticle(1.0)
+        for j in range(i):
+            system.addConstraint(i, j, 0.1)
+    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
+    context.setPositions(0.1 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.75**0.5, 0.0]]))
+    context.getIntegrator().bind(context)  # the search for it would take most of the time
+    context.getIntegrator().step(1)
+    return context
+
+
+def make_and_drop(n):
+    """Make n integrators with a Context each and drop them; return weak references to them."""
+    left = []
+    for _ in range(n):
+        context = context_of_a_triangle()
+        integrator = context.getIntegrator()
+        left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator._coupling)]
+    return left
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_a_thousand_integrators_leave_nothing():
+    make_and_drop(100)
+    gc.collect()
+    before = megabytes()
+    left = make_and_drop(1000)
+    gc.collect()
+    assert not any(reference() for reference in left)
+    growth = megabytes() - before
+    kept = [context_of_a_triangle() for _ in range(100)]
+    cost = (megabytes() - before - growth) / len(kept)
+    assert growth < 0.05 * 1000 * cost, f"{growth:.1f} MB stayed; a Context holds {cost:.3f} MB"
+
+
+def test_contexts_are_freed_without_the_garbage_collector():
+    gc.collect()
+    gc.disable()
+    try:
+        assert not any(reference() for reference in make_and_drop(3))
+    finally:
+        gc.enable()
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize("name", rb.SCHEMES)
+def test_a_copy_of_an_integrator_moves_as_the_original(name, duplicate):
+    context = context_of((name, "exact", 0.005), 3)
+    context.getIntegrator().bodyState()
+    x, v = result(context)
+    twin = duplicate(context.getIntegrator())
+    other = openmm.Context(context.getSystem(), twin, REFERENCE)
+    other.setPositions(x)
+    other.setVelocities(v)
+    with pytest.raises(ValueError, match="no Context yet"):
+        duplicate(twin).step(1)
+    for integrator in (context.getIntegrator(), twin):
+        integrator.step(2)
+    np.testing.assert_allclose(result(other), result(context), rtol=0.0, atol=1e-13)
+
+
+def test_a_copy_keeps_the_bodies_named_by_hand():
+    integrator = rb.ExactRigidBodyIntegrator(0.01, bodies=[[0, 1, 2]])
+    for twin in (copy.deepcopy(integrator), pickle.loads(pickle.dumps(integrator))):
+        assert twin.hasNamedBodies()
+        assert twin.__reduce__() == integrator.__reduce__()

@@ -1,0 +1,159 @@
+"""The error of a long run is that of the scheme and of roundoff without a bias, and a run can be turned back."""
+
+import numpy as np
+import openmm
+import pytest
+from mpmath import mp
+from openmm import app
+
+import charts
+import openmm_exactrb as rb
+import oracle
+import roundoff
+from openmm_exactrb import problems, quaternions
+from openmm_exactrb.bodies import BodyState
+from openmm_exactrb.rotors import rotor_of_sums
+from openmm_exactrb.sums import exactly
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+# -- the flow -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["exact_numpy", "exact_compiled"])
+@pytest.mark.parametrize("h", [0.1, 1e-2, 1e-4])
+def test_the_roundoff_of_a_short_step_is_that_of_its_change(method, h):
+    n = 12
+    inertia, m = oracle.random_bodies("generic", n, seed=3)
+    q = quaternions.random(np.random.default_rng(1), n)
+    t = h / np.linalg.norm(m / inertia, axis=1)
+    sums = rotor_of_sums(method, inertia)(*(exactly(np.ascontiguousarray(x.T)) for x in (q, m)), t)
+    with mp.workdps(40):
+        for k in range(n):
+            q1, m1 = ([mp.mpf(high) + mp.mpf(low) for high, low in zip(*x[:, :, k], strict=True)] for x in sums)
+            Q_exact, m_exact = oracle.free_rotor(inertia[k], q[k], m[k], t[k])
+            Q = oracle.rotation_matrix(q1, normalise=True)
+            error = max(abs(Q[i, j] - Q_exact[i, j]) for i in range(3) for j in range(3))
+            assert error < 1e-15 * h
+            assert max(abs(a - b) for a, b in zip(m1, m_exact, strict=True)) < 1e-15 * h * np.linalg.norm(m[k])
+
+
+# -- Brouwer's law --------------------------------------------------------------------------------------------------
+
+
+def rms(records):
+    return np.sqrt((records**2).mean(axis=0))
+
+
+def assert_random_walk(errors, steps):
+    """Each start walks a root of the steps, and their mean no further than a mean of walks may be (four sigma)."""
+    assert roundoff.exponent(steps, rms(errors), steps[-1] / 100) < 0.65
+    assert abs(errors[:, -1].mean()) < 4.0 * rms(errors)[-1] / np.sqrt(len(errors))
+
+
+def test_sums_keep_the_energy_of_tops_two_digits_better_than_rounding():
+    errors = {variant: roundoff.tops(0, variant, 3000) for variant in ("sums", "rounded")}
+    assert rms(errors["sums"]["energy"])[-1] < 1e-15
+    assert rms(errors["sums"]["direction"])[-1] < 1e-15
+    assert rms(errors["rounded"]["energy"])[-1] > 5.0 * rms(errors["sums"]["energy"])[-1]
+
+
+def test_sums_keep_the_momenta_of_dipoles_better_than_rounding():
+    errors = {variant: roundoff.dipoles(1, variant, 300) for variant in ("sums", "rounded")}
+    assert np.abs(errors["sums"]["energy"]).max() < 5e-15
+    for quantity in ("momentum", "direction"):
+        assert errors["sums"][quantity][0, -1] < 2e-15
+    assert errors["rounded"]["momentum"][0, -1] > 2.0 * errors["sums"]["momentum"][0, -1]
+
+
+@pytest.mark.validate
+def test_tops_over_a_million_steps():
+    steps, records = roundoff.recorded_steps(1_000_000), roundoff.tops(0, "sums", 1_000_000)
+    for quantity in ("energy", "direction"):
+        assert rms(records[quantity])[-1] < 1e-13
+        assert_random_walk(records[quantity], steps)
+
+
+@pytest.mark.validate
+def test_dipoles_over_a_hundred_thousand_steps():
+    steps, records = roundoff.recorded_steps(100_000), [roundoff.dipoles(k, "sums", 100_000) for k in range(8)]
+    energy = np.concatenate([record["energy"] for record in records])
+    assert rms(energy).max() < 3e-14
+    assert roundoff.exponent(steps, rms(energy), 1000) < 0.65
+    for quantity in ("momentum", "direction"):
+        assert rms(np.concatenate([record[quantity] for record in records]))[-1] < 3e-14
+
+
+# -- reversibility --------------------------------------------------------------------------------------------------
+
+
+def test_ten_thousand_steps_of_tops_and_back():
+    """A potential a thousandth of the kinetic energy leaves the tops almost integrable."""
+    top, (q, m) = problems.HeavyTop.random(np.random.default_rng(3), 1e-3, 1.0, 8)
+    scheme = rb.SCHEMES["S2_2"]
+    q1, m1 = problems.integrate(top, (q, m), 0.02, 10_000, scheme)
+    assert np.abs(m1 - m).max() > 0.1
+    q2, m2 = problems.integrate(top, (q1, -m1), 0.02, 10_000, scheme)
+    np.testing.assert_allclose(-m2, m, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(
+        quaternions.rotation_matrix(q2.T), quaternions.rotation_matrix(q.T), rtol=0.0, atol=1e-10
+    )
+
+
+def test_ten_thousand_steps_of_dipoles_and_back():
+    """A cold cluster swings about its minimum, almost as a harmonic oscillator: it is not chaotic."""
+    topology, system, positions = rb.dipole_fluid(4, seed=2, trap=0.5)
+    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.02, scheme="V2"), REFERENCE)
+    context, integrator = simulation.context, simulation.integrator
+    context.setPositions(positions)
+    simulation.minimizeEnergy(tolerance=1e-4)
+    integrator.setVelocitiesToTemperature(0.1, 1)
+    _, start = integrator.bodyState()
+    integrator.step(10_000)
+    _, there = integrator.bodyState()
+    assert np.abs(there.R - start.R).max() > 1e-3
+    context.setVelocities(-context.getState(velocities=True).getVelocities(asNumpy=True))
+    integrator.step(10_000)
+    _, back = integrator.bodyState()
+    for a, b in zip(back, (start.R, -start.P, start.q, -start.m), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10)
+
+
+# -- symplecticity in OpenMM ----------------------------------------------------------------------------------------
+
+
+def test_a_step_in_openmm_is_symplectic(pairing):
+    """The Jacobian of a step of two dipoles keeps the symplectic form."""
+    scheme, method = pairing
+    topology, system, positions = rb.dipole_fluid(2, seed=1, spacing=1.4)
+    integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme, rotor=method)
+    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation.context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(50.0, 1)
+    _, start = integrator.bodyState()
+    coupling = integrator._coupling
+
+    def after(state):
+        coupling.state = state
+        coupling.forget_forces()
+        coupling.step(scheme, 0.05, 1, True, True)
+        return coupling.state
+
+    def state(x):
+        centres, turning = x.reshape(4, 6)[:2], x.reshape(4, 6)[2:]
+        turned = [charts.state_at(start.q[:, k : k + 1], turning[k]) for k in range(2)]
+        R, P = (np.ascontiguousarray(part.T) for part in np.hsplit(centres, 2))
+        return BodyState(R, P, *(np.concatenate(parts, axis=1) for parts in zip(*turned, strict=True)))
+
+    def coordinates(state, q_ref):
+        turning = [
+            charts.coordinates_of(q_ref[:, k : k + 1], state.q[:, k : k + 1], state.m[:, k : k + 1]) for k in range(2)
+        ]
+        return np.concatenate([*np.hstack([state.R.T, state.P.T]), *turning])
+
+    end, x0 = after(start), coordinates(start, start.q)
+    J = charts.jacobian(lambda x: coordinates(after(state(x)), end.q), x0)
+    assert charts.symplectic_defect(J) < 1e-8
+    with pytest.raises(AssertionError):
+        np.testing.assert_allclose(J, np.eye(24), rtol=0.0, atol=1e-2)
