@@ -15,7 +15,7 @@ import numpy as np
 
 from openmm_exactrb.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.kernels import compiled, inlined, inner
-from openmm_exactrb.rotors.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
+from openmm_exactrb.rotors.exact import GENTLY, ON_SEPARATRIX, SAFE, SHORT, VANISHING
 from openmm_exactrb.sums_compiled import two_sum
 
 # Bodies in a block. Its rows lie next to each other at distances that the compiler knows, so that it sees that they
@@ -34,11 +34,11 @@ _LANDEN = 24
 
 
 @inner
-def _short_block(block):
+def _short_block(block, gain):
     """Advance a block.
 
     Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, the low parts of q (4) and
-    of m (3).
+    of m (3). `gain` is the part of its defect by which the norm of q is corrected.
     """
     for i in range(_BLOCK):
         b, rho, sigma, inverse_I3 = block[i], block[_BLOCK + i], block[2 * _BLOCK + i], block[3 * _BLOCK + i]
@@ -48,6 +48,7 @@ def _short_block(block):
         l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
         p0, p1, p2, p3 = _product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
         defect = 0.5 * (1.0 - (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
+        defect *= gain
         p0, l0 = two_sum(q0, l0, p0 + q0 * defect)
         p1, l1 = two_sum(q1, l1, p1 + q1 * defect)
         p2, l2 = two_sum(q2, l2, p2 + q2 * defect)
@@ -548,7 +549,7 @@ def advance(body, q, m, t, q1, m1):
         for i in range(length, _BLOCK):  # the rest is not used, but has to be a number
             for row in range(12):
                 block[row * _BLOCK + i] = 1.0
-        _short_block(block)
+        _short_block(block, GENTLY if summing else 1.0)
         for i in range(length):
             if block[15 * _BLOCK + i] == 0.0:
                 _long(body[:, start + i if each else 0], block, i, turn, means)
