@@ -17,7 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import elliprf
 
 from openmm_exactrb.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.quaternions import multiply, renormalise
@@ -236,6 +235,8 @@ def solve(inertia: Array, x: Array, time: Array) -> Orbit:
     -------
     Orbit
     """
+    from scipy.special import elliprf  # here, for a short import of the package
+
     I1, I2, I3 = inertia
     x1, x2, x3 = x
     a1_squared = x1 * x1 * (I3 - I1) / I1 + x2 * x2 * (I3 - I2) / I2  # 2T I3 - 1
