@@ -125,7 +125,7 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
 
 def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
-    """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for |w| <= 0.3.
+    """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for abs(w) <= 0.3.
 
     Gauss's rule with ten nodes on [-w, w], or six for w up to 0.1: the integrand is even, so half of them are
     evaluated. With x, z and b in [0, 1] its singularities are at least 1 away from zero and the rule is exact to
@@ -159,7 +159,7 @@ RULES = (_even_rule(3), _even_rule(5))
 
 
 def sine_short(s: Array, x: Array, z: Array) -> Array:
-    """Return w = sn(v)/c at s = v/c for |s| <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
+    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
 
     The Taylor series to the eleventh order at s/2, and one duplication.
 

@@ -23,7 +23,7 @@ from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
 from openmm_exactrb.rotors.flow import Array, Flow
 
-# Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
+#: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14
 # Where the squares of a momentum are safe from over- and underflow.
 _SAFE = (1e-70, 1e70)
