@@ -37,9 +37,9 @@ numpydoc_xref_param_type = False
 default_role = "py:obj"
 nitpicky = True
 nitpick_ignore_regex = [
-    # Of OpenMM and others, whose inventories a build without network cannot read; parameters and formulas in docstrings.
+    # Of OpenMM and others, whose inventories a build without network cannot read.
     (r"py:.*", r"(openmm|State|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?"),
-    (r"py:obj", r"[a-z0-9_.]+"),
+    (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
 ]
 
 doctest_global_setup = "from openmm_exactrb import *"
@@ -48,8 +48,6 @@ html_theme = "furo"
 html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
 html_theme_options = {"source_directory": "docs/"}
-
-suppress_warnings = ["toc.empty_glob"]  # pages that need not be there
 
 linkcheck_ignore = [r"https://doi\.org/.*"]  # publishers refuse robots; the numbers are checked by hand
 
@@ -63,6 +61,14 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, shown, name)
 
 
+def without_missing(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Leave pages out of the table of contents that are not there."""
+    for page in ("paper", "trust", "ensemble"):
+        if docname == "index" and not (Path(app.srcdir) / f"{page}.md").exists():
+            source[0] = source[0].replace(f"\n{page}\n", "\n")
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
     app.connect("missing-reference", by_last_name)
+    app.connect("source-read", without_missing)

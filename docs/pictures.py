@@ -28,9 +28,9 @@ INERTIA = np.array([1.0, 1.88, 2.88])
 
 
 def momentum_sphere() -> Figure:
-    """Momenta of one body, of norm 1: every curve is one orbit of Euler's equations."""
+    """Draw momenta of one body, of norm 1: every curve is one orbit of Euler's equations."""
     figure = plt.figure(figsize=(7.0, 6.6), layout="constrained")
-    axes = _sphere(figure.add_subplot(projection="3d", computed_zorder=False), azimuth=40.0, elevation=22.0)
+    axes = _sphere(figure.add_subplot(projection="3d", computed_zorder=False), azimuth=40.0, elevation=22.0, zoom=1.1)
     I1, I2, I3 = INERTIA
     q = [1.0, 0.0, 0.0, 0.0]
     # The separatrix passes the middle axis in the planes rho m1² = sigma m3².
@@ -64,12 +64,12 @@ def _orbit(q: list[float], start: np.ndarray, duration: float) -> np.ndarray:
     return rb.free_rotor(INERTIA, q, np.tile(start, (len(t), 1)), t)[1]
 
 
-def _sphere(axes: Axes3D, azimuth: float, elevation: float) -> Axes3D:
+def _sphere(axes: Axes3D, azimuth: float, elevation: float, zoom: float) -> Axes3D:
     u, v = np.mgrid[0 : 2 * np.pi : 61j, 0 : np.pi : 31j]
     axes.plot_surface(
         np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v), color="0.93", alpha=0.8, lw=0, shade=False, zorder=-10
     )
-    axes.set_box_aspect((1, 1, 1), zoom=1.2)
+    axes.set_box_aspect((1, 1, 1), zoom=zoom)
     axes.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_axis_off()
@@ -93,7 +93,7 @@ def _curve(
 
 
 def dzhanibekov() -> Figure:
-    """A wing nut in space: exact steps against those of McLachlan and Reich."""
+    """Draw a wing nut in space: exact steps against those of McLachlan and Reich."""
     h, n = 1.6, 75
     start = np.array([1e-3, 1.0, 1e-3])
     start *= INERTIA[1] / np.linalg.norm(start)  # it turns once in 2 pi
@@ -145,12 +145,14 @@ def _nuts(axes: plt.Axes, duration: float) -> None:
 
 
 def satellite() -> Figure:
-    """The path of the vertical in a satellite on its orbit, and the error of its energy at large steps."""
+    """Draw the path of the vertical in a satellite on its orbit, and the error of its energy at large steps."""
     body = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
     q, m = np.array([[1.0], [0.0], [0.0], [0.0]]), body.inertia * np.array([[15.0], [-15.0], [15.0]])
     figure = plt.figure(figsize=(11.0, 5.4), layout="constrained")
-    left, right = figure.add_subplot(121, projection="3d", computed_zorder=False), figure.add_subplot(122)
-    _sphere(left, azimuth=-60.0, elevation=35.0)
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.2, 1.0))
+    left = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
+    right = figure.add_subplot(grid[1])
+    _sphere(left, azimuth=-60.0, elevation=35.0, zoom=1.5)
     h, n = 0.01, 800
     state, path = (q, m), [matrix(q)[2, :, 0]]
     for _ in range(n):
@@ -183,7 +185,7 @@ def satellite() -> Figure:
 
 
 def dipoles() -> Figure:
-    """A cold droplet of 125 dipoles as arrows."""
+    """Draw a cold droplet of 125 dipoles as arrows."""
     n = 125
     topology, system, positions = rb.dipole_fluid(n=n, seed=0, trap=0.5)
     integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="SRKN4_6b")
@@ -226,7 +228,7 @@ def dipoles() -> Figure:
 
 
 def schemes() -> Figure:
-    """Energy error of every scheme of the catalogue over torque evaluations, on heavy tops; each against all others."""
+    """Draw the energy error of every scheme over torque evaluations, on heavy tops; each against all others."""
     tops, start = HeavyTop.random(np.random.default_rng(1), epsilon=1.0, T0=1.0, n=20)
     first = energy(tops, start)
     T, names = 20.0, list(rb.SCHEMES)
@@ -242,8 +244,11 @@ def schemes() -> Figure:
                 largest = np.maximum(largest, np.abs(energy(tops, state) - first))
             errors.append(np.median(largest))
         curves[name] = np.array(errors)
-    figure, grid = plt.subplots(5, 5, figsize=(11.0, 10.5), sharex=True, sharey=True, layout="constrained")
-    for axes, name in zip(grid.flat, names, strict=True):
+    rows = -(-len(names) // 5)
+    figure, grid = plt.subplots(rows, 5, figsize=(11.0, 2.1 * rows), sharex=True, sharey=True, layout="constrained")
+    for axes in grid.flat[len(names) :]:
+        axes.set_axis_off()
+    for axes, name in zip(grid.flat, names, strict=False):
         for other in names:
             axes.loglog(evaluations, curves[other], color="0.85", lw=0.8)
         axes.loglog(evaluations, curves[name], "o-", color=BLUE, lw=2.0, ms=4)

@@ -1,5 +1,7 @@
 """The shortest script: 27 soft dipoles, their trajectory and their energies."""
 
+from pathlib import Path
+
 import openmm
 from openmm import app
 
@@ -11,11 +13,11 @@ simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPla
 simulation.context.setPositions(positions)
 integrator.setVelocitiesToTemperature(12.0, 1)  # kelvin, seed
 
-with open("first.pdb", "w") as file:
+with Path("first.pdb").open("w") as file:
     app.PDBFile.writeFile(topology, positions, file)
 simulation.reporters.append(app.DCDReporter("first.dcd", 10))
 simulation.reporters.append(rb.EnergyReporter("first.csv", 10))
 simulation.step(500)
 
-first, *_, last = (float(line.split(",")[-1]) for line in open("first.csv").readlines()[1:])
+first, *_, last = (float(line.split(",")[-1]) for line in Path("first.csv").read_text().splitlines()[1:])
 print(f"10 ps in first.dcd; the total energy went from {first:.9f} to {last:.9f} kJ/mol")

@@ -1,7 +1,7 @@
 """The directive `run-example`: executes a script while the documentation is built, and shows what it printed and drew.
 
-A script that fails is a warning, so that a build with -W fails. What a script left is kept beside the doctrees, until
-it, its arguments or the package change. With `-D run_examples=0` scripts are not executed, and the page says so.
+A script that fails is a warning, so that a build with -W fails. What a script left is kept in docs/_build/run
+until it, its arguments or the package change. With `-D run_examples=0` scripts are not executed, and the page says so.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -59,10 +60,11 @@ class RunExample(SphinxDirective):
         return shown
 
     def _executed(self, script: str, options: list[str]) -> Path | None:
-        folder = Path(self.env.doctreedir).parent / "run" / _digest(script, options, self.options.get("picture", ""))
+        folder = Path(self.env.srcdir) / "_build" / "run" / _digest(script, options, self.options.get("picture", ""))
         if (folder / "output.txt").exists():
             return folder
         with tempfile.TemporaryDirectory() as work:
+            start = time.perf_counter()
             environment = os.environ | {"MPLBACKEND": "Agg"}
             done = subprocess.run(
                 [sys.executable, str(ROOT / script), *options],
@@ -73,8 +75,11 @@ class RunExample(SphinxDirective):
                 timeout=600,
             )
             if done.returncode:
-                log.warning("%s ended with status %d:\n%s", script, done.returncode, done.stderr, location=self.get_location())
+                log.warning(
+                    "%s ended with status %d:\n%s", script, done.returncode, done.stderr, location=self.get_location()
+                )
                 return None
+            log.info("%s %s took %.1f s", script, shlex.join(options), time.perf_counter() - start)
             folder.mkdir(parents=True, exist_ok=True)
             if "picture" in self.options:
                 shutil.copyfile(Path(work) / self.options["picture"], folder / "picture.png")
