@@ -153,7 +153,7 @@ def satellite() -> Figure:
     left = figure.add_subplot(grid[0], projection="3d", computed_zorder=False)
     right = figure.add_subplot(grid[1])
     _sphere(left, azimuth=-60.0, elevation=35.0, zoom=1.5)
-    h, n = 0.01, 800
+    h, n = 0.004, 2000
     state, path = (q, m), [matrix(q)[2, :, 0]]
     for _ in range(n):
         state = integrate(body, state, h, 1, rb.SCHEMES["S4_6"])
