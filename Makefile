@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: run test lint validate benchmarks paper clean
+.PHONY: run test lint docs linkcheck validate benchmarks paper clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --overwrite $(ARGS)
@@ -18,6 +18,14 @@ lint: $(VENV)/.lint
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going --quiet -b doctest docs docs/_build/doctest
+	@echo "docs/_build/html/index.html"
+
+linkcheck: $(VENV)/.docs
+	$(BIN)/python -m sphinx --keep-going -b linkcheck -D run_examples=0 docs docs/_build/linkcheck
+
 validate: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
@@ -26,14 +34,13 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
-	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/dipole_precision.py
 
 paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) out docs/_build docs/_run
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -46,6 +53,10 @@ $(VENV)/.run: $(VENV)/.python
 
 $(VENV)/.test: $(VENV)/.python
 	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.python
+	$(BIN)/python -m pip install --quiet --editable ".[docs]"
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.test

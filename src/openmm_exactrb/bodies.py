@@ -16,9 +16,6 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 from openmm import unit
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from openmm_exactrb import kernels
 from openmm_exactrb.quaternions import from_matrix, matrix
@@ -269,6 +266,8 @@ class RigidBodies:
         """Return the two bodies whose centres are closest, and their distance in nm."""
         if len(self) < 2:
             return (0, 0), np.inf
+        from scipy.spatial import cKDTree  # here, for a short import of the package
+
         distances, neighbours = map(np.asarray, cKDTree(state.R.T).query(state.R.T, k=2))
         body = int(np.argmin(distances[:, 1]))
         return (body, int(neighbours[body, 1])), float(distances[body, 1])
@@ -379,6 +378,9 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
 
 def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
     """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
+    from scipy.sparse import coo_array  # here, for a short import of the package
+    from scipy.sparse.csgraph import connected_components
+
     n, count = len(masses), system.getNumConstraints()
     pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
     for i in range(count):

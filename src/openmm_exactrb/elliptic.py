@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import elliprj
 
 Array = NDArray[np.float64]
 
@@ -105,6 +104,8 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
     Within half a period it is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and it is
     elementary where kc = 0.
     """
+    from scipy.special import elliprj  # here, for a short import of the package
+
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
     integral: Array = b / 3.0 * reduced**3 * elliprj(np.where(separatrix, 1.0, cn * cn), dn * dn, 1.0, 1.0 + b * w * w)
@@ -124,7 +125,7 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
 
 def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
-    """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for |w| <= 0.3.
+    """Integrate b s² / ((1 + b s²) sqrt((1 - x s²)(1 - z s²))) over s from 0 to w, for abs(w) <= 0.3.
 
     Gauss's rule with ten nodes on [-w, w], or six for w up to 0.1: the integrand is even, so half of them are
     evaluated. With x, z and b in [0, 1] its singularities are at least 1 away from zero and the rule is exact to
@@ -158,7 +159,7 @@ RULES = (_even_rule(3), _even_rule(5))
 
 
 def sine_short(s: Array, x: Array, z: Array) -> Array:
-    """Return w = sn(v)/c at s = v/c for |s| <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
+    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
 
     The Taylor series to the eleventh order at s/2, and one duplication.
 
@@ -205,6 +206,8 @@ def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2:
     -----
     n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period, with Carlson's R_J (DLMF 19.25.14).
     """
+    from scipy.special import elliprj  # here, for a short import of the package
+
     sn2, cn2 = sn * sn, cn * cn
     folded = np.where(cn < 0.0, -sn, sn)
     integral = folded * sn2 * elliprj(cn2, dn * dn, 1.0, cn2 + nc * sn2)

@@ -64,7 +64,7 @@ def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, 
         Number of steps.
     scheme : Scheme
     method : str, optional
-        A key of `openmm_exactrb.rotors.ROTORS`.
+        A key of `openmm_exactrb.ROTORS`.
 
     Returns
     -------

@@ -185,7 +185,7 @@ def free_rotor(
     Warns
     -----
     NotConvergedWarning
-        If a step is too long for some bodies, which are then nan; only the flows with a finite `Rotor.largest_angle`.
+        If a step is too long for some bodies, which are then nan; only flows whose `largest_angle` is finite.
 
     Raises
     ------

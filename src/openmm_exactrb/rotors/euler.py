@@ -17,14 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import elliprf
 
 from openmm_exactrb.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
 from openmm_exactrb.rotors.flow import Array, Flow
 
-# Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
+#: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14
 # Where the squares of a momentum are safe from over- and underflow.
 _SAFE = (1e-70, 1e70)
@@ -236,6 +235,8 @@ def solve(inertia: Array, x: Array, time: Array) -> Orbit:
     -------
     Orbit
     """
+    from scipy.special import elliprf  # here, for a short import of the package
+
     I1, I2, I3 = inertia
     x1, x2, x3 = x
     a1_squared = x1 * x1 * (I3 - I1) / I1 + x2 * x2 * (I3 - I2) / I2  # 2T I3 - 1
