@@ -30,6 +30,8 @@ exclude_patterns = ["_build"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
+highlight_language = "none"  # of blocks that do not name theirs
+
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings tell the types, with shapes and units
 numpydoc_show_class_members = False
