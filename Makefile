@@ -25,6 +25,7 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/rotor_cost.py
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/water.py
+	$(BIN)/python benchmarks/roundoff.py
 
 clean:
 	rm -rf $(VENV) out
