@@ -35,6 +35,7 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
 	$(BIN)/python benchmarks/dipole_precision.py
+	$(BIN)/python benchmarks/roundoff.py
 
 paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)

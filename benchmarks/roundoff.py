@@ -13,6 +13,7 @@ folder of its own.
 from __future__ import annotations
 
 import argparse
+from functools import cache
 from pathlib import Path
 
 import matplotlib as mpl
@@ -97,20 +98,18 @@ def tops(start, variant, last, h=TOP_STEP):
 # -- dipoles --------------------------------------------------------------------------------------------------------
 
 
-def dipoles_of(start, integrator):
-    """Return a Simulation of a cluster of 27 dipoles at rest in itself, with thermal momenta."""
+@cache
+def dipoles_of(start):
+    """Return topology and system of 27 dipoles, and the positions and velocities of a cluster, warm about a minimum."""
     topology, system, positions = rb.dipole_fluid(27, seed=start)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    ours = rb.ExactRigidBodyIntegrator(0.001)
-    other = openmm.Context(system, ours, openmm.Platform.getPlatform("Reference"))
-    other.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(other, 1e-3)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 1e-3)
     kelvin = KT / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-    ours.setVelocitiesToTemperature(kelvin, start)
-    state = other.getState(positions=True, velocities=True)
-    simulation.context.setPositions(state.getPositions())
-    simulation.context.setVelocities(state.getVelocities())
-    return simulation
+    integrator.setVelocitiesToTemperature(kelvin, start)
+    state = context.getState(positions=True, velocities=True)
+    return topology, system, state.getPositions(), state.getVelocities()
 
 
 def round_everything(integrator):
@@ -126,11 +125,13 @@ def dipoles(start, variant, last, h=DIPOLE_STEP):
     """Return the records of one cluster, (1, records)."""
     settle = variant == "settle"
     integrator = openmm.VerletIntegrator(h * SCHEME.stages) if settle else rb.ExactRigidBodyIntegrator(h, scheme=SCHEME)
-    simulation = dipoles_of(start, integrator)
-    context = simulation.context
+    topology, system, positions, velocities = dipoles_of(start)
+    context = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference")).context
+    context.setPositions(positions)
+    context.setVelocities(velocities)
     if variant == "rounded":
         round_everything(integrator)
-    masses = np.array([simulation.system.getParticleMass(i)._value for i in range(simulation.system.getNumParticles())])
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
     def observe():
         state = context.getState(positions=True, velocities=True, energy=True)

@@ -204,6 +204,15 @@ def test_rotation_matrices_take_any_layout_and_type(x):
     assert quaternions.rotation_matrix(np.zeros((2, 5, 4))).shape == (2, 5, 3, 3)
 
 
+@given(x=arrays.arrays(np.float64, (4, 3), elements=st.floats(-1.0, 1.0)))
+def test_the_defect_of_a_norm_is_exact(x):
+    size = np.linalg.norm(x, axis=0)
+    assume((size > 0.1).all())
+    q = x / size
+    exact = [float(1 - sum(Fraction(component) ** 2 for component in column)) for column in q.T]
+    np.testing.assert_allclose(quaternions.one_less_square(q), exact, rtol=0.0, atol=1e-23)
+
+
 def test_a_quaternion_that_is_not_finite_spoils_no_neighbour():
     q = np.tile([0.5, 0.5, 0.5, 0.5], (3, 1))
     q[1, 2] = np.nan

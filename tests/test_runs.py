@@ -91,6 +91,19 @@ def wait_until_running(process, folder):
         time.sleep(0.002)
 
 
+def wait_until_stepping(process, folder):
+    """Wait until a process has written some frames beside the first: it loads libraries before its first step."""
+    wait_until_running(process, folder)
+    trajectory = folder / "trajectory.dcd"
+
+    def size():
+        return trajectory.stat().st_size if trajectory.exists() else 0
+
+    before = size()
+    while size() < before + 1500 and process.poll() is None:
+        time.sleep(0.002)
+
+
 # -- accidents ---------------------------------------------------------------------------------------------------------
 
 
@@ -102,8 +115,8 @@ def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytest
     while kills < wanted:
         process = launch("--out", folder, "--resume", "--checkpoint", dice.choice((0.0, 0.01, 60.0)))
         if dice.random() < 0.8:  # else while it starts
-            wait_until_running(process, folder)
-            time.sleep(dice.uniform(0.0, 3.0 / wanted))
+            wait_until_stepping(process, folder)
+            time.sleep(dice.uniform(0.0, 1.5 / wanted))
         else:
             time.sleep(dice.uniform(0.0, 0.8))
         process.kill()
@@ -121,8 +134,7 @@ def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytest
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path, whole, number, status):
     process = launch("--out", tmp_path / "out")
-    wait_until_running(process, tmp_path / "out")
-    time.sleep(0.3)
+    wait_until_stepping(process, tmp_path / "out")
     process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == status

@@ -15,7 +15,8 @@ import numpy as np
 
 from openmm_exactrb.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.kernels import compiled, inlined, inner
-from openmm_exactrb.rotors.exact import GENTLY, ON_SEPARATRIX, SAFE, SHORT, VANISHING
+from openmm_exactrb.quaternions import TO_GRID
+from openmm_exactrb.rotors.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
 from openmm_exactrb.sums_compiled import two_sum
 
 # Bodies in a block. Its rows lie next to each other at distances that the compiler knows, so that it sees that they
@@ -34,11 +35,11 @@ _LANDEN = 24
 
 
 @inner
-def _short_block(block, gain):
+def _short_block(block):
     """Advance a block.
 
     Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, the low parts of q (4) and
-    of m (3). `gain` is the part of its defect by which the norm of q is corrected.
+    of m (3).
     """
     for i in range(_BLOCK):
         b, rho, sigma, inverse_I3 = block[i], block[_BLOCK + i], block[2 * _BLOCK + i], block[3 * _BLOCK + i]
@@ -47,8 +48,7 @@ def _short_block(block, gain):
         q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
         l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
         p0, p1, p2, p3 = _product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
-        defect = 0.5 * (1.0 - (q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
-        defect *= gain
+        defect = 0.5 * _one_less_square(q0, q1, q2, q3) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
         p0, l0 = two_sum(q0, l0, p0 + q0 * defect)
         p1, l1 = two_sum(q1, l1, p1 + q1 * defect)
         p2, l2 = two_sum(q2, l2, p2 + q2 * defect)
@@ -68,6 +68,15 @@ def _short_block(block, gain):
         block[20 * _BLOCK + i] = d1 if is_short else 0.0
         block[21 * _BLOCK + i] = d2 if is_short else 0.0
         block[22 * _BLOCK + i] = d3 if is_short else 0.0
+
+
+@inlined
+def _one_less_square(q0, q1, q2, q3):
+    """Return 1 - q.q of a unit quaternion, as `quaternions.one_less_square` does."""
+    h0, h1 = (q0 + TO_GRID) - TO_GRID, (q1 + TO_GRID) - TO_GRID
+    h2, h3 = (q2 + TO_GRID) - TO_GRID, (q3 + TO_GRID) - TO_GRID
+    rest = (q0 - h0) * (q0 + h0) + (q1 - h1) * (q1 + h1) + (q2 - h2) * (q2 + h2) + (q3 - h3) * (q3 + h3)
+    return (1.0 - (h0 * h0 + h1 * h1 + h2 * h2 + h3 * h3)) - rest
 
 
 @inlined
@@ -549,7 +558,7 @@ def advance(body, q, m, t, q1, m1):
         for i in range(length, _BLOCK):  # the rest is not used, but has to be a number
             for row in range(12):
                 block[row * _BLOCK + i] = 1.0
-        _short_block(block, GENTLY if summing else 1.0)
+        _short_block(block)
         for i in range(length):
             if block[15 * _BLOCK + i] == 0.0:
                 _long(body[:, start + i if each else 0], block, i, turn, means)

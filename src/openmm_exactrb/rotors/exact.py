@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
-from openmm_exactrb.quaternions import multiply, renormalise
+from openmm_exactrb.quaternions import multiply, one_less_square, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 from openmm_exactrb.sums import add, exactly
 
@@ -38,9 +38,6 @@ SHORT = 0.3
 SAFE = (1e-70, 1e70)
 # Where the eighth powers of the components of a unit vector vanish.
 VANISHING = 1e-36
-# The part of its defect by which a sum's norm is corrected in a step. The defect has an error of float64, which depends
-# on the attitude; corrected at once, the norm and with it the force would follow it.
-GENTLY = 1.0 / 256.0
 # Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
 ON_SEPARATRIX = 1e-30
 
@@ -151,9 +148,9 @@ def _advance(body: Array, q: Array, m: Array, t: Array) -> tuple[Array, Array]:
 def _step_short(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     turn, change = _short(body, m[0], G, t)
     high = q[0]
-    defect = 0.5 * (1.0 - np.einsum("in,in->n", high, high))
+    defect = 0.5 * one_less_square(high)
     if len(q) == 2:
-        defect = GENTLY * (defect - np.einsum("in,in->n", high, q[1]))
+        defect -= np.einsum("in,in->n", high, q[1])
     return add(q, multiply(high, turn) + high * defect), add(m, change)
 
 
