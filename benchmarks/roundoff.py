@@ -231,6 +231,8 @@ def draw(folder, fraction, csv, picture):
     for name, row in zip(SYSTEMS, axes, strict=True):
         guide = np.array([10.0, SYSTEMS[name][2] // fraction])
         for axis, label in zip(row, QUANTITIES.values(), strict=True):
+            if axis is axes[0, 2]:  # of the legend
+                continue
             axis.loglog(guide, 1e-17 * np.sqrt(guide / 10.0), color="#999999", linestyle="--")
             axis.set(title=TITLES[name], xlabel="steps n", ylabel=label)
             axis.grid(alpha=0.3)

@@ -116,8 +116,8 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are not positive and finite, not of this shape, below `SMALLEST_MOMENT` or
-        further apart than `WIDEST`.
+        If there is no such rotor, or moments are not positive and finite, not of this shape, below ``SMALLEST_MOMENT`` or
+        further apart than ``WIDEST``.
 
     Notes
     -----
@@ -142,7 +142,7 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
 def rotor_of_sums(name: str, inertia: ArrayLike) -> Flow:
     """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
 
-    Parameters and errors are those of `rotor`. Flows without `Rotor.sums` round what they return to the high part.
+    Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` round what they return to the high part.
     """
     flow = rotor(name, inertia)
     if ROTORS[name].sums:
