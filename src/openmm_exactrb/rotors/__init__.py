@@ -116,8 +116,8 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are not positive and finite, not of this shape, below ``SMALLEST_MOMENT`` or
-        further apart than ``WIDEST``.
+        If there is no such rotor, or moments are not positive and finite, not of this shape, below
+        ``SMALLEST_MOMENT`` or further apart than ``WIDEST``.
 
     Notes
     -----
