@@ -393,3 +393,12 @@ def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
     with (tmp_path / "run.pdb").open("w") as file:
         app.PDBFile.writeFile(simulation.topology, x * unit.nanometer, file)
     assert len(mdtraj.load(dcd, top=str(tmp_path / "run.pdb"))) == 2
+
+
+def test_infinite_places_after_a_last_drift_are_a_blow_up_too():
+    """No kick follows them in the step, and forces between infinitely distant spheres vanish."""
+    simulation = simulation_of(8, h=0.5, scheme="S6_10", trap=0.0)
+    simulation.context.setVelocitiesToTemperature(1e4, 3)
+    with pytest.raises(rb.NonFiniteError, match="not finite any more"):
+        simulation.integrator.step(200)
+    assert np.isfinite(snapshot(simulation)[0]).all()

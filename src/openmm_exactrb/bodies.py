@@ -55,9 +55,10 @@ class BodyState(NamedTuple):
         return BodyState(*(x[0] for x in self))
 
     def finite(self) -> NDArray[np.bool_]:
-        """Tell which bodies have momenta with finite squares, (N,)."""
-        fine = np.asarray(np.isfinite(self.P * self.P).all(axis=0))
-        fine[: self.m.shape[1]] &= np.isfinite(self.m * self.m).all(axis=0)
+        """Tell which bodies have places and momenta with finite squares, (N,)."""
+        fine = np.asarray(np.isfinite(self.P * self.P + self.R * self.R).all(axis=0))
+        turning = slice(self.m.shape[1])
+        fine[turning] &= np.isfinite(self.m * self.m).all(axis=0) & np.isfinite(self.q * self.q).all(axis=0)
         return fine
 
 

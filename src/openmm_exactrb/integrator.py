@@ -353,7 +353,7 @@ class _Coupling:
         self._number = number
         flows = chain(scheme.processor * begins, scheme.sequence, scheme.postprocessor * ends)
         with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
-            self.sums = move(flows, self.sums, h, self._drift, self._kick)
+            self.sums = self._finite(move(flows, self.sums, h, self._drift, self._kick))
 
     def _drift(self, state: BodyState, tau: float) -> BodyState:
         start = time.perf_counter()
@@ -367,11 +367,18 @@ class _Coupling:
             self._forces = self.bodies.forces(state.high, self._particle_forces(state.high))
         force, torque = self._forces
         after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
-        # Squares, because finite momenta of 1e200 are as useless; before OpenMM sees positions that are not numbers.
-        if not np.isfinite(np.vdot(after.P[0], after.P[0]) + np.vdot(after.m[0], after.m[0])):
+        return self._finite(after)
+
+    def _finite(self, state: BodyState) -> BodyState:
+        """Return a state whose numbers are fit for OpenMM, or raise NonFiniteError.
+
+        Their squares are looked at, because finite numbers of 1e200 are as useless; places too, because the forces
+        between infinite ones may vanish.
+        """
+        if not np.isfinite(sum(float(np.vdot(x[0], x[0])) for x in state)):
             self.forget_forces()
-            raise NonFiniteError(self._complaint(after.high))
-        return after
+            raise NonFiniteError(self._complaint(state.high))
+        return state
 
     def _particle_forces(self, state: BodyState) -> Array:
         x = self.bodies.positions(state, self._x)
@@ -388,7 +395,7 @@ class _Coupling:
         names = "; ".join(self.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
         pair, distance = self.bodies.closest(self.state)
         return (
-            f"step {self._number}: momenta of {len(bad)} bodies are not finite any more: {names}. "
+            f"step {self._number}: places or momenta of {len(bad)} bodies are not finite any more: {names}. "
             f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
             "keeps the state before this step: take a smaller step size, or minimise the energy first"
         )
