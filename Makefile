@@ -41,7 +41,7 @@ paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)
 
 clean:
-	rm -rf $(VENV) out docs/_build docs/_run
+	rm -rf $(VENV) out examples/out docs/_build docs/tutorials
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -1,5 +1,8 @@
 """Sphinx settings. Nothing here needs a network; `make linkcheck` does."""
 
+import ast
+import os
+import pkgutil
 import sys
 from importlib.metadata import version as version_of
 from pathlib import Path
@@ -7,9 +10,14 @@ from typing import Any
 
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
+import openmm_exactrb
+from openmm_exactrb.schemes import CATALOGUE, stability_limit
+
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+log = logging.getLogger(__name__)
 
 project = "openmm-exactrb"
 author = "The openmm-exactrb developers"
@@ -19,15 +27,15 @@ release = version = version_of("openmm-exactrb")
 extensions = [
     "myst_parser",
     "numpydoc",
-    "run_example",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.doctest",
     "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
+    "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build"]
-myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
+exclude_patterns = ["_build", "tutorials/**/*.ipynb"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
 myst_heading_anchors = 3
 
 highlight_language = "none"  # of blocks that do not name theirs
@@ -43,6 +51,23 @@ nitpick_ignore_regex = [
     (r"py:.*", r"(openmm|State|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?"),
     (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
 ]
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "tutorials",
+    "filename_pattern": "",  # executes all of them
+    "ignore_pattern": r"[\\/]sphere\.py",
+    "run_stale_examples": True,  # the package may have changed since
+    "reset_argv": "gallery.arguments",
+    "reset_modules": ("matplotlib",),
+    "image_srcset": ["2x"],
+    "capture_repr": (),
+    "notebook_extensions": set(),  # scripts that take options
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "show_signature": False,
+}
+os.environ["TQDM_DISABLE"] = "1"
 
 doctest_global_setup = "from openmm_exactrb import *"
 
@@ -63,14 +88,44 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, shown, name)
 
 
-def without_missing(app: Sphinx, docname: str, source: list[str]) -> None:
-    """Leave pages out of the table of contents that are not there."""
-    for page in ("paper", "trust", "ensemble"):
-        if docname == "index" and not (Path(app.srcdir) / f"{page}.md").exists():
-            source[0] = source[0].replace(f"\n{page}\n", "\n")
+def scheme_table() -> str:
+    """Return the catalogue of schemes as a table, for the guide."""
+    rows = ["| name | orders | forces a step | starts with | kind | stable step a force |", "| --- " * 6 + "|"]
+    for name, scheme in CATALOGUE.items():
+        orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
+        stable = stability_limit(scheme, 1e-3) / scheme.stages
+        rows.append(f"| `{name}` | {orders} | {scheme.stages} | {scheme.first} | {scheme.kind} | {stable:.2f} |")
+    return "\n".join(rows)
+
+
+myst_substitutions = {"scheme_table": scheme_table()}
+
+
+def undocumented(app: Sphinx, env: Any) -> None:
+    """Warn of modules and public names that are on no page of the API."""
+    domain = env.domains["py"]
+    for info in pkgutil.walk_packages(openmm_exactrb.__path__, "openmm_exactrb."):
+        if info.name not in domain.modules:
+            log.warning("module %s is on no page of docs/api", info.name)
+        for name in public_names(Path(info.module_finder.path) / info.name.rpartition(".")[2]):
+            if not {f"{info.name}.{name}", f"openmm_exactrb.{name}"} & domain.objects.keys():
+                log.warning("%s.%s is on no page of docs/api", info.name, name)
+
+
+def public_names(path: Path) -> list[str]:
+    """Return the functions, classes and constants that a module defines, but for private ones."""
+    source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    names = []
+    for node in ast.parse(source.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names += [target.id for target in targets if isinstance(target, ast.Name) and target.id.isupper()]
+    return [name for name in names if not name.startswith("_")]
 
 
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
     app.connect("missing-reference", by_last_name)
-    app.connect("source-read", without_missing)
+    app.connect("env-check-consistency", undocumented)
