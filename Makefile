@@ -20,11 +20,11 @@ lint: $(VENV)/.lint
 
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
-	$(BIN)/python -m sphinx -W --keep-going --quiet -b doctest docs docs/_build/doctest
+	$(BIN)/python -m sphinx -W --keep-going --quiet -D plot_gallery=0 -b doctest docs docs/_build/doctest
 	@echo "docs/_build/html/index.html"
 
 linkcheck: $(VENV)/.docs
-	$(BIN)/python -m sphinx --keep-going -b linkcheck -D run_examples=0 docs docs/_build/linkcheck
+	$(BIN)/python -m sphinx --quiet -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
 
 validate: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)

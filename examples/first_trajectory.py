@@ -35,11 +35,12 @@ print(f"{len(time)} frames in {out}; the total energy went from {total[0]:.6f} t
 # %%
 # Kinetic and potential energy are exchanged; their sum stays.
 
+plt.style.use("tableau-colorblind10")
 figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
 for column, label, style in ((2, "translation", "-"), (3, "rotation", "--"), (5, "potential", "-."), (6, "total", ":")):
     axes.plot(time, energies[:, column], style, label=label)
 axes.set_xlabel("time (ps)")
 axes.set_ylabel("energy (kJ/mol)")
 axes.set_title("27 soft dipoles")
-axes.legend(loc="center right")
+figure.legend(loc="outside right center")
 figure.savefig(out / "energies.png", dpi=150)

@@ -94,7 +94,7 @@ def draw(table: np.ndarray, degrees: tuple[int, int], file: Path) -> None:
         axes.plot(table[:, 1], 2.0 * energy / (kb * n), style, color=colour, label=name)
     axes.set_xlabel("time (ps)")
     axes.set_ylabel("temperature (K)")
-    axes.set_title("Ions in rigid water, from a start without strain and momenta of 300 K")
+    axes.set_title("Sodium and chloride in rigid water")
     axes.grid(True, alpha=0.3)
     axes.legend()
     figure.savefig(file, dpi=150)

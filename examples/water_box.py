@@ -165,7 +165,7 @@ def draw(errors: dict[str, np.ndarray], molecules: int, interval: float, file: P
     axes.set_ylabel("total energy - mean (kJ/mol per molecule)")
     axes.set_title(f"Rigid TIP3P water, PME, a force evaluation every {interval:g} fs")
     axes.grid(True, alpha=0.3)
-    axes.legend(loc="upper right", fontsize=9)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
 
 

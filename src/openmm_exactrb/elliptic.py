@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
+#: Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
 SEPARATRIX_LIMIT = 345.0
-# Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
+#: Below this phase sn v = v, cn v = dn v = 1 to the last bit, and the recurrence in cot(phase) would overflow.
 TINY_PHASE = 1e-60
 
 
@@ -155,6 +155,7 @@ def _even_rule(n: int) -> tuple[Array, Array]:
     return (nodes[n:] ** 2)[:, None], weights[n:]
 
 
+#: Gauss's rules with 6 and 10 points for even integrands: squared nodes (n, 1) and weights (n,).
 RULES = (_even_rule(3), _even_rule(5))
 
 

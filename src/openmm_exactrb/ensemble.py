@@ -258,7 +258,7 @@ def energies(
     Parameters
     ----------
     build : callable
-        build(**arguments) returns (topology, system, positions) or (topology, system, positions, velocities), as
+        ``build(**arguments)`` returns (topology, system, positions) or (topology, system, positions, velocities), as
         `openmm_exactrb.dipole_fluid` and `openmm_exactrb.rigid_water` do. It gets the seed too if it takes one.
     step, duration : float
         In ps.

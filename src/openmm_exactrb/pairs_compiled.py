@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the reaction field.
 Truncation = tuple[float, float, float, float, float, float]
 
 # Sums may be reordered and products fused; nan and inf stay what they are, no square root or division is approximated.
@@ -38,7 +37,8 @@ def soft_dipoles(
     repulsion, coupling : float
         4 epsilon sigma^12 and (strength/length)².
     truncation : tuple of six floats, optional
-        With it the boundaries are periodic.
+        Edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the reaction field. With it the
+        boundaries are periodic.
     threads : int, optional
         All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
 

@@ -1,6 +1,6 @@
 """Unevaluated sums high + low, so that a million small steps round no more than one large one.
 
-A sum is an array (2, ...): `x[0]` is the number rounded to float64, `x[1]` what the rounding left.
+A sum is an array (2, ...): ``x[0]`` is the number rounded to float64, ``x[1]`` what the rounding left.
 """
 
 from __future__ import annotations

@@ -32,13 +32,13 @@ from openmm_exactrb.quaternions import multiply, one_less_square, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 from openmm_exactrb.sums import add, exactly
 
-# Up to this b G h the series of `_short` are exact to roundoff.
+#: Up to this b G h the series of `_short` are exact to roundoff.
 SHORT = 0.3
-# Where the squares of a momentum are safe from over- and underflow.
+#: Where the squares of a momentum are safe from over- and underflow.
 SAFE = (1e-70, 1e70)
-# Where the eighth powers of the components of a unit vector vanish.
+#: Where the eighth powers of the components of a unit vector vanish.
 VANISHING = 1e-36
-# Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
+#: Less than the error of double-double, relative to the terms of S, is zero: the momentum was put on the separatrix.
 ON_SEPARATRIX = 1e-30
 
 
