@@ -89,8 +89,8 @@ class Parser(argparse.ArgumentParser):
 
 def parse() -> argparse.Namespace:
     parser = Parser(
-        description="A droplet of soft dipolar spheres: OpenMM computes the forces, the rotation is exact. After Ctrl-C, "
-        "a kill or a full disk the same command with --resume goes on.",
+        description="A droplet of soft dipolar spheres: OpenMM computes the forces, the rotation is exact. After "
+        "Ctrl-C, a kill or a full disk the same command with --resume goes on.",
         epilog="Units are OpenMM's: amu, nm, ps, kJ/mol; with sigma = epsilon = m = 1 they are the reduced units of "
         "the paper.",
     )

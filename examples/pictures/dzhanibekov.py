@@ -7,10 +7,10 @@ A body that turns about its middle axis, by the exact flow and by McLachlan-Reic
 
 import matplotlib.pyplot as plt
 import numpy as np
+from sphere import BLUE, RED
 
 import openmm_exactrb as rb
 from openmm_exactrb.quaternions import rotation_matrix
-from sphere import BLUE, RED
 
 inertia = np.array([1.0, 1.88, 2.88])
 h, n = 1.6, 75

@@ -8,9 +8,9 @@ start of its curve.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from sphere import BLACK, BLUE, ORANGE, draw_sphere, eye
 
 import openmm_exactrb as rb
-from sphere import BLACK, BLUE, ORANGE, draw_sphere, eye
 
 inertia = np.array([1.0, 1.88, 2.88])
 
