@@ -67,8 +67,8 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
     ("example", "arguments", "files"),
     [
         ("water_box.py", ["--duration", "0.2"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
-        ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
-        ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "energies.csv"]),
+        ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "temperatures.png"]),
+        ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "cluster.png"]),
     ],
 )
 def test_the_other_examples_leave_their_files(tmp_path, example, arguments, files):

@@ -54,7 +54,7 @@ for first in (1.0, -1.0):
 for axis in range(3):
     tip = 1.4 * np.eye(3)[axis]
     axes.plot(*np.outer(tip, [0.72, 0.92]), color="0.3", lw=1.2, zorder=5)
-    axes.text(*tip, f"axis {axis + 1}", ha="center", fontsize=11)
+    axes.text(*(1.1 * tip), f"axis {axis + 1}", ha="center", fontsize=11)
 axes.legend(loc="lower left", fontsize=10, title="momentum goes")
 axes.set_title("Angular momentum of a free body, seen from the body\nmoments of inertia 1, 1.88, 2.88")
 plt.show()
