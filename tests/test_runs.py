@@ -31,6 +31,7 @@ def started_quickly():
     """Let processes compute in numpy: some eighty of them start here, and would load numba each."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(kernels.SWITCH, "0")
+        patch.setenv("TQDM_DISABLE", "1")  # on a busy machine the bar would be a second line of errors
         yield
 
 
