@@ -275,7 +275,7 @@ class RigidBodies:
 
     def lost(self, state: BodyState) -> NDArray[np.bool_]:
         """Tell which bodies have numbers without finite squares, or are faster than light, (N,)."""
-        found = ~np.isfinite(state.R * state.R).all(axis=0)
+        found = np.asarray(~np.isfinite(state.R * state.R).all(axis=0))
         found |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * self.mass) ** 2)  # so that nan is lost
         for x in (state.q, state.m):
             found[: self.n_turning] |= ~np.isfinite(x * x).all(axis=0)

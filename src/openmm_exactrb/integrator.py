@@ -182,8 +182,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ValueError
             If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
         NonFiniteError
-            If numbers of a body become infinite or nan, or it is faster than light. The Context then holds the state after the last good step;
-            with a processed scheme, that before this call.
+            If numbers of a body become infinite or nan, or it is faster than light. The Context then holds the state
+            after the last good step; with a processed scheme, that before this call.
         """
         start = time.perf_counter()
         coupling = self._up_to_date()

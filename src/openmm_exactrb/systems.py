@@ -244,8 +244,8 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
     return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
 
 
-# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces which OpenMM shares out have a torque
-# of 1e-14 whose mean is not zero. Any other digits average out.
+# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces which OpenMM shares out have a
+# torque of 1e-14 whose mean is not zero. Other digits average out.
 _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 
