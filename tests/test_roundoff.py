@@ -137,7 +137,7 @@ def test_a_step_in_openmm_is_symplectic(pairing):
     def after(state):
         coupling.state = state
         coupling.forget_forces()
-        coupling.step(scheme, 0.05, 1, True, True)
+        coupling.step(scheme, 0.05, (1, 0.0), True, True)
         return coupling.state
 
     def state(x):

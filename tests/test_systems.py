@@ -64,7 +64,7 @@ def test_virtual_sites_and_constraints_fit_the_positions(droplet):
     context.setPositions(positions)
     context.computeVirtualSites()
     x = context.getState(positions=True).getPositions(asNumpy=True)._value
-    np.testing.assert_allclose(x, positions._value, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(x, positions._value, rtol=0.0, atol=2e-13)  # weights are 5e-14 off simple fractions
     for i in range(system.getNumConstraints()):
         p, q, d = system.getConstraintParameters(i)
         assert abs(np.linalg.norm(x[p] - x[q]) - d._value) < 1e-14

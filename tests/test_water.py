@@ -353,10 +353,10 @@ def test_only_the_integration_force_groups_act():
 @pytest.mark.parametrize("platform", [REFERENCE, CPU], ids=["Reference", "CPU"])
 def test_a_step_far_too_large_names_the_bodies_and_keeps_the_last_good_state(platform):
     simulation = start(*periodic_water(125), h=0.5, scheme="SRKN4_6b", platform=platform)
-    message = r"step (\d+): places or momenta of \d+ bodies are not finite any more: body"
+    message = r"step (\d+), after [\d.]+ ps: not finite or faster than light: body"
     with pytest.raises(rb.NonFiniteError, match=message) as error:
         simulation.step(50)
-    assert error.match(f"step {simulation.context.getStepCount() + 1}:")
+    assert error.match(f"step {simulation.context.getStepCount() + 1},")
     assert np.isfinite(positions_of(simulation)).all()
 
 

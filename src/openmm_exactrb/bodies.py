@@ -29,6 +29,8 @@ _FLAT = 1e-10
 _SHIFTED = 1e-9
 #: Positions further than this from a rigid body, in nm, are refused.
 RIGIDITY = 1e-4
+#: The speed of light in nm/ps. A body above it is not finite in any useful sense.
+LIGHT = 299_792.458
 
 
 class BodyState(NamedTuple):
@@ -53,13 +55,6 @@ class BodyState(NamedTuple):
     def high(self) -> BodyState:
         """The numbers themselves, where arrays are sums (2, ...) of `openmm_exactrb.sums`."""
         return BodyState(*(x[0] for x in self))
-
-    def finite(self) -> NDArray[np.bool_]:
-        """Tell which bodies have places and momenta with finite squares, (N,)."""
-        fine = np.asarray(np.isfinite(self.P * self.P + self.R * self.R).all(axis=0))
-        turning = slice(self.m.shape[1])
-        fine[turning] &= np.isfinite(self.m * self.m).all(axis=0) & np.isfinite(self.q * self.q).all(axis=0)
-        return fine
 
 
 @dataclass(frozen=True)
@@ -277,6 +272,14 @@ class RigidBodies:
         """Return the translational and rotational kinetic energies in kJ/mol."""
         translational = 0.5 * float(np.sum(state.P * state.P / self.mass))
         return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
+
+    def lost(self, state: BodyState) -> NDArray[np.bool_]:
+        """Tell which bodies have numbers without finite squares, or are faster than light, (N,)."""
+        found = np.asarray(~np.isfinite(state.R * state.R).all(axis=0))
+        found |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * self.mass) ** 2)  # so that nan is lost
+        for x in (state.q, state.m):
+            found[: self.n_turning] |= ~np.isfinite(x * x).all(axis=0)
+        return found
 
     def name(self, body: int) -> str:
         """Say which particles a body consists of."""

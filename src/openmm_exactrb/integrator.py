@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb import vectors
-from openmm_exactrb.bodies import BodyState, Indices, RigidBodies, find_bodies
+from openmm_exactrb.bodies import LIGHT, BodyState, Indices, RigidBodies, find_bodies
 from openmm_exactrb.propagate import move
 from openmm_exactrb.rotors import ROTORS, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
@@ -44,7 +44,7 @@ _CHANGING = (
 
 
 class NonFiniteError(ArithmeticError):
-    """A force or momentum is not finite; the Context keeps the state after the last good step."""
+    """A body has numbers that are not finite, or is faster than light; the Context keeps the last good step."""
 
 
 @dataclass
@@ -182,8 +182,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ValueError
             If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
         NonFiniteError
-            If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step;
-            with a processed scheme, that before this call.
+            If numbers of a body become infinite or nan, or it is faster than light. The Context then holds the state
+            after the last good step; with a processed scheme, that before this call.
         """
         start = time.perf_counter()
         coupling = self._up_to_date()
@@ -197,7 +197,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         try:
             for number in range(steps):
                 begins = number == 0 or coupling.changing
-                coupling.step(self._scheme, h, first + done, begins, number in ends)
+                coupling.step(self._scheme, h, (first + done, time_now), begins, number in ends)
                 time_now += h
                 done += 1
                 if coupling.changing:
@@ -318,6 +318,7 @@ class _Coupling:
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
         self.bodies = find_bodies(system, x, bodies)
+        self._fast = float(np.min(LIGHT * self.bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
         self.groups = groups
         self.timings = timings
         #: Whether OpenMM itself changes positions or velocities between steps.
@@ -327,7 +328,7 @@ class _Coupling:
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
-        self._number = 0
+        self._at = (0, 0.0)
         #: The state as sums high + low, (2, k, N), so that no step rounds it.
         self.sums = BodyState(*map(exactly, self.bodies.fit(x, v)))
 
@@ -345,12 +346,12 @@ class _Coupling:
         """The Context, or None when it is gone."""
         return self._context()
 
-    def step(self, scheme: Scheme, h: float, number: int, begins: bool, ends: bool) -> None:
-        """Move the bodies by one step, which errors call by its number.
+    def step(self, scheme: Scheme, h: float, at: tuple[int, float], begins: bool, ends: bool) -> None:
+        """Move the bodies by one step, which errors call by its number and the time (ps) before it.
 
         `begins` and `ends` say whether a processed scheme has to prepare the state before it, or to finish it after.
         """
-        self._number = number
+        self._at = at
         flows = chain(scheme.processor * begins, scheme.sequence, scheme.postprocessor * ends)
         with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
             self.sums = self._finite(move(flows, self.sums, h, self._drift, self._kick))
@@ -373,9 +374,10 @@ class _Coupling:
         """Return a state whose numbers are fit for OpenMM, or raise NonFiniteError.
 
         Their squares are looked at, because finite numbers of 1e200 are as useless; places too, because the forces
-        between infinite ones may vanish.
+        between infinite ones may vanish; and speeds, because bodies that were thrown apart may never meet again.
         """
-        if not np.isfinite(sum(float(np.vdot(x[0], x[0])) for x in state)):
+        R, P, q, m = (float(np.vdot(x[0], x[0])) for x in state)
+        if not np.isfinite(R + P + q + m) or (self._fast < P and self.bodies.lost(state.high).any()):
             self.forget_forces()
             raise NonFiniteError(self._complaint(state.high))
         return state
@@ -391,11 +393,13 @@ class _Coupling:
         return forces
 
     def _complaint(self, after: BodyState) -> str:
-        bad = np.flatnonzero(~after.finite())
-        names = "; ".join(self.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
+        bad = np.flatnonzero(self.bodies.lost(after))
+        names = "; ".join(self.bodies.name(int(b)) for b in bad[:3])
+        more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
         pair, distance = self.bodies.closest(self.state)
+        number, time = self._at
         return (
-            f"step {self._number}: places or momenta of {len(bad)} bodies are not finite any more: {names}. "
+            f"step {number}, after {time:.6g} ps: not finite or faster than light: {names}{more}. "
             f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
             "keeps the state before this step: take a smaller step size, or minimise the energy first"
         )
