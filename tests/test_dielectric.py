@@ -1,4 +1,4 @@
-"""The dielectric constant from fluctuations: its formula and its error, a dilute gas, and a liquid beside an Ewald sum."""
+"""The dielectric constant from fluctuations: formula and error, a dilute gas, a liquid beside an Ewald sum."""
 
 import io
 
