@@ -1,6 +1,9 @@
 """The dielectric constant from fluctuations: formula and error, a dilute gas, a liquid beside an Ewald sum."""
 
 import io
+import runpy
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -199,3 +202,39 @@ def test_a_dilute_gas_has_the_dielectric_constant_of_its_pairs():
 
 
 # -- liquids ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def by_ewald_sum(mu2):
+    """Return dielectric constant and error by LAMMPS's Ewald sum, forces, rotation and thermostat."""
+    example = Path(__file__).parent.parent / "examples" / "dielectric_constant.py"
+    return runpy.run_path(str(example))["EWALD"][0.822, 1.15, mu2]
+
+
+def liquid(mu2, picoseconds, n=125, **options):
+    """Return dielectric constant and error of the Stockmayer fluid at density 0.822 and kT = 1.15."""
+    simulation, text = simulation_of(
+        n, 0.822, 1.15, mu2, step=0.0125, sample=0.05, attraction=1.0, kernel="compiled", **options
+    )
+    simulation.step(round((40.0 + picoseconds) / 0.0125))
+    surroundings = {name: value for name, value in options.items() if name == "dielectric"}
+    return rb.dielectric_constant(moments_in(text)[800:], n / 0.822, 1.15, **surroundings)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize(("mu2", "picoseconds", "n"), [(1.0, 500.0, 125), (3.0, 1000.0, 256)])
+def test_the_stockmayer_liquid_has_the_dielectric_constant_of_an_ewald_sum(mu2, picoseconds, n):
+    value, error = liquid(mu2, picoseconds, n)
+    reference, uncertainty = by_ewald_sum(mu2)
+    print(f"\nmu² = {mu2}: reaction field {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")
+    assert error < 0.08 * value
+    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+
+
+@pytest.mark.validate
+def test_other_surroundings_give_the_same_dielectric_constant():
+    """The moment fluctuates half as much where the surroundings are as polar as the liquid."""
+    value, error = liquid(1.0, 500.0, dielectric=7.0)
+    reference, uncertainty = by_ewald_sum(1.0)
+    print(f"\nmu² = 1, surroundings of 7: {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")
+    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
