@@ -47,7 +47,7 @@ def main() -> int:
         return 1
     times, values, errors = running(moments[:, 0], moments[:, 1:], volume, args.temperature)
     name, *reference = known(args)
-    print(f"dielectric constant {values[-1]:.4g} +- {errors[-1]:.2g} after {times[-1]:.0f} ps")
+    print(f"dielectric constant {values[-1]:.4g} +- {errors[-1]:.2g} from {args.duration:g} ps")
     print(f"{name}: {reference[0]:.4g}" + (f" +- {reference[1]:.2g}" if reference[1] else ""))
     draw(times, values, errors, name, reference, picture)
     print(f"{args.out}: moments.csv, energies.csv, dielectric_constant.png")
@@ -58,17 +58,24 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     add = parser.add_argument
     add("-n", type=int, default=256, metavar="N", help="number of spheres (%(default)s)")
-    add("--density", type=float, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
-    add("--temperature", type=float, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
-    add("--dipole2", type=float, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
+    add("--density", type=positive, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
+    add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
+    add("--dipole2", type=positive, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
     add("--attraction", type=float, default=1.0, metavar="A", help="1: Stockmayer, 0: soft spheres (%(default)s)")
-    add("--step", type=float, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
+    add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
     add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
-    add("--duration", type=float, default=1000.0, metavar="T", help="length of the run after it, ps (%(default)s)")
+    add("--duration", type=positive, default=1000.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions and momenta (%(default)s)")
     add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
     rb.Run.add_options(parser, "out/dielectric_constant")
     return parser.parse_args()
+
+
+def positive(text: str) -> float:
+    value = float(text)
+    if not (np.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
 
 
 def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
