@@ -45,7 +45,7 @@ def main() -> int:
     except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
         print(f"dielectric_constant.py: {error}", file=sys.stderr)
         return 1
-    times, values, errors = running(moments[:, 0], moments[:, 1:], volume, args.temperature)
+    times, values, errors = running(moments[:, 0] - args.equilibration, moments[:, 1:], volume, args.temperature)
     name, *reference = known(args)
     print(f"dielectric constant {values[-1]:.4g} +- {errors[-1]:.2g} from {args.duration:g} ps")
     print(f"{name}: {reference[0]:.4g}" + (f" +- {reference[1]:.2g}" if reference[1] else ""))
@@ -57,14 +57,14 @@ def main() -> int:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     add = parser.add_argument
-    add("-n", type=int, default=256, metavar="N", help="number of spheres (%(default)s)")
+    add("-n", type=int, default=125, metavar="N", help="number of spheres (%(default)s)")
     add("--density", type=positive, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
     add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
-    add("--dipole2", type=positive, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
+    add("--dipole2", type=positive, default=1.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
     add("--attraction", type=float, default=1.0, metavar="A", help="1: Stockmayer, 0: soft spheres (%(default)s)")
     add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
     add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
-    add("--duration", type=positive, default=1000.0, metavar="T", help="length of the run after it, ps (%(default)s)")
+    add("--duration", type=positive, default=500.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions and momenta (%(default)s)")
     add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
     rb.Run.add_options(parser, "out/dielectric_constant")
@@ -142,7 +142,7 @@ def draw(
     if np.isfinite(reference[0]):
         axes.axhline(reference[0], color="#D55E00", lw=1.2, label=name)
         axes.axhspan(reference[0] - reference[1], reference[0] + reference[1], color="#D55E00", alpha=0.15, lw=0)
-    axes.set_xlabel("time (ps)")
+    axes.set_xlabel("time after equilibration (ps)")
     axes.set_ylabel("dielectric constant")
     axes.set_title("Running estimate of the dielectric constant")
     axes.grid(True, alpha=0.3)

@@ -360,7 +360,7 @@ def test_a_uniform_polarisation_has_the_reaction_field_that_was_asked_for(switch
 
 
 def test_a_reaction_field_comes_close_to_the_ewald_sum_in_a_large_box():
-    """Largest root mean square errors of the field on a dipole: 0.12 for 125, 0.05 for 512; twice that without it."""
+    """Largest root mean square errors of the field on a dipole: 0.12 for 125, 0.05 for 512; more without it."""
     for n, most in ((125, 0.12), (512, 0.05)):
         R, mu, box = liquid(n)
         _, exact = dipole_ewald(R, mu, box, 9.0 / box)
