@@ -17,8 +17,8 @@ def dielectric_constant(
 
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x),
 
-    M. Neumann, Mol. Phys. 50, 841 (1983), equation for any dipolar interaction whose uniform part is Q. Between
-    conductors (an Ewald sum, a reaction field of infinity) it is eps = 1 + 3 x; without a reaction field it is that of
+    for any interaction of dipoles whose uniform part is Q (M. Neumann, Mol. Phys. 50, 841 (1983)). Between conductors
+    (an Ewald sum, a reaction field of infinity) it is eps = 1 + 3 x; without a reaction field it is the formula of
     Clausius and Mossotti.
 
     Parameters
