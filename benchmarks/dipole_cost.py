@@ -3,7 +3,9 @@
 All in turns within one run; a time is the least of the rounds, since other work on the machine only adds to it.
 OpenMM's formula is left out from N = 4000 on, where it takes seconds and its eight million bonds gigabytes. LAMMPS runs
 pair_style lj/cut/dipole/cut 60 with open boundaries and fix nve/sphere update dipole on one core, where a step is one
-force evaluation; it is left out where it is not installed. Raw data go to out/benchmarks/dipole_cost.json.
+force evaluation; it is left out where it is not installed. With --platform OpenCL (or CUDA, HIP) the formula runs on
+that device instead, beside our kernel on the processor, and the last line says from which N the device wins. Raw data
+go to out/benchmarks/dipole_cost.json.
 """
 
 from __future__ import annotations
@@ -36,15 +38,23 @@ except ImportError:
 OUT = Path("out/benchmarks")
 STAGES = rb.SCHEMES["S6_10"].stages
 # Force evaluations a round and rounds.
-SIZES = {125: (300, 15), 1000: (50, 10), 4000: (10, 5)}
+SIZES = {125: (300, 15), 250: (200, 10), 500: (100, 10), 1000: (50, 10), 2000: (20, 5), 4000: (10, 5)}
+REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-n", type=int, nargs="*", default=list(SIZES), choices=SIZES, help="numbers of dipoles")
+    add = parser.add_argument
+    add("-n", type=int, nargs="*", choices=SIZES, help="numbers of dipoles (125 1000 4000; on a device all but 4000)")
+    add("--platform", metavar="NAME", help="platform of a device to measure beside our kernel")
+    add("--precision", choices=("single", "mixed", "double"), default="single", help="of the device (%(default)s)")
     arguments = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
-    rounds = {n: measure(n, *SIZES[n]) for n in arguments.n}
+    device = arguments.platform
+    sizes = arguments.n or (list(SIZES)[:-1] if device else [125, 1000, 4000])  # 4000 dipoles have 8 million bonds
+    rounds = {
+        n: measure_device(n, *SIZES[n], device, arguments.precision) if device else measure(n, *SIZES[n]) for n in sizes
+    }
     machine = {
         "processor": platform.processor() or platform.machine(),
         "vectors": str(numba.config.CPU_NAME or numba.core.codegen.ll.get_host_cpu_name()),
@@ -54,7 +64,10 @@ def main():
     }
     with (OUT / "dipole_cost.json").open("w") as file:
         json.dump({"machine": machine, "rounds_s": rounds}, file, indent=1)
-    report(rounds)
+    if device:
+        report_device(rounds, device)
+    else:
+        report(rounds)
 
 
 def measure(n, evaluations, rounds):
@@ -67,6 +80,21 @@ def measure(n, evaluations, rounds):
         contenders[f"{name}: stage"] = stage(integrator)
     if lammps is not None:
         contenders["LAMMPS: step"] = lammps_step(n)
+    return in_turns(contenders, evaluations, rounds)
+
+
+def measure_device(n, evaluations, rounds, name, precision):
+    """Return the same of the formula on a device and of our kernel beside it."""
+    device, properties = openmm.Platform.getPlatform(name), {"Precision": precision}
+    contenders = {}
+    for who, built in ((name, simulation(n, "openmm", device, properties)), ("compiled", simulation(n, "compiled"))):
+        contenders[f"{who}: force"] = bare_force(built[0])
+        contenders[f"{who}: stage"] = stage(built[1])
+    return in_turns(contenders, evaluations, rounds)
+
+
+def in_turns(contenders, evaluations, rounds):
+    """Return the seconds of one evaluation, round by round; the formula on the processor gets fewer."""
     rows = {name: [] for name in contenders}
     for _ in range(rounds):
         for name, run in contenders.items():
@@ -77,11 +105,11 @@ def measure(n, evaluations, rounds):
     return rows
 
 
-def simulation(n, kernel):
+def simulation(n, kernel, where=REFERENCE, properties=None):
     """Return the Context and the integrator of a droplet."""
     topology, system, positions = rb.dipole_fluid(n, trap=0.5, kernel=kernel)
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S6_10")
-    run = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    run = app.Simulation(topology, system, integrator, where, properties or {})
     run.context.setPositions(positions)
     run.context.setVelocitiesToTemperature(12.0, 1)
     run.step(1)
@@ -195,6 +223,17 @@ def report(rounds):
             f"arithmetic alone ({limit:.2f} ns)\n"
             f"  every pair is evaluated from both sides: {50 * limit / kernel:.0f} % counting it once"
         )
+
+
+def report_device(rounds, name):
+    """Print least times in ms, and from which N on a stage takes less on the device."""
+    print(f"{'N':>6}" + "".join(f"{column:>20}" for column in next(iter(rounds.values()))) + "   ms")
+    best = {n: {column: min(times) for column, times in rows.items()} for n, rows in rounds.items()}
+    for n, row in best.items():
+        print(f"{n:>6}" + "".join(f"{1e3 * seconds:>20.3f}" for seconds in row.values()))
+    loses = [n for n, row in best.items() if row[f"{name}: stage"] >= row["compiled: stage"]]
+    wins = [n for n in best if n > max(loses, default=0)]
+    print(f"{name} wins from N = {min(wins)} on" if wins else f"{name} does not win at any of these N")
 
 
 if __name__ == "__main__":

@@ -69,6 +69,11 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
         ("water_box.py", ["--duration", "0.2"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
         ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "temperatures.png"]),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "cluster.png"]),
+        (
+            "dielectric_constant.py",
+            ["-n", "27", "--equilibration", "0.5", "--duration", "2"],
+            ["moments.csv", "energies.csv", "dielectric_constant.png"],
+        ),
     ],
 )
 def test_the_other_examples_leave_their_files(tmp_path, example, arguments, files):
@@ -80,6 +85,20 @@ def test_the_other_examples_leave_their_files(tmp_path, example, arguments, file
     assert not (tmp_path / "again").exists()
     assert "Abacus" in again.stderr
     assert "Traceback" not in again.stderr
+
+
+def test_the_dielectric_constant_goes_on_where_it_stopped(tmp_path):
+    """In the bytes of a run without a break, with momenta drawn at the break and after it."""
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    common = "-n", "8", "--equilibration", "0.5"
+    for folder, durations in ((once, ["2"]), (twice, ["1", "2"])):
+        for duration in durations:
+            options = "--duration", duration, "--resume", "--out", str(folder)
+            done = run(*common, *options, example="dielectric_constant.py")
+            assert done.returncode == 0, done.stderr
+            assert "dielectric constant" in done.stdout
+    for name in ("moments.csv", "energies.csv"):
+        assert (once / name).read_bytes() == (twice / name).read_bytes()
 
 
 def test_rigid_benzene_keeps_its_inner_energy(tmp_path):

@@ -13,7 +13,7 @@ from openmm import unit
 import openmm_exactrb as rb
 from ewald import dipole_ewald
 from openmm_exactrb import kernels, pairs_compiled
-from openmm_exactrb.potentials import SoftDipoles
+from openmm_exactrb.potentials import SoftDipoles, _truncation
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 OPEN = {}
@@ -74,10 +74,34 @@ def test_both_kernels_agree_for_a_body_of_its_own():
     assert_same(*(energy_and_forces(context_of(30, kernel, **own)[0]) for kernel in ("openmm", "compiled")))
 
 
+@pytest.mark.parametrize("options", [OPEN, FIELD], ids=["open", "periodic"])
+def test_both_kernels_agree_for_the_stockmayer_fluid(options):
+    own = options | {"attraction": 0.8, "sigma": 0.9, "epsilon": 1.7}
+    assert_same(*(energy_and_forces(context_of(30, kernel, **own)[0]) for kernel in ("openmm", "compiled")))
+
+
+def test_two_stockmayer_spheres_have_the_energy_of_their_definition():
+    """Side by side and parallel: 4 epsilon ((sigma/r)^12 - (sigma/r)^6) + mu²/r³."""
+    r, mu = 1.3, 1.7
+    energies = []
+    for attraction in (0.0, 1.0):
+        force = rb.soft_dipole_force([(0, 1), (2, 3)], strength=mu, length=0.5, sigma=1.1, attraction=attraction)
+        system = openmm.System()
+        for _ in range(4):
+            system.addParticle(1.0)
+        system.addForce(force)
+        context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+        context.setPositions([[0, 0, 0], [0, 0, 0.5], [r, 0, 0], [r, 0, 0.5]])
+        energies.append(energy_and_forces(context)[0])
+    core, pull = 4.0 * (1.1 / r) ** 12, 4.0 * (1.1 / r) ** 6
+    assert energies == pytest.approx([core + mu**2 / r**3, core - pull + mu**2 / r**3], rel=1e-13)
+
+
 def test_both_kernels_follow_the_parameters_of_the_context():
     results = []
     for kernel in ("openmm", "compiled"):
-        context, _ = context_of(9, kernel)
+        context, _ = context_of(9, kernel, attraction=0.5)
+        context.setParameter("soft_attraction", 2.7)
         context.setParameter("soft_repulsion", 1.3)
         context.setParameter("dipole_coupling", 2.1)
         results.append(energy_and_forces(context))
@@ -97,18 +121,19 @@ def test_the_trajectory_is_the_same_to_roundoff_growth():
 # -- the kernel alone -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("attraction", [None, 3.0])
 @pytest.mark.parametrize("periodic", [False, True])
-def test_forces_are_finite_differences_of_the_energy(rng, periodic):
+def test_forces_are_finite_differences_of_the_energy(rng, periodic, attraction):
     x, box = arrows(27, rng)
     truncation = truncation_of(box) if periodic else None
-    _, forces = pairs_compiled.soft_dipoles(x, 4.0, 2.0, truncation)
+    _, forces = pairs_compiled.soft_dipoles(x, 4.0, 2.0, truncation, attraction=attraction)
     d = 1e-3
     for particle, axis in ((0, 0), (1, 1), (26, 2), (27, 0), (53, 1)):
 
         def energy(s, particle=particle, axis=axis):
             y = x.copy()
             y[particle, axis] += s
-            return pairs_compiled.soft_dipoles(y, 4.0, 2.0, truncation)[0]
+            return pairs_compiled.soft_dipoles(y, 4.0, 2.0, truncation, attraction=attraction)[0]
 
         slope = (8 * (energy(d) - energy(-d)) - (energy(2 * d) - energy(-2 * d))) / (12 * d)
         assert abs(slope + forces[particle, axis]) < 1e-7 * max(1.0, np.abs(forces).max())
@@ -231,6 +256,7 @@ def test_a_liquid_keeps_its_energy_to_the_order_of_the_scheme(kernel):
         ({"periodic": True, "cutoff": 1.0, "switch": 1.0}, "switch must be between"),
         ({"periodic": True, "dielectric": 0.5}, "dielectric must be at least 1"),
         ({"periodic": True, "trap": 0.5}, "needs none"),
+        ({"attraction": np.nan}, "attraction must be a finite number"),
         ({"density": 0.8}, "add periodic=True"),
         ({"cutoff": 1.0}, "add periodic=True"),
         ({"kernel": "fortran"}, "unknown kernel"),
@@ -304,15 +330,44 @@ def test_the_ewald_sum_is_right():
     assert amoeba_energy(R, mu, box) == pytest.approx(energy, rel=1e-5)
 
 
+def reaction_field(box, **options):
+    """Return the truncation at half the box as the kernel takes it."""
+    cutoff, switch, reaction = _truncation((box, box, box), 0.5 * box, **options)
+    return box, box, box, cutoff**2, 1.0 / (cutoff**2 - switch**2), reaction
+
+
+@pytest.mark.parametrize("switch", [0.0, 1.3, 2.4])
+def test_a_uniform_polarisation_has_the_reaction_field_that_was_asked_for(switch):
+    """The field of unit dipoles that fill the switched sphere, 4 pi/3 between conductors, on the one in its middle."""
+    box, dielectric = 5.0, 4.0
+    truncation = reaction_field(box, switch=switch, dielectric=dielectric)
+
+    def reaction(r):
+        """Return the field of a dipole on one like it, mean over the angles between field and direction."""
+        fields = []
+        for axis in np.eye(3):
+            x = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], r * axis, r * axis + [0.0, 0.0, 1.0]])
+            fields.append(pairs_compiled.soft_dipoles(x, 0.0, 1.0, truncation)[1][1, 2])
+        return np.mean(fields)
+
+    x, weights = np.polynomial.legendre.leggauss(40)
+    total = 0.0
+    for low, high in ((1e-6, max(switch, 1e-6)), (max(switch, 1e-6), 0.5 * box)):
+        r = 0.5 * (low + high + (high - low) * x)
+        total += 0.5 * (high - low) * np.sum(weights * 4.0 * np.pi * r**2 * [reaction(a) for a in r])
+    wanted = 4.0 * np.pi / 3.0 * 2.0 * (dielectric - 1.0) / (2.0 * dielectric + 1.0)
+    assert total == pytest.approx(wanted, rel=1e-6)
+
+
 def test_a_reaction_field_comes_close_to_the_ewald_sum_in_a_large_box():
-    """Largest root mean square errors of the field on a dipole: 0.12 for 125, 0.05 for 512; twice that without it."""
+    """Largest root mean square errors of the field on a dipole: 0.12 for 125, 0.05 for 512; more without it."""
     for n, most in ((125, 0.12), (512, 0.05)):
         R, mu, box = liquid(n)
         _, exact = dipole_ewald(R, mu, box, 9.0 / box)
         x = np.stack([R, R + mu], axis=1).reshape(-1, 3)
         errors = []
-        for reaction in (1.0 / (0.5 * box) ** 3, 0.0):
-            truncation = box, box, box, 0.25 * box**2, 1.0 / (0.25 - 0.375**2) / box**2, reaction
+        for dielectric in (np.inf, 1.0):
+            truncation = reaction_field(box, switch=0.375 * box, dielectric=dielectric)
             field = pairs_compiled.soft_dipoles(x, 0.0, 1.0, truncation)[1][1::2]
             errors.append(np.linalg.norm(field - exact) / np.linalg.norm(exact))
         assert errors[0] < most

@@ -1,9 +1,10 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
+from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
-from openmm_exactrb.reporters import EnergyReporter
+from openmm_exactrb.reporters import CanonicalMomenta, EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run, written_whole
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
@@ -13,11 +14,14 @@ from openmm_exactrb.tuning import tune
 __all__ = [
     "ROTORS",
     "SCHEMES",
+    "CanonicalMomenta",
     "EnergyReporter",
     "ExactRigidBodyIntegrator",
+    "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",
     "Run",
+    "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",
     "ensemble",

@@ -26,7 +26,12 @@ _SHARED = 200_000
 
 
 def soft_dipoles(
-    x: Array, repulsion: float, coupling: float, truncation: Truncation | None = None, threads: int | None = None
+    x: Array,
+    repulsion: float,
+    coupling: float,
+    truncation: Truncation | None = None,
+    threads: int | None = None,
+    attraction: float | None = None,
 ) -> tuple[float, Array]:
     """Return the energy and the forces on centres and tips, as `potentials.soft_dipole_force` defines them.
 
@@ -41,6 +46,8 @@ def soft_dipoles(
         boundaries are periodic.
     threads : int, optional
         All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
+    attraction : float, optional
+        4 epsilon sigma^6; without it there is nothing to pay for it.
 
     Returns
     -------
@@ -56,7 +63,7 @@ def soft_dipoles(
     ours, *others = pairwise(n * k // threads for k in range(threads + 1))
 
     def sum_rows(first: int, last: int) -> None:
-        _rows(first, last, x, repulsion, coupling, truncation, energies, forces)
+        _rows(first, last, x, repulsion, coupling, attraction, truncation, energies, forces)
 
     waiting = [_pool(os.getpid()).submit(sum_rows, *rows) for rows in others]
     sum_rows(*ours)
@@ -84,13 +91,18 @@ def _split(x):
 
 
 @_compiled
-def pair(r2, uv, ur, vr, repulsion, coupling):
+def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
-    i6 = repulsion * (i * i * i) * (i * i * i)
+    core = repulsion * (i * i * i) * (i * i * i)
+    slope = 12.0 * core
+    if attraction is not None:
+        i3 = attraction * (i * i * i)
+        core -= i3
+        slope -= 6.0 * i3
     b = coupling * i * math.sqrt(i)
     c = 3.0 * b * i
-    return i6 + b * uv - c * ur * vr, i * 12.0 * i6 + c * (uv - 5.0 * i * ur * vr), b, c
+    return core + b * uv - c * ur * vr, i * slope + c * (uv - 5.0 * i * ur * vr), b, c
 
 
 @_compiled
@@ -106,7 +118,7 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):
 
 
 @_compiled
-def _rows(first, last, sites, repulsion, coupling, truncation, energies, forces):
+def _rows(first, last, sites, repulsion, coupling, attraction, truncation, energies, forces):
     """Sum twice the energy, and the forces, of some spheres with all others."""
     n, arrows = len(energies), _split(sites)
     for i in range(first, last):
@@ -121,7 +133,7 @@ def _rows(first, last, sites, repulsion, coupling, truncation, energies, forces)
                 z -= truncation[2] * np.rint(z / truncation[2])
             r2 = x * x + y * y + z * z if (j != i) & (j < n) else np.inf
             uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling)
+            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction)
             if truncation is not None:
                 e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
             energy += e

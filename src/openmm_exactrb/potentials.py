@@ -62,6 +62,7 @@ def soft_dipole_force(
     length: float,
     sigma: float = 1.0,
     epsilon: float = 1.0,
+    attraction: float = 0.0,
     box: Sequence[float] | None = None,
     cutoff: float | None = None,
     switch: float | None = None,
@@ -70,10 +71,12 @@ def soft_dipole_force(
 ) -> openmm.CustomCompoundBondForce | openmm.PythonForce:
     """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
 
-    Section 3.4 of the paper. With a box the boundaries are periodic: the nearest image within a cutoff, the field of
-    a dielectric around it, -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/cutoff³ for a pair (Barker and Watts, Mol. Phys. 26,
-    789 (1973)), and a switch 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 on the whole energy, s running from 1 to 0 in r² between
-    `switch` and `cutoff`: forces have two continuous derivatives.
+    Section 3.4 of the paper; with `attraction` the Stockmayer fluid. With a box the boundaries are periodic: the
+    nearest image within a cutoff, the field of a dielectric around it, -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ for a pair
+    (Barker and Watts, Mol. Phys. 26, 789 (1973)), and a switch S = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 on the whole
+    energy, s running from 1 to 0 in r² between `switch` and `cutoff`: forces have two continuous derivatives. The
+    radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume: a uniform polarisation then has the
+    reaction field that `dielectric` asks for, which the fluctuation formula of `dielectric_constant` relies on.
 
     Parameters
     ----------
@@ -85,6 +88,8 @@ def soft_dipole_force(
         Distance between centre and tip in nm.
     sigma, epsilon : float
         In nm and kJ/mol.
+    attraction : float
+        How much of the attraction -4 epsilon (sigma/r)^6 of Lennard-Jones there is: 1 for the Stockmayer fluid.
     box : sequence of three float, optional
         Edges in nm of a rectangular periodic box.
     cutoff, switch : float, optional
@@ -99,13 +104,13 @@ def soft_dipole_force(
     Returns
     -------
     openmm.CustomCompoundBondForce or openmm.PythonForce
-        Both have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, and `dipole_coupling`,
-        (strength/length)². Energies and forces agree to 1e-13.
+        Both have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`, (strength/length)²,
+        and with an attraction `soft_attraction`, 4 epsilon sigma^6 times it. Energies and forces agree to 1e-13.
 
     Raises
     ------
     ValueError
-        If the kernel is unknown, there is no arrow, or the cutoffs do not fit the box.
+        If the kernel is unknown, there is no arrow, the attraction is not finite, or the cutoffs do not fit the box.
     ModuleNotFoundError
         If the compiled kernel is asked for and numba is not installed.
 
@@ -119,13 +124,17 @@ def soft_dipole_force(
     """
     if not arrows:
         raise ValueError("soft dipoles need at least one arrow (centre, tip)")
+    if not np.isfinite(attraction):
+        raise ValueError(f"attraction must be a finite number, not {attraction}")
     truncation = None if box is None else _truncation(box, cutoff, switch, dielectric)
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
+    if attraction:
+        parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if kernels.chosen(kernel):
         force = openmm.PythonForce(SoftDipoles(truncation), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
     else:
-        force = _soft_dipole_formula(arrows, truncation)
+        force = _soft_dipole_formula(arrows, truncation, attracts="soft_attraction" in parameters)
         for name, value in (parameters | _box_parameters(box)).items():
             force.addGlobalParameter(name, value)
     force.setUsesPeriodicBoundaryConditions(box is not None)
@@ -147,12 +156,13 @@ class SoftDipoles:
 
     def __call__(self, state: openmm.State) -> tuple[float, NDArray[np.float64]]:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
-        parameters = state.getParameters()
+        parameters = dict(state.getParameters())
         energy, forces = kernels.load("pairs_compiled").soft_dipoles(
             vectors.positions(state),
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],
             self.truncation and self._in_box(state.getPeriodicBoxVectors(asNumpy=True)._value),
+            attraction=parameters.get("soft_attraction"),
         )
         return energy, forces
 
@@ -182,7 +192,16 @@ def _truncation(
         raise ValueError(f"switch must be between 0 and the cutoff {cutoff:g}, not {switch}")
     if not dielectric >= 1.0:
         raise ValueError(f"dielectric must be at least 1, not {dielectric}")
-    return cutoff, switch, 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric) / cutoff**3
+    return cutoff, switch, 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric) / _sharp_volume(cutoff, switch)
+
+
+def _sharp_volume(cutoff: float, switch: float) -> float:
+    """Return 3 integral S(r) r² dr, the cube of the radius of a sharp sphere with the volume of the switched one."""
+    x, weights = np.polynomial.legendre.leggauss(9)  # exact: a polynomial of degree 16
+    r = switch + 0.5 * (cutoff - switch) * (1.0 + x)
+    s = (cutoff**2 - r**2) / (cutoff**2 - switch**2)
+    S = s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3)
+    return switch**3 + 1.5 * (cutoff - switch) * float(weights @ (S * r**2))
 
 
 def _check_cutoff(cutoff: float, edges: NDArray[np.float64]) -> None:
@@ -195,15 +214,16 @@ def _box_parameters(box: Sequence[float] | None) -> dict[str, float]:
 
 
 def _soft_dipole_formula(
-    arrows: Sequence[tuple[int, int]], truncation: tuple[float, float, float] | None
+    arrows: Sequence[tuple[int, int]], truncation: tuple[float, float, float] | None, *, attracts: bool = False
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential as a formula for OpenMM, with all pairs as bonds."""
-    energy = "soft_repulsion*i^6 + dipole_coupling*i3*(uv - 3*i*ur*vr);"
+    core = "soft_repulsion*i^6 - soft_attraction*i^3" if attracts else "soft_repulsion*i^6"
+    energy = f"{core} + dipole_coupling*i3*(uv - 3*i*ur*vr);"
     displacement = "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
     if truncation is not None:
         cutoff, switch, reaction = truncation
         energy = (
-            f"S*(soft_repulsion*i^6 + dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr));"
+            f"S*({core} + dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr));"
             "S = s^4*(35 - 84*s + 70*s^2 - 20*s^3);"
             f"s = min(1, max(0, ({cutoff**2!r} - r2)/{cutoff**2 - switch**2!r}));"
         )

@@ -71,6 +71,7 @@ def dipole_fluid(
     dipole: ArrayLike = (0.0, 1.0, 1.0),
     sigma: float = 1.0,
     epsilon: float = 1.0,
+    attraction: float = 0.0,
     spacing: float = BINDING_DISTANCE,
     perturbation: float = 0.01,
     trap: float = 0.0,
@@ -96,6 +97,8 @@ def dipole_fluid(
         Dipole moment in the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
     sigma, epsilon : float
         Size (nm) and strength (kJ/mol) of the soft sphere.
+    attraction : float
+        0 for soft spheres, 1 for the attraction of Lennard-Jones: the Stockmayer fluid.
     spacing : float
         Lattice constant in nm.
     perturbation : float
@@ -157,6 +160,7 @@ def dipole_fluid(
         length=0.5 * sigma,
         sigma=sigma,
         epsilon=epsilon,
+        attraction=attraction,
         box=None if box is None else (box, box, box),
         cutoff=cutoff,
         switch=switch,

@@ -1,0 +1,155 @@
+"""
+The dielectric constant of a Stockmayer fluid
+=============================================
+
+A box of Lennard-Jones spheres with point dipoles, truncated smoothly, with the reaction field of a conductor. Every
+half picosecond all momenta are drawn anew, so that the run samples the canonical ensemble. The fluctuations of the
+total dipole moment give the dielectric constant. The picture is its running estimate with the standard error from block
+averages, beside what the Ewald sum of another program gave for the same state.
+
+Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
+Ctrl-C, a kill or a full disk the same command with --resume goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+from tqdm import tqdm
+
+import openmm_exactrb as rb
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+# The dielectric constant of the Stockmayer fluid and its standard error, at density, kT and mu²: by an Ewald sum of 125
+# dipoles in LAMMPS, 400000 and 150000 steps (benchmarks/dielectric_lammps.py).
+EWALD = {(0.822, 1.15, 3.0): (64.6, 1.8), (0.822, 1.15, 1.0): (7.51, 0.16)}
+DRAW = 0.5  # ps between two draws of the momenta
+SAMPLE = 0.05  # ps between two moments
+
+
+def main() -> int:
+    args = parse()
+    try:
+        picture = rb.Run.from_options(args).path("dielectric_constant.png")
+        moments, volume = simulate(args)
+    except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
+        print(f"dielectric_constant.py: {error}", file=sys.stderr)
+        return 1
+    times, values, errors = running(moments[:, 0] - args.equilibration, moments[:, 1:], volume, args.temperature)
+    name, *reference = known(args)
+    print(f"dielectric constant {values[-1]:.4g} +- {errors[-1]:.2g} from {args.duration:g} ps")
+    print(f"{name}: {reference[0]:.4g}" + (f" +- {reference[1]:.2g}" if reference[1] else ""))
+    draw(times, values, errors, name, reference, picture)
+    print(f"{args.out}: moments.csv, energies.csv, dielectric_constant.png")
+    return 0
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    add = parser.add_argument
+    add("-n", type=int, default=125, metavar="N", help="number of spheres (%(default)s)")
+    add("--density", type=positive, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
+    add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
+    add("--dipole2", type=positive, default=1.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
+    add("--attraction", type=float, default=1.0, metavar="A", help="1: Stockmayer, 0: soft spheres (%(default)s)")
+    add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
+    add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
+    add("--duration", type=positive, default=500.0, metavar="T", help="length of the run after it, ps (%(default)s)")
+    add("--seed", type=int, default=0, metavar="S", help="seed of positions and momenta (%(default)s)")
+    add("--platform", default="Reference", metavar="NAME", help="OpenMM platform (%(default)s)")
+    rb.Run.add_options(parser, "out/dielectric_constant")
+    return parser.parse_args()
+
+
+def positive(text: str) -> float:
+    value = float(text)
+    if not (np.isfinite(value) and value > 0.0):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
+    """Return times and moments (n, 4) after the equilibration, and the volume."""
+    strength = args.dipole2**0.5
+    topology, system, positions = rb.dipole_fluid(
+        args.n,
+        args.seed,
+        dipole=(0.0, 0.0, strength),
+        inertia=(0.2, 0.2, 0.2),
+        attraction=args.attraction,
+        periodic=True,
+        density=args.density,
+        kernel="auto" if args.platform in ("Reference", "CPU") else "openmm",  # a GPU computes its own forces
+    )
+    job = rb.Run.from_options(args, free=("duration",))
+    interval = max(1, round(SAMPLE / args.step))
+    moments = partial(rb.MomentReporter, charges=charges(topology, strength))
+    job.add_reporter(moments, "moments.csv", interval)
+    job.add_reporter(rb.EnergyReporter, "energies.csv", max(1, round(DRAW / args.step)))
+
+    integrator = rb.ExactRigidBodyIntegrator(args.step, scheme="S2_2")
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(args.platform))
+    simulation.context.setPositions(positions)
+    if not job.resuming:
+        openmm.LocalEnergyMinimizer.minimize(simulation.context, 100.0, 50)  # no pair of the lattice too close
+    integrator.setVelocitiesToTemperature(args.temperature / KB, args.seed)
+    simulation.reporters.append(rb.CanonicalMomenta(args.temperature / KB, max(1, round(DRAW / args.step)), args.seed))
+    steps = round((args.equilibration + args.duration) / args.step)
+    with tqdm(total=steps, desc=f"{args.n} dipoles", unit="step", mininterval=2.0, delay=1.0) as bar:
+        job.advance(simulation, steps, progress=bar.update)
+    table = np.loadtxt(job.folder / "moments.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
+    return table[table[:, 0] > args.equilibration], args.n / args.density
+
+
+def charges(topology: app.Topology, strength: float, length: float = 0.5) -> np.ndarray:
+    """Return the charges at the ends of the arrows, from the centre C to the tip D, that make the dipoles."""
+    ends = {"C": -strength / length, "D": strength / length}
+    return np.array([ends.get(atom.name, 0.0) for atom in topology.atoms()])
+
+
+def running(times: np.ndarray, moments: np.ndarray, volume: float, kT: float) -> tuple[np.ndarray, ...]:
+    """Return times, estimates up to them and their errors."""
+    ends = np.linspace(len(times) / 50, len(times), 50).astype(int)
+    estimates = [rb.dielectric_constant(moments[:end], volume, kT, blocks=min(20, end)) for end in ends if end > 1]
+    return times[ends[ends > 1] - 1], *np.array(estimates).T
+
+
+def known(args: argparse.Namespace) -> tuple[str, float, float]:
+    """Return what there is to compare with."""
+    state = args.density, args.temperature, args.dipole2
+    if args.attraction == 1.0 and state in EWALD:
+        return "Ewald sum, LAMMPS", *EWALD[state]
+    y = 4.0 * np.pi * args.density * args.dipole2 / (9.0 * args.temperature)
+    return "Clausius and Mossotti", (1.0 + 2.0 * y) / (1.0 - y) if y < 1.0 else np.inf, 0.0
+
+
+def draw(
+    times: np.ndarray, values: np.ndarray, errors: np.ndarray, name: str, reference: list[float], file: Path
+) -> None:
+    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    axes.fill_between(times, values - errors, values + errors, color="#0072B2", alpha=0.25, lw=0)
+    axes.plot(times, values, color="#0072B2", lw=1.6, label="reaction field, this run, with its standard error")
+    if np.isfinite(reference[0]):
+        axes.axhline(reference[0], color="#D55E00", lw=1.2, label=name)
+        axes.axhspan(reference[0] - reference[1], reference[0] + reference[1], color="#D55E00", alpha=0.15, lw=0)
+    axes.set_xlabel("time after equilibration (ps)")
+    axes.set_ylabel("dielectric constant")
+    axes.set_title("Running estimate of the dielectric constant")
+    axes.grid(True, alpha=0.3)
+    axes.legend(loc="best", fontsize=9)
+    figure.savefig(file, dpi=150)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

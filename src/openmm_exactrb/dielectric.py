@@ -1,0 +1,75 @@
+"""The static dielectric constant from the fluctuations of the total dipole moment."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def dielectric_constant(
+    moments: ArrayLike, volume: float, kT: float, *, dielectric: float = np.inf, blocks: int = 20
+) -> tuple[float, float]:
+    """Return the dielectric constant and its standard error from moments in equilibrium.
+
+    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1) for surroundings of the constant eps',
+
+        eps = (1 + (Q + 2) x)/(1 + (Q - 1) x),
+
+    for any interaction of dipoles whose uniform part is Q (M. Neumann, Mol. Phys. 50, 841 (1983)). Between conductors
+    (an Ewald sum, a reaction field of infinity) it is eps = 1 + 3 x; without a reaction field it is the formula of
+    Clausius and Mossotti.
+
+    Parameters
+    ----------
+    moments : (n, 3) array_like
+        Total dipole moment in sqrt(kJ/mol nm³), evenly spaced in time; moments in e nm times
+        ``dipole_strength(1 * elementary_charge * nanometer)``.
+    volume : float
+        Of the box, in nm³.
+    kT : float
+        In kJ/mol.
+    dielectric : float
+        eps' of the surroundings: what `soft_dipole_force` was given, infinity for an Ewald sum.
+    blocks : int
+        Into which the run is cut for the error. Each of them should be many times as long as the moment remembers.
+
+    Returns
+    -------
+    value : float
+        Infinity where M fluctuates more than it can in any dielectric with these surroundings.
+    error : float
+        Standard error from the means over the blocks of Mx², My² and Mz², which have one mean and are independent.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer moments than blocks or fewer than two blocks, they are not finite, or a number is out of its
+        range.
+
+    Notes
+    -----
+    <M> is taken as zero, which it is without a field, and not from the run: the mean square about the mean of a short
+    run would be too small.
+    """
+    M = np.asarray(moments, dtype=np.float64)
+    if M.ndim != 2 or M.shape[1] != 3 or not np.isfinite(M).all():
+        raise ValueError(f"moments must be rows of three finite numbers, not of shape {M.shape}")
+    if not 2 <= blocks <= len(M):
+        raise ValueError(f"blocks must be at least 2 and at most the number of moments, {len(M)}, not {blocks}")
+    for name, value in (("volume", volume), ("kT", kT)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive, not {value}")
+    if not dielectric >= 1.0:
+        raise ValueError(f"dielectric must be at least 1, not {dielectric}")
+    means = np.array([np.mean(block**2, axis=0) for block in np.array_split(M, blocks)])
+    scale = 4.0 * np.pi / (9.0 * volume * kT)
+    x = scale * float(np.sum(np.mean(M**2, axis=0)))
+    # The sum of three components, each the mean over the blocks.
+    spread = scale * 3.0 * float(np.std(means, ddof=1)) / means.size**0.5
+    Q = 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric)
+    left = 1.0 + (Q - 1.0) * x
+    if left <= 0.0:
+        return np.inf, np.inf
+    return (1.0 + (Q + 2.0) * x) / left, 3.0 * spread / left**2
