@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
-CANDIDATES = ("V2", "S2_2", "S2_3", "S2_4", "W2_6", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
+CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "W2_6", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
 
 # In units of the system's time scale: the time a force evaluation where the search begins, the length of the runs of
 # the survey, and the length of the run for which errors are promised.
