@@ -113,7 +113,10 @@ def dipoles_of(start):
     kelvin = KT / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
     integrator.setVelocitiesToTemperature(kelvin, start)
     state = context.getState(positions=True, velocities=True)
-    return topology, system, state.getPositions(), state.getVelocities()
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    v = state.getVelocities(asNumpy=True)._value
+    v -= masses @ v / masses.sum()  # at rest as a whole: far from the origin positions are rounded more
+    return topology, system, state.getPositions(), v
 
 
 def round_everything(integrator):
