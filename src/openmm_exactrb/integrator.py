@@ -32,8 +32,8 @@ _SAME = 1e-9
 # parts, then low parts of the sums.
 _STORED = tuple(f"exactrb_{name}{part}" for part in ("", "_low") for name in "RPmqw")
 _IS_STORED = "exactrb_stored"
-# Forces that change positions or velocities between steps.
-_CHANGING = (
+#: Forces that change positions or velocities between steps: without them a System conserves its energy.
+COUPLINGS = (
     "AndersenThermostat",
     "CMMotionRemover",
     "MonteCarloAnisotropicBarostat",
@@ -321,7 +321,7 @@ class _Coupling:
         self.groups = groups
         self.timings = timings
         #: Whether OpenMM itself changes positions or velocities between steps.
-        self.changing = any(type(force).__name__ in _CHANGING for force in system.getForces())
+        self.changing = any(type(force).__name__ in COUPLINGS for force in system.getForces())
         self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
         self._flow = rotor_of_sums(method, self.bodies.inertia)
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
