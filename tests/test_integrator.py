@@ -404,3 +404,37 @@ def test_infinite_places_after_a_last_drift_are_a_blow_up_too():
     with pytest.raises(rb.NonFiniteError, match="not finite any more"):
         integrator.step(10)
     assert np.isfinite(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
+
+
+@pytest.mark.parametrize("scheme", ["SRKN4_6b", "V2_C17"])
+def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
+    """Between its steps a processed scheme holds another state, which must not be seen."""
+    calls, last = [], None
+
+    def springs(state):
+        calls.append(None)
+        if len(calls) == last:
+            raise RuntimeError("not today")
+        x = state.getPositions(asNumpy=True)._value
+        return 0.5 * float((x * x).sum()), -x
+
+    _, system, positions = rb.dipole_fluid(2, seed=1)
+    system.removeForce(0)
+    system.addForce(openmm.PythonForce(springs))
+    ends = []
+    for breaks in (True, False):
+        integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme)
+        context = openmm.Context(system, integrator, REFERENCE)
+        context.setPositions(positions)
+        integrator.setVelocitiesToTemperature(20.0, 1)
+        if breaks:
+            last = len(calls) + integrator.getScheme().processing // 2 + 4 * integrator.getScheme().stages
+            with pytest.raises(openmm.OpenMMException, match="not today"):
+                integrator.step(10)
+            done = context.getStepCount()
+        elif done:
+            integrator.step(done)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+        assert context.getTime()._value == pytest.approx(0.05 * done)
+    assert done == (0 if integrator.getScheme().processor else 3)
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-14)

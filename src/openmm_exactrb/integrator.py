@@ -183,7 +183,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
         NonFiniteError
             If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step;
-            with a processed scheme, that before this call.
+            with a processed scheme, that before this call. So it does after any other error in a force.
         """
         start = time.perf_counter()
         coupling = self._up_to_date()
@@ -202,7 +202,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
                 done += 1
                 if coupling.changing:
                     coupling.let_openmm_change(self)
-        except NonFiniteError:
+        except BaseException:  # a force of the user's, or Ctrl-C, as well as a blow-up
             if self._scheme.processor and not coupling.changing:  # the state between is not that of the bodies
                 coupling.sums, time_now, done = before, time_now - done * h, 0
             raise
