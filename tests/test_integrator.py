@@ -298,11 +298,14 @@ def test_integrators_and_threads_do_not_disturb_each_other():
 
 def test_copies_have_the_settings_and_no_context():
     simulation = simulation_of(scheme="S6_10", rotor="mclachlan_reich", h=0.03)
+    simulation.integrator.setIntegrationForceGroups({0, 3})
     for twin in (copy.copy(simulation.integrator), copy.deepcopy(simulation.integrator)):
         assert twin.getScheme().name == "S6_10"
         assert twin.getRotor() == "mclachlan_reich"
         assert twin.getStepSize()._value == 0.03
+        assert twin.getIntegrationForceGroups() == 0b1001
     twin = pickle.loads(pickle.dumps(simulation.integrator))
+    assert twin.getIntegrationForceGroups() == 0b1001
     again = app.Simulation(simulation.topology, simulation.system, twin, REFERENCE)
     again.context.setPositions(snapshot(simulation)[0])
     again.step(1)

@@ -265,7 +265,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return type(self), (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor, self._bodies)
+        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor, self._bodies)
+        return _restored, (type(self), arguments, self.getIntegrationForceGroups())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -469,6 +470,13 @@ class _Coupling:
         R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
         q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
         return BodyState(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
+
+
+def _restored(kind: type[ExactRigidBodyIntegrator], arguments: tuple[Any, ...], groups: int) -> Any:
+    """Return an integrator with the settings of another one."""
+    integrator = kind(*arguments)
+    integrator.setIntegrationForceGroups(groups)
+    return integrator
 
 
 def _plain(value: float | unit.Quantity, in_unit: unit.Unit, what: str) -> float:
