@@ -370,6 +370,38 @@ def test_reinitialize_goes_on_right():
     np.testing.assert_array_equal(*map(positions_of, runs))
 
 
+def test_forces_added_before_reinitialize_take_part():
+    """The box shrank and the molecules stayed."""
+    simulation = start(*periodic_water(125, nonbondedMethod=app.CutoffPeriodic), platform=CPU)
+    simulation.step(1)
+    simulation.system.addForce(openmm.MonteCarloBarostat(1e4 * unit.bar, 300.0 * unit.kelvin, 1))
+    simulation.system.addForce(openmm.CMMotionRemover(1))
+    simulation.context.reinitialize(preserveState=True)
+    assert simulation.integrator.degreesOfFreedom() == (3 * 125 - 3, 3 * 125)
+
+    def size():
+        edge = simulation.context.getState().getPeriodicBoxVectors()[0][0]._value
+        return np.array([edge, np.ptp(positions_of(simulation)[::3, 0])])
+
+    before = size()
+    simulation.step(20)
+    edge, extent = size() / before
+    assert edge < 0.995
+    assert extent == pytest.approx(edge, abs=0.004)
+
+
+def test_constraints_removed_before_reinitialize_leave_particles_free():
+    simulation = start(*rb.rigid_water(4))
+    simulation.step(1)
+    system = simulation.system
+    for i in reversed(range(system.getNumConstraints())):
+        if system.getConstraintParameters(i)[0] < 3:
+            system.removeConstraint(i)
+    simulation.context.reinitialize(preserveState=True)
+    assert simulation.integrator.degreesOfFreedom() == (3 * (3 + 3), 3 * 3)
+    simulation.step(1)
+
+
 RESTART = """
 import sys
 import openmm, openmm_exactrb as rb

@@ -154,7 +154,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bind(self, context: openmm.Context) -> None:
         """Tell the integrator its Context.
 
-        Only needed where it cannot be found: `step` looks for the Context that was made with this integrator.
+        Only needed where it cannot be found, since `step` looks for the Context that was made with this integrator; and
+        after `Context.reinitialize` where masses or lengths of constraints were changed. Forces and constraints that
+        were added or removed are noticed without.
 
         Parameters
         ----------
@@ -280,7 +282,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _up_to_date(self) -> _Coupling:
         """Return the coupling to the present Context, with what was set there taken up."""
-        if self._coupling is None or self._coupling.context is None:
+        if self._coupling is None or self._coupling.context is None or self._coupling.outdated():
             self.bind(self._find_context())
         coupling = self._coupling
         assert coupling is not None
@@ -321,9 +323,10 @@ class _Coupling:
         self.bodies = find_bodies(system, x, bodies)
         self.groups = groups
         self.timings = timings
+        self._contents = _contents(system)
         #: Whether OpenMM itself changes positions or velocities between steps.
-        self.changing = any(type(force).__name__ in COUPLINGS for force in system.getForces())
-        self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+        self.changing = not self._contents[1].isdisjoint(COUPLINGS)
+        self.removes_motion = "CMMotionRemover" in self._contents[1]
         self._flow = rotor_of_sums(method, self.bodies.inertia)
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
@@ -345,6 +348,10 @@ class _Coupling:
     def context(self) -> Any:
         """The Context, or None when it is gone."""
         return self._context()
+
+    def outdated(self) -> bool:
+        """Tell whether the System was changed, as users do before they reinitialize the Context."""
+        return _contents(self.context.getSystem()) != self._contents
 
     def step(self, scheme: Scheme, h: float, number: int, begins: bool, ends: bool) -> None:
         """Move the bodies by one step, which errors call by its number.
@@ -502,6 +509,11 @@ def _gas_constant_times(temperature: float | unit.Quantity) -> float:
     if kelvin < 0.0:
         raise ValueError(f"a temperature must not be negative, not {temperature}")
     return float((kelvin * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
+def _contents(system: openmm.System) -> tuple[int, frozenset[str]]:
+    """Return the number of constraints and the kinds of forces of a System."""
+    return system.getNumConstraints(), frozenset(type(force).__name__ for force in system.getForces())
 
 
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
