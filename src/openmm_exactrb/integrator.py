@@ -21,7 +21,7 @@ from openmm_exactrb.propagate import move
 from openmm_exactrb.rotors import ROTORS, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.sums import advance, exactly, renewed
+from openmm_exactrb.sums import exactly, fastest_advance, renewed
 
 Array = NDArray[np.float64]
 
@@ -327,7 +327,7 @@ class _Coupling:
         #: Whether OpenMM itself changes positions or velocities between steps.
         self.changing = not self._contents[1].isdisjoint(COUPLINGS)
         self.removes_motion = "CMMotionRemover" in self._contents[1]
-        self._flow = rotor_of_sums(method, self.bodies.inertia)
+        self._flow, self._advance = rotor_of_sums(method, self.bodies.inertia), fastest_advance()
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
@@ -368,13 +368,13 @@ class _Coupling:
         q, m = self._flow(state.q, state.m, tau)
         self.timings.rotor += time.perf_counter() - start
         self._forces = None
-        return BodyState(advance(state.R, state.P[0] / self.bodies.mass, tau), state.P, q, m)
+        return BodyState(self._advance(state.R, state.P[0] / self.bodies.mass, tau), state.P, q, m)
 
     def _kick(self, state: BodyState, tau: float) -> BodyState:
         if self._forces is None:
             self._forces = self.bodies.forces(state.high, self._particle_forces(state.high))
         force, torque = self._forces
-        after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+        after = state._replace(P=self._advance(state.P, force, tau), m=self._advance(state.m, torque, tau))
         return self._finite(after)
 
     def _finite(self, state: BodyState) -> BodyState:
