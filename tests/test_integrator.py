@@ -406,6 +406,22 @@ def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
     assert len(mdtraj.load(dcd, top=str(tmp_path / "run.pdb"))) == 2
 
 
+def test_a_body_alone_has_no_closest_one():
+    system = openmm.System()
+    for i in range(3):
+        system.addParticle(1.0)
+        for j in range(i):
+            system.addConstraint(i, j, 0.1)
+    force = openmm.CustomExternalForce("1e300*exp(x*1e3)")
+    force.addParticle(0, [])
+    system.addForce(force)
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(0.1 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.75**0.5, 0.0]]))
+    with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The Context keeps"):
+        integrator.step(1)
+
+
 def test_infinite_places_after_a_last_drift_are_a_blow_up_too():
     """No kick follows them in the step, and forces between infinitely distant spheres vanish."""
     _, system, positions = rb.dipole_fluid(125, seed=3, inertia=(1.88, 1.88, 1.88))

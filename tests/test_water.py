@@ -294,6 +294,33 @@ def test_a_barostat_moves_whole_molecules():
     assert np.isfinite(total_energy(simulation))
 
 
+def test_a_barostat_does_not_tear_bodies_named_by_hand():
+    """It scales the places of OpenMM's molecules, which only bonds and constraints make."""
+    topology, system, positions = periodic_water(125, nonbondedMethod=app.CutoffPeriodic)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    system.addForce(openmm.MonteCarloBarostat(1e3 * unit.bar, 300.0 * unit.kelvin, 1))
+    named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(125)]
+    barostat = system.getForce(system.getNumForces() - 1)
+    barostat.setScaleMoleculesAsRigid(False)
+    with pytest.raises(ValueError, match=r"MonteCarloBarostat would scale the bodies .*AsRigid\(True\)"):
+        start(topology, system, positions, platform=CPU, bodies=named).step(1)
+    barostat.setScaleMoleculesAsRigid(True)
+    with pytest.raises(ValueError, match=r"tear body 0 \(particles 0, 1, 2\).* join its particles by bonds"):
+        start(topology, system, positions, platform=CPU, bodies=named).step(1)
+    bonds = openmm.HarmonicBondForce()
+    for oxygen, *hydrogens in named:
+        for hydrogen in hydrogens:
+            bonds.addBond(oxygen, hydrogen, 0.1, 0.0)
+    system.addForce(bonds)
+    integrator = rb.ExactRigidBodyIntegrator(0.002, bodies=named)
+    simulation = app.Simulation(topology, system, integrator, CPU)
+    simulation.context.setPositions(positions)
+    edge = simulation.context.getState().getPeriodicBoxVectors()[0][0]
+    simulation.step(10)
+    assert simulation.context.getState().getPeriodicBoxVectors()[0][0] != edge
+
+
 def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():
     topology, system, positions = periodic_water()
     simulation = start(topology, system, positions, platform=CPU)

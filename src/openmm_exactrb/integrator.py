@@ -182,7 +182,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
+            If there is no Context yet, the System has no rigid bodies, a barostat would tear them, or positions are not
+            finite or not rigid.
         NonFiniteError
             If a force or momentum becomes infinite or nan. The Context then holds the state after the last good step;
             with a processed scheme, that before this call. So it does after any other error in a force.
@@ -321,6 +322,7 @@ class _Coupling:
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
         self.bodies = find_bodies(system, x, bodies)
+        _refuse_torn_bodies(context, bodies or [])
         self.groups = groups
         self.timings = timings
         self._contents = _contents(system)
@@ -402,10 +404,11 @@ class _Coupling:
         bad = np.flatnonzero(~after.finite())
         names = "; ".join(self.bodies.name(int(b)) for b in bad[:3]) + ("; ..." if len(bad) > 3 else "")
         pair, distance = self.bodies.closest(self.state)
+        closest = f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. "
         return (
             f"step {self._number}: places or momenta of {len(bad)} bodies are not finite any more: {names}. "
-            f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
-            "keeps the state before this step: take a smaller step size, or minimise the energy first"
+            f"{closest if len(self.bodies) > 1 else ''}The Context keeps the state before this step: take a smaller "
+            "step size, or minimise the energy first"
         )
 
     def take_up(self, store: openmm.CustomIntegrator) -> None:
@@ -514,6 +517,24 @@ def _gas_constant_times(temperature: float | unit.Quantity) -> float:
 def _contents(system: openmm.System) -> tuple[int, frozenset[str]]:
     """Return the number of constraints and the kinds of forces of a System."""
     return system.getNumConstraints(), frozenset(type(force).__name__ for force in system.getForces())
+
+
+def _refuse_torn_bodies(context: openmm.Context, bodies: Sequence[Sequence[int]]) -> None:
+    """Refuse bodies that a barostat would tear, since it moves particles, or OpenMM's molecules, each by itself."""
+    barostats = [force for force in context.getSystem().getForces() if "Barostat" in type(force).__name__]
+    for barostat in barostats:
+        if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
+            name = type(barostat).__name__
+            raise ValueError(f"{name} would scale the bodies themselves: call its setScaleMoleculesAsRigid(True)")
+    if not barostats or not bodies:
+        return
+    molecule = {particle: number for number, molecule in enumerate(context.getMolecules()) for particle in molecule}
+    for number, body in enumerate(bodies):
+        if len({molecule[particle] for particle in body}) > 1:
+            raise ValueError(
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
+                "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+            )
 
 
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
