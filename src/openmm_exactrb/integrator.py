@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import time
 import weakref
@@ -141,6 +142,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def hasNamedBodies(self) -> bool:
         """Tell whether there are bodies beside those that constraints make."""
         return self._bodies is not None
+
+    def getNamedBodies(self) -> list[list[int]] | None:
+        """Return the particles of the bodies beside those that constraints make, as they were handed over."""
+        return copy.deepcopy(self._bodies)
 
     @property
     def forceEvaluationsPerStep(self) -> int:
@@ -321,6 +326,8 @@ class _Coupling:
         system = context.getSystem()
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
+        if not x.any():
+            raise ValueError("the Context has no positions yet: call setPositions first")
         self.bodies = find_bodies(system, x, bodies)
         _refuse_torn_bodies(context, bodies or [])
         self.groups = groups
