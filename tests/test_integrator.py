@@ -98,6 +98,18 @@ def test_energy_reporter_writes_every_digit(tmp_path):
         rb.EnergyReporter(file, 0)
 
 
+def test_energy_reporter_appends_and_names_the_columns_once(tmp_path):
+    file = tmp_path / "energies.csv"
+    simulation = simulation_of(2)
+    for _ in range(2):
+        reporter = rb.EnergyReporter(file, 1, append=True)
+        simulation.reporters.append(reporter)
+        simulation.step(1)
+        simulation.reporters.clear()
+        reporter.close()
+    assert [line.split(",")[0] for line in file.read_text().splitlines()] == ["step", "1", "2"]
+
+
 # -- the dynamics -----------------------------------------------------------------------------------------------
 
 

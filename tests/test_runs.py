@@ -263,9 +263,11 @@ def test_a_pdb_file_without_all_atoms_is_one_line(tmp_path):
 # -- in one process ----------------------------------------------------------------------------------------------------
 
 
-def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference"):
+def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference", groups=None):
     topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    if groups is not None:
+        integrator.setIntegrationForceGroups(groups)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(platform))
     simulation.context.setPositions(positions)
     simulation.context.setVelocitiesToTemperature(30.0, 2)
@@ -420,6 +422,7 @@ def test_a_damaged_checkpoint_is_refused(half):
         ({"trap": 0.6}, "another run: System is 20 particles"),
         ({"scheme": "S2_2"}, "integrator is .* V2, exact in it, but .* S2_2, exact now"),
         ({"rotor": "mclachlan_reich"}, "V2, exact in it, but .* V2, mclachlan_reich now"),
+        ({"groups": {0, 2}}, r"V2, exact in it, but .* force groups 0b101, V2, exact now"),
         ({"h": 0.006}, r"step 0.005 ps, .* step 0.006 ps"),
         ({"platform": "CPU"}, "platform is Reference in it, but CPU now"),
         ({"options": {"interval": 5}}, "DCDReporter every 7 steps in it, but DCDReporter every 5 steps now"),
