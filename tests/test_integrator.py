@@ -11,6 +11,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import triangle
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 SHIFT = np.array([0.5, 0.0, 0.0])
@@ -427,17 +428,13 @@ def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
 
 
 def test_a_body_alone_has_no_closest_one():
-    system = openmm.System()
-    for i in range(3):
-        system.addParticle(1.0)
-        for j in range(i):
-            system.addConstraint(i, j, 0.1)
+    system = triangle.system()
     force = openmm.CustomExternalForce("1e300*exp(x*1e3)")
     force.addParticle(0, [])
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(0.1 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, 0.75**0.5, 0.0]]))
+    context.setPositions(triangle.POSITIONS)
     with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The Context keeps"):
         integrator.step(1)
 
