@@ -155,7 +155,9 @@ def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path,
 
 
 def one_line(errors):
-    assert errors.count("\n") == 1, errors
+    """Check that errors are one line, beside the progress that a slow machine has time to show."""
+    lines = [line for line in errors.splitlines() if line and not line.endswith("step/s]")]
+    assert len(lines) == 1, errors
     assert "Traceback" not in errors
     assert "Exception ignored" not in errors
     return errors

@@ -326,7 +326,7 @@ class _Coupling:
         system = context.getSystem()
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
-        if not x.any():
+        if len(x) > 1 and not x.any():
             raise ValueError("the Context has no positions yet: call setPositions first")
         self.bodies = find_bodies(system, x, bodies)
         _refuse_torn_bodies(context, bodies or [])
