@@ -171,7 +171,7 @@ def test_measured_order_of_dipoles_is_the_declared_one(scheme):
 
 
 # Tops go through all schemes with this rotor; here it is the coupling that is looked at.
-FEW = [name for name, scheme in rb.SCHEMES.items() if scheme.composes_verlet] + ["SRKN4_6b", "S6_10"]
+FEW = [name for name, scheme in rb.SCHEMES.items() if scheme.composes_verlet] + ["SRKN4_6b"]
 
 
 @pytest.mark.parametrize("name", FEW)
