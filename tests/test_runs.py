@@ -111,7 +111,7 @@ def wait_until_stepping(process, folder):
 def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytestconfig):
     folder, kills = tmp_path / "out", 0
     dice = random.Random(os.environ.get("KILL_SEED", 8))
-    wanted = 40 if pytestconfig.getoption("--validate") else 20
+    wanted = 40 if pytestconfig.getoption("--validate") else 10
     places = set()
     while kills < wanted:
         process = launch("--out", folder, "--resume", "--checkpoint", dice.choice((0.0, 0.01, 60.0)))
@@ -156,7 +156,9 @@ def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path,
 
 
 def one_line(errors):
-    assert errors.count("\n") == 1, errors
+    """Check that errors are one line, beside the progress that a slow machine has time to show."""
+    lines = [line for line in errors.splitlines() if line and not line.endswith("step/s]")]
+    assert len(lines) == 1, errors
     assert "Traceback" not in errors
     assert "Exception ignored" not in errors
     return errors
@@ -264,9 +266,11 @@ def test_a_pdb_file_without_all_atoms_is_one_line(tmp_path):
 # -- in one process ----------------------------------------------------------------------------------------------------
 
 
-def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference"):
+def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference", groups=None):
     topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    if groups is not None:
+        integrator.setIntegrationForceGroups(groups)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(platform))
     simulation.context.setPositions(positions)
     simulation.context.setVelocitiesToTemperature(30.0, 2)
@@ -421,6 +425,7 @@ def test_a_damaged_checkpoint_is_refused(half):
         ({"trap": 0.6}, "another run: System is 20 particles"),
         ({"scheme": "S2_2"}, "integrator is .* V2, exact in it, but .* S2_2, exact now"),
         ({"rotor": "mclachlan_reich"}, "V2, exact in it, but .* V2, mclachlan_reich now"),
+        ({"groups": {0, 2}}, r"V2, exact in it, but .* force groups 0b101, V2, exact now"),
         ({"h": 0.006}, r"step 0.005 ps, .* step 0.006 ps"),
         ({"platform": "CPU"}, "platform is Reference in it, but CPU now"),
         ({"options": {"interval": 5}}, "DCDReporter every 7 steps in it, but DCDReporter every 5 steps now"),

@@ -83,7 +83,7 @@ def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
 
 
 def test_measured_order_with_mclachlan_reich_is_two_but_for_compositions(tops, scheme):
-    steps = step_numbers(scheme) if scheme.composes_verlet else (120, 170, 240, 340)
+    steps = step_numbers(scheme) if scheme.composes_verlet else (50, 70, 100, 140)
     order = measured_order(*tops, scheme, "mclachlan_reich", steps)
     assert abs(order - (scheme.order if scheme.composes_verlet else 2.0)) < 0.35
 

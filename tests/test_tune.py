@@ -373,3 +373,17 @@ def test_the_advice_holds(make, target):
     actual = long_run(choice, result, system, state, platform)
     print(f"\n{result}\npromised {choice.error:.2e}, ten times longer {actual:.2e}")
     assert actual < 2.0 * choice.error
+
+
+def test_bodies_named_in_a_simulation_are_those_that_are_measured():
+    topology, system, positions = rb.rigid_water(2)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    named = [[0, 1, 2], [3, 4, 5]]
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=named)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    begin, _ = tuning._start(simulation, None, None, None, None, None)
+    assert begin.bodies == named
+    begin.bodies[0][0] = 7
+    assert integrator.getNamedBodies() == named

@@ -294,6 +294,34 @@ def test_a_barostat_moves_whole_molecules():
     assert np.isfinite(total_energy(simulation))
 
 
+def test_a_barostat_does_not_tear_bodies_named_by_hand():
+    """It scales the places of OpenMM's molecules, which only bonds and constraints make."""
+    topology, system, positions = periodic_water(125, nonbondedMethod=app.CutoffPeriodic)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    barostat = openmm.MonteCarloBarostat(1e3 * unit.bar, 300.0 * unit.kelvin, 1)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    named = [[3 * k, 3 * k + 1, 3 * k + 2] for k in range(125)]
+    barostat.setScaleMoleculesAsRigid(False)
+    with pytest.raises(ValueError, match=r"MonteCarloBarostat would scale the bodies .*AsRigid\(True\)"):
+        start(topology, system, positions, platform=CPU, bodies=named).step(1)
+    barostat.setScaleMoleculesAsRigid(True)
+    with pytest.raises(ValueError, match=r"tear body 0 \(particles 0, 1, 2\).* join its particles by bonds"):
+        start(topology, system, positions, platform=CPU, bodies=named).step(1)
+    bonds = openmm.HarmonicBondForce()
+    for oxygen, *hydrogens in named:
+        for hydrogen in hydrogens:
+            bonds.addBond(oxygen, hydrogen, 0.1, 0.0)
+    system.addForce(bonds)
+    integrator = rb.ExactRigidBodyIntegrator(1e-7, bodies=named)
+    simulation = app.Simulation(topology, system, integrator, CPU)
+    simulation.context.setPositions(positions)
+    edge = simulation.context.getState().getPeriodicBoxVectors()[0][0]
+    simulation.step(10)
+    assert simulation.context.getState().getPeriodicBoxVectors()[0][0] != edge
+
+
 def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():
     topology, system, positions = periodic_water()
     simulation = start(topology, system, positions, platform=CPU)
@@ -368,6 +396,41 @@ def test_reinitialize_goes_on_right():
     for simulation in runs:
         simulation.step(10)
     np.testing.assert_array_equal(*map(positions_of, runs))
+
+
+def test_forces_added_before_reinitialize_take_part():
+    """The box shrank and the molecules stayed."""
+    simulation = start(*periodic_water(125, nonbondedMethod=app.CutoffPeriodic), platform=CPU)
+    simulation.step(1)
+    barostat = openmm.MonteCarloBarostat(1e4 * unit.bar, 300.0 * unit.kelvin, 1)
+    barostat.setRandomNumberSeed(1)
+    simulation.system.addForce(barostat)
+    simulation.system.addForce(openmm.CMMotionRemover(1))
+    simulation.context.reinitialize(preserveState=True)
+    assert simulation.integrator.degreesOfFreedom() == (3 * 125 - 3, 3 * 125)
+
+    def edge():
+        return simulation.context.getState().getPeriodicBoxVectors()[0][0]._value
+
+    simulation.integrator.setStepSize(1e-7)  # nothing but the barostat moves a molecule
+    length, before = edge(), positions_of(simulation)[::3, 0].copy()
+    simulation.step(20)
+    inner = (0.2 * length < before) & (before < 0.8 * length)  # the barostat brings others back into the box
+    scale, _ = np.polyfit(before[inner], positions_of(simulation)[::3, 0][inner], 1)
+    assert edge() < 0.995 * length
+    assert scale == pytest.approx(edge() / length, abs=5e-4)
+
+
+def test_constraints_removed_before_reinitialize_leave_particles_free():
+    simulation = start(*rb.rigid_water(4))
+    simulation.step(1)
+    system = simulation.system
+    for i in reversed(range(system.getNumConstraints())):
+        if system.getConstraintParameters(i)[0] < 3:
+            system.removeConstraint(i)
+    simulation.context.reinitialize(preserveState=True)
+    assert simulation.integrator.degreesOfFreedom() == (3 * (3 + 3), 3 * 3)
+    simulation.step(1)
 
 
 RESTART = """

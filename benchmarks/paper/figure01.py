@@ -46,7 +46,7 @@ def seconds(flow, q, m, h):
 
 def compute(quick):
     n = 100
-    numbers = np.unique(np.round(np.geomspace(29, 714, 5 if quick else 20)).astype(int))
+    numbers = np.unique(np.round(np.geomspace(29, 714, 3 if quick else 20)).astype(int))
     inertia, m = common.random_bodies(np.random.default_rng(1), n)
     reference, _ = taylor(inertia, m, T)
     many = np.tile(inertia, 10), np.tile(m, 10), common.unit_attitudes(10 * n)

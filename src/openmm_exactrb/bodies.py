@@ -119,7 +119,7 @@ class Kind:
     @property
     def linear(self) -> bool:
         """Whether all sites lie on axis 1."""
-        return self.turns and self.inertia[0] == 0.0
+        return self.turns and bool(self.inertia[0] == 0.0)
 
 
 class RigidBodies:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import time
 import weakref
@@ -21,7 +22,7 @@ from openmm_exactrb.propagate import move
 from openmm_exactrb.rotors import ROTORS, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.sums import advance, exactly, renewed
+from openmm_exactrb.sums import exactly, fastest_advance, renewed
 
 Array = NDArray[np.float64]
 
@@ -32,8 +33,8 @@ _SAME = 1e-9
 # parts, then low parts of the sums.
 _STORED = tuple(f"exactrb_{name}{part}" for part in ("", "_low") for name in "RPmqw")
 _IS_STORED = "exactrb_stored"
-# Forces that change positions or velocities between steps.
-_CHANGING = (
+#: Forces that change positions or velocities between steps: without them a System conserves its energy.
+COUPLINGS = (
     "AndersenThermostat",
     "CMMotionRemover",
     "MonteCarloAnisotropicBarostat",
@@ -142,6 +143,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Tell whether there are bodies beside those that constraints make."""
         return self._bodies is not None
 
+    def getNamedBodies(self) -> list[list[int]] | None:
+        """Return the particles of the bodies beside those that constraints make, as they were handed over."""
+        return copy.deepcopy(self._bodies)
+
     @property
     def forceEvaluationsPerStep(self) -> int:
         """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""
@@ -154,7 +159,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bind(self, context: openmm.Context) -> None:
         """Tell the integrator its Context.
 
-        Only needed where it cannot be found: `step` looks for the Context that was made with this integrator.
+        Only needed where it cannot be found, since `step` looks for the Context that was made with this integrator; and
+        after `Context.reinitialize` where masses or lengths of constraints were changed. Forces and constraints that
+        were added or removed are noticed without.
 
         Parameters
         ----------
@@ -180,10 +187,12 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If there is no Context yet, the System has no rigid bodies, or positions are not finite or not rigid.
+            If there is no Context yet, the System has no rigid bodies, a barostat would tear them, or positions are not
+            finite or not rigid.
         NonFiniteError
             If numbers of a body become infinite or nan, or it is faster than light. The Context then holds the state
-            after the last good step; with a processed scheme, that before this call.
+            after the last good step; with a processed scheme, that before this call. So it does after any other error
+            in a force.
         """
         start = time.perf_counter()
         coupling = self._up_to_date()
@@ -202,7 +211,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
                 done += 1
                 if coupling.changing:
                     coupling.let_openmm_change(self)
-        except NonFiniteError:
+        except BaseException:  # a force of the user's, or Ctrl-C, as well as a blow-up
             if self._scheme.processor and not coupling.changing:  # the state between is not that of the bodies
                 coupling.sums, time_now, done = before, time_now - done * h, 0
             raise
@@ -265,7 +274,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return type(self), (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor, self._bodies)
+        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, self._rotor, self._bodies)
+        return _restored, (type(self), arguments, self.getIntegrationForceGroups())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -279,7 +289,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _up_to_date(self) -> _Coupling:
         """Return the coupling to the present Context, with what was set there taken up."""
-        if self._coupling is None or self._coupling.context is None:
+        if self._coupling is None or self._coupling.context is None or self._coupling.outdated():
             self.bind(self._find_context())
         coupling = self._coupling
         assert coupling is not None
@@ -317,14 +327,18 @@ class _Coupling:
         system = context.getSystem()
         x, v = _positions_and_velocities(context)
         self._context = weakref.ref(context)
+        if len(x) > 1 and not x.any():
+            raise ValueError("the Context has no positions yet: call setPositions first")
         self.bodies = find_bodies(system, x, bodies)
         self._fast = float(np.min(LIGHT * self.bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
+        _refuse_torn_bodies(context, bodies or [])
         self.groups = groups
         self.timings = timings
+        self._contents = _contents(system)
         #: Whether OpenMM itself changes positions or velocities between steps.
-        self.changing = any(type(force).__name__ in _CHANGING for force in system.getForces())
-        self.removes_motion = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
-        self._flow = rotor_of_sums(method, self.bodies.inertia)
+        self.changing = not self._contents[1].isdisjoint(COUPLINGS)
+        self.removes_motion = "CMMotionRemover" in self._contents[1]
+        self._flow, self._advance = rotor_of_sums(method, self.bodies.inertia), fastest_advance()
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self._forces: tuple[Array, Array] | None = None  # of the present positions
@@ -346,6 +360,10 @@ class _Coupling:
         """The Context, or None when it is gone."""
         return self._context()
 
+    def outdated(self) -> bool:
+        """Tell whether the System was changed, as users do before they reinitialize the Context."""
+        return _contents(self.context.getSystem()) != self._contents
+
     def step(self, scheme: Scheme, h: float, at: tuple[int, float], begins: bool, ends: bool) -> None:
         """Move the bodies by one step, which errors call by its number and the time (ps) before it.
 
@@ -361,13 +379,13 @@ class _Coupling:
         q, m = self._flow(state.q, state.m, tau)
         self.timings.rotor += time.perf_counter() - start
         self._forces = None
-        return BodyState(advance(state.R, state.P[0] / self.bodies.mass, tau), state.P, q, m)
+        return BodyState(self._advance(state.R, state.P[0] / self.bodies.mass, tau), state.P, q, m)
 
     def _kick(self, state: BodyState, tau: float) -> BodyState:
         if self._forces is None:
             self._forces = self.bodies.forces(state.high, self._particle_forces(state.high))
         force, torque = self._forces
-        after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+        after = state._replace(P=self._advance(state.P, force, tau), m=self._advance(state.m, torque, tau))
         return self._finite(after)
 
     def _finite(self, state: BodyState) -> BodyState:
@@ -397,11 +415,12 @@ class _Coupling:
         names = "; ".join(self.bodies.name(int(b)) for b in bad[:3])
         more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
         pair, distance = self.bodies.closest(self.state)
+        closest = f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. "
         number, time = self._at
         return (
             f"step {number}, after {time:.6g} ps: not finite or faster than light: {names}{more}. "
-            f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. The Context "
-            "keeps the state before this step: take a smaller step size, or minimise the energy first"
+            f"{closest if len(self.bodies) > 1 else ''}The Context keeps the state before this step: take a smaller "
+            "step size, or minimise the energy first"
         )
 
     def take_up(self, store: openmm.CustomIntegrator) -> None:
@@ -475,6 +494,13 @@ class _Coupling:
         return BodyState(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
 
 
+def _restored(kind: type[ExactRigidBodyIntegrator], arguments: tuple[Any, ...], groups: int) -> Any:
+    """Return an integrator with the settings of another one."""
+    integrator = kind(*arguments)
+    integrator.setIntegrationForceGroups(groups)
+    return integrator
+
+
 def _plain(value: float | unit.Quantity, in_unit: unit.Unit, what: str) -> float:
     """Return a number in a unit; one without a unit already is."""
     quantity: Any = value
@@ -498,6 +524,29 @@ def _gas_constant_times(temperature: float | unit.Quantity) -> float:
     if kelvin < 0.0:
         raise ValueError(f"a temperature must not be negative, not {temperature}")
     return float((kelvin * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
+def _contents(system: openmm.System) -> tuple[int, frozenset[str]]:
+    """Return the number of constraints and the kinds of forces of a System."""
+    return system.getNumConstraints(), frozenset(type(force).__name__ for force in system.getForces())
+
+
+def _refuse_torn_bodies(context: openmm.Context, bodies: Sequence[Sequence[int]]) -> None:
+    """Refuse bodies that a barostat would tear, since it moves particles, or OpenMM's molecules, each by itself."""
+    barostats = [force for force in context.getSystem().getForces() if "Barostat" in type(force).__name__]
+    for barostat in barostats:
+        if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
+            name = type(barostat).__name__
+            raise ValueError(f"{name} would scale the bodies themselves: call its setScaleMoleculesAsRigid(True)")
+    if not barostats or not bodies:
+        return
+    molecule = {particle: number for number, molecule in enumerate(context.getMolecules()) for particle in molecule}
+    for number, body in enumerate(bodies):
+        if len({molecule[particle] for particle in body}) > 1:
+            raise ValueError(
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
+                "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+            )
 
 
 def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:

@@ -16,11 +16,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.kernels import reordered as _compiled
+
 Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]
 
-# Sums may be reordered and products fused; nan and inf stay what they are, no square root or division is approximated.
-_compiled = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 # Fewer pairs than this are not worth a second thread, which costs about 50 microseconds.
 _SHARED = 200_000
 

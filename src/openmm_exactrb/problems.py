@@ -16,7 +16,7 @@ from openmm_exactrb.propagate import compose
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.sums import advance, exactly
+from openmm_exactrb.sums import exactly, fastest_advance
 
 Array = NDArray[np.float64]
 State = tuple[Array, Array]
@@ -71,7 +71,7 @@ def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, 
     tuple
         (q, m) after the last step, as it was handed in.
     """
-    flow = rotor_of_sums(method, problem.inertia.T)
+    flow, advance = rotor_of_sums(method, problem.inertia.T), fastest_advance()
 
     def drift(state: State, tau: float) -> State:
         return flow(*state, tau)

@@ -22,7 +22,7 @@ class EnergyReporter:
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Write behind the lines that the file has.
+        Write behind the lines that the file has; the names of the columns only where it has none.
 
     Notes
     -----
@@ -36,7 +36,7 @@ class EnergyReporter:
         self._interval = reportInterval
         self._owned = isinstance(file, (str, os.PathLike))
         self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
-        if not append:
+        if not append or (self._owned and self._out.tell() == 0):
             self._out.write(",".join(_COLUMNS) + "\n")
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:

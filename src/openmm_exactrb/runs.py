@@ -36,6 +36,8 @@ _MAGIC, _FORMAT = b"openmm-exactrb checkpoint", b"2"
 _CHUNK = 10
 # Bytes at the beginning of a file that may change while it grows: a DCD file counts its frames there.
 _HEAD = 128
+# What an integrator of all forces says: 32 bits.
+_EVERY_GROUP = -1
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -322,12 +324,13 @@ class Run:
             "System": f"{system.getNumParticles()} particles, {_hash(openmm.XmlSerializer.serialize(system).encode())}",
             "integrator": f"{type(integrator).__name__}, step {step_size!r} ps",
         }
+        if (groups := integrator.getIntegrationForceGroups()) != _EVERY_GROUP:
+            identity["integrator"] += f", force groups {groups & 0xFFFFFFFF:#b}"
         if isinstance(integrator, ExactRigidBodyIntegrator):
             identity["integrator"] += f", {integrator.getScheme().name}, {integrator.getRotor()}"
             if integrator.hasNamedBodies():
-                bodies, _ = (
-                    integrator.bodyState()
-                )  # fixes their shape to that of the start, before a checkpoint is loaded
+                # This fixes their shape to that of the start, before a checkpoint is loaded.
+                bodies, _ = integrator.bodyState()
                 shapes = b"".join(kind.particles.tobytes() + kind.sites.tobytes() for kind in bodies.kinds)
                 identity["bodies"] = f"{len(bodies)}, {_hash(shapes)}"
         for name, (reporter, interval) in self._outputs.items():

@@ -1,4 +1,4 @@
-"""Sums high + low, compiled: the twin of `sums.advance`."""
+"""Sums high + low, compiled: the twin of `sums.add`."""
 
 from __future__ import annotations
 

@@ -648,8 +648,8 @@ def tune(
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation gives its state and platform too. Thermostats, barostats and motion removers are left out of the
-        measurements.
+        A Simulation gives its state, platform and bodies named by hand too. Thermostats, barostats and motion removers
+        are left out of the measurements.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, best of an equilibrated run; or positions, in nm if without a unit.
     target : float, optional
@@ -667,7 +667,7 @@ def tune(
     properties : mapping, optional
         Of the platform.
     bodies : sequence of sequences of int, optional
-        As in `ExactRigidBodyIntegrator`.
+        As in `ExactRigidBodyIntegrator`; those of the integrator of a Simulation unless given.
     duration : float or Quantity, optional
         Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
         system unless given (1.5 ps for water).
@@ -759,6 +759,8 @@ def _start(
         context = system.context
         platform = context.getPlatform() if platform is None else platform
         start = context.getState(positions=True, velocities=True, parameters=True) if start is None else start
+        if bodies is None and isinstance(system.integrator, ExactRigidBodyIntegrator):
+            bodies = system.integrator.getNamedBodies()
         system = system.system
     if not isinstance(system, openmm.System):
         raise ValueError(f"the first argument must be an openmm.System or a Simulation, not {type(system).__name__}")

@@ -15,22 +15,13 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.bodies import RigidBodies, find_bodies
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
+from openmm_exactrb.integrator import COUPLINGS, ExactRigidBodyIntegrator, NonFiniteError
 from openmm_exactrb.schemes import Scheme
 
 Array = NDArray[np.float64]
 
 #: The baseline: OpenMM's own leapfrog with constraints.
 VERLET = "VerletIntegrator"
-# Forces without which the energy is conserved; they are left out of the measurements.
-_COUPLINGS = (
-    "AndersenThermostat",
-    "CMMotionRemover",
-    "MonteCarloAnisotropicBarostat",
-    "MonteCarloBarostat",
-    "MonteCarloFlexibleBarostat",
-    "MonteCarloMembraneBarostat",
-)
 # A run is unstable once its energy is off by this part of the kinetic energy.
 _LOST = 0.1
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
@@ -84,7 +75,7 @@ def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
     twin, left_out = copy.deepcopy(system), []
     for i in reversed(range(twin.getNumForces())):
         name = type(twin.getForce(i)).__name__
-        if name in _COUPLINGS:
+        if name in COUPLINGS:
             left_out.append(name)
             twin.removeForce(i)
     return twin, left_out[::-1]

@@ -126,11 +126,7 @@ def _rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
     n1, n2, n3 = y1 + d1, y2 + d2, y3 + d3
 
     re, im = y2 * y2 + y1 * (cn * n1 + wy3 * n2), -s * w * y2 * n2
-    re, im = re * cd - im * w, re * w + im * cd
-    across_re, across_im = y1 * n1 + y2 * n2, y2 * d1 - y1 * d2
-    re, im = re * across_re - im * across_im, re * across_im + im * across_re
-    half_cosine, half_sine = _half_argument(re, im)
-    c, e = cosine * half_cosine - sine * half_sine, sine * half_cosine + cosine * half_sine
+    c, e = _twisted(cosine, sine, re, im, cd, w, y1 * n1 + y2 * n2, y2 * d1 - y1 * d2)
     less = _one_less(c, e)
 
     # z is the change of (y1 + i y2) as it turns.
@@ -162,11 +158,7 @@ def _rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosin
     g1 = (f1 * cn - r * wy3 * dn * f2) * inverse
     g2 = (f2 * cd + wy3 * f1) * inverse
     re, im = f2 * f2 + f1 * (cn * g1 + wy3 * g2), -s * w * f2 * g2
-    re, im = re * extra_re - im * extra_im, re * extra_im + im * extra_re
-    across_re, across_im = f1 * g1 + f2 * g2, f2 * g1 - f1 * g2
-    re, im = re * across_re - im * across_im, re * across_im + im * across_re
-    half_cosine, half_sine = _half_argument(re, im)
-    c, e = cosine * half_cosine - sine * half_sine, sine * half_cosine + cosine * half_sine
+    c, e = _twisted(cosine, sine, re, im, extra_re, extra_im, f1 * g1 + f2 * g2, f2 * g1 - f1 * g2)
 
     n1, n2, n3 = g1 * unit, g2 * unit, (y3 * dn - s * w * cn * y1 * y2) * inverse
     a0, a1 = 1.0 + y3, 1.0 + n3
@@ -176,6 +168,15 @@ def _rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosin
     t0, t3 = product * c + y1 * z1 + y2 * z2, product * e + y2 * z1 - y1 * z2
     t2, t1 = -(a0 * z1 - a1 * (y1 * c + y2 * e)), a0 * z2 - a1 * (y2 * c - y1 * e)
     return scale * t0, scale * t1, scale * t2, scale * t3, n1, n2, n3
+
+
+@inlined
+def _twisted(cosine, sine, re, im, extra_re, extra_im, across_re, across_im):
+    """Return cosine and sine of an angle plus half the argument of the product of three complex numbers, the twist."""
+    re, im = re * extra_re - im * extra_im, re * extra_im + im * extra_re
+    re, im = re * across_re - im * across_im, re * across_im + im * across_re
+    half_cosine, half_sine = _half_argument(re, im)
+    return cosine * half_cosine - sine * half_sine, sine * half_cosine + cosine * half_sine
 
 
 @inlined

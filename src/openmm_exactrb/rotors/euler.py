@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Array, Flow, ascending, keep_norm
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14
@@ -110,10 +110,7 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
     -------
     flow : callable
     """
-    order = np.argsort(inertia, axis=0, kind="stable")
-    back = np.argsort(order, axis=0)
-    # An odd permutation is a reflection; momenta and vector parts of quaternions are pseudovectors.
-    handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
+    order, back, handedness = ascending(inertia)
     scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
     moments = np.take_along_axis(inertia, order, axis=0) / scale
     shared = inertia.shape[1] == 1
@@ -215,10 +212,7 @@ def _step(inertia: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array
     orbit = solve(inertia, half_turn * m / G, G * t)
     turn = attitude(orbit)
     turn[1:] *= half_turn
-    m1 = G * half_turn * orbit.end
-    # The difference of the squares, formed so, rounds without a bias, and the norm does not drift.
-    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / (G * G)))
-    return turn, m1
+    return turn, keep_norm(G * half_turn * orbit.end, m, G * G)
 
 
 def solve(inertia: Array, x: Array, time: Array) -> Orbit:

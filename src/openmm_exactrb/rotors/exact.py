@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
 from openmm_exactrb.quaternions import multiply, one_less_square, renormalise
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Array, Flow, ascending, keep_norm
 from openmm_exactrb.sums import add, exactly
 
 #: Up to this b G h the series of `_short` are exact to roundoff.
@@ -87,12 +87,9 @@ def fastest_rotor(inertia: Array) -> Flow:
 
 def _in_any_order(inertia: Array, kernel: Kernel) -> Flow:
     """Return the flow of bodies whose moments stand in any order, by a kernel for ascending ones."""
-    order = np.argsort(inertia, axis=0, kind="stable")
-    back = np.argsort(order, axis=0)
-    # An odd permutation is a reflection; momenta and vector parts of quaternions are pseudovectors.
-    handedness = np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
+    order, back, handedness = ascending(inertia)
     body = constants(np.take_along_axis(inertia, order, axis=0))
-    ascending = bool((order == np.arange(3)[:, None]).all())
+    ordered = bool((order == np.arange(3)[:, None]).all())
 
     def arrange(v: Array, places: NDArray[np.intp]) -> Array:
         arranged = v[..., places[:, 0], :] if places.shape[1] == 1 else np.take_along_axis(v, places[None], axis=1)
@@ -106,7 +103,7 @@ def _in_any_order(inertia: Array, kernel: Kernel) -> Flow:
         q1[:, 1:] = arrange(q1[:, 1:], back)
         return q1, arrange(m1, back)
 
-    of_sums = in_order if ascending else arranged
+    of_sums = in_order if ordered else arranged
 
     def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         if q.ndim == 3:
@@ -222,7 +219,7 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     turn[1:] *= np.where(mirrored, -1.0, 1.0)
     turn[1::2] = np.where(mirrored, turn[:0:-2], turn[1::2])
     y1[::2] = np.where(mirrored, y1[::-2], y1[::2])
-    m1 = np.where(resting, 0.0, _of_the_same_norm(y1, m, G))
+    m1 = np.where(resting, 0.0, keep_norm(G * y1, m, G * G))
     return turn, np.ldexp(m1, exponent)
 
 
@@ -326,17 +323,6 @@ def _keeping_the_norm(change: Array, m: Array, G: Array) -> Array:
     m1 = m + change
     change -= m1 * (np.einsum("in,in->n", change, m + m1) * (0.5 / (G * G)))
     return change
-
-
-def _of_the_same_norm(y1: Array, m: Array, G: Array) -> Array:
-    """Return G y1, with the norm of m.
-
-    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - y1.y1 leaves
-    has one, because floating-point numbers below one are denser than above, and the norm drifts.
-    """
-    m1 = G * y1
-    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / (G * G)))
-    return m1
 
 
 def _separatrix_distance(inertia: Array, m: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What every flow of the free rigid body is: the type that the registry and its files share."""
+"""What flows of the free rigid body share: their type, the order of the axes, and a norm that does not drift."""
 
 from __future__ import annotations
 
@@ -12,3 +12,32 @@ Array = NDArray[np.float64]
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
 #: Some take sums high + low too, (2, 4, N) and (2, 3, N).
 Flow = Callable[[Array, Array, Array | float], tuple[Array, Array]]
+
+
+def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Return how to bring bodies to ascending principal axes and back.
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+
+    Returns
+    -------
+    order, back : arrays of int of the same shape
+        Places of the axes in ascending order, and their inverse.
+    handedness : (1,) or (N,) array
+        -1 for an odd permutation, which is a reflection: momenta and vector parts of quaternions are pseudovectors and
+        change their sign with it. Else 1.
+    """
+    order = np.argsort(inertia, axis=0, kind="stable")
+    return order, np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
+
+
+def keep_norm(m1: Array, m: Array, square: Array) -> Array:
+    """Bring momenta m1 (3, N) that have the norm of m up to roundoff to that norm, in place; `square` is m.m.
+
+    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - m1.m1/m.m
+    leaves has one, because floating-point numbers below one are denser than above, and the norm drifts.
+    """
+    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
+    return m1

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.quaternions import multiply, renormalise
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Array, Flow, keep_norm
 
 #: Steps of the fixed point iteration after which a body counts as not converged.
 MOST_ITERATIONS = 200
@@ -129,9 +129,8 @@ def _step(angle: Array, m: Array) -> tuple[Array, Array]:
     alpha = 1.0 + np.einsum("in,in->n", c, c)
     across = np.cross(m, c, axis=0)
     m1 = m + (across + np.cross(across, c, axis=0)) * (2.0 / alpha)
-    # The difference of the squares, formed so, rounds without a bias, and the norm does not drift.
-    norm2 = np.einsum("in,in->n", m, m)
-    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / np.where(norm2 > 0.0, norm2, 1.0)))
+    square = np.einsum("in,in->n", m, m)
+    keep_norm(m1, m, np.where(square > 0.0, square, 1.0))
     return np.concatenate([np.ones((1, m.shape[1])), c]) / np.sqrt(alpha), m1
 
 
