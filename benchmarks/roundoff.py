@@ -1,7 +1,7 @@
 """How roundoff grows where the error of the scheme is below it: Brouwer's law.
 
 1. Heavy tops, up to 1e6 steps; as sums high + low, and with every drift and kick rounded to float64.
-2. An isolated cluster of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
+2. An isolated droplet of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
    VerletIntegrator with SETTLE from the same starts, with as many forces a unit of time.
 
 Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. Root mean
@@ -12,6 +12,7 @@ folder of its own.
 from __future__ import annotations
 
 import argparse
+import itertools
 from functools import cache, partial
 from pathlib import Path
 
@@ -33,7 +34,7 @@ import matplotlib.pyplot as plt
 # Schemes and steps whose own energy error is small enough to see roundoff beside it; --truncation measures it.
 TOP_SCHEME, TOP_STEP = rb.SCHEMES["SRKN6_11b"], 0.02
 DIPOLE_SCHEME, DIPOLE_STEP = rb.SCHEMES["SRKN6_14a"], 0.0025
-KT = 0.1  # kJ/mol; the cluster holds together
+KT, TRAP = 0.1, 0.1  # kJ/mol and kJ/mol/nm²
 DOCS = Path("docs")
 QUANTITIES = {
     "energy": "relative energy error",
@@ -104,8 +105,9 @@ def tops(start, variant, last, h=TOP_STEP):
 
 @cache
 def dipoles_of(start):
-    """Return topology and system of 27 dipoles, and the positions and velocities of a cluster, warm about a minimum."""
+    """Return topology and system of 27 dipoles, and the positions and velocities of a droplet that rests as a whole."""
     topology, system, positions = rb.dipole_fluid(27, seed=start)
+    system.addForce(springs([atom.index for atom in topology.atoms() if atom.name == "C"]))
     integrator = rb.ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
@@ -115,8 +117,19 @@ def dipoles_of(start):
     state = context.getState(positions=True, velocities=True)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
     v = state.getVelocities(asNumpy=True)._value
-    v -= masses @ v / masses.sum()  # at rest as a whole: far from the origin positions are rounded more
+    v -= masses @ v / masses.sum()
     return topology, system, state.getPositions(), v
+
+
+def springs(centres):
+    """Return a harmonic trap about the centre of mass, which moves with it: a weak spring between all pairs.
+
+    Without it the droplet evaporates, and far from the origin positions and momenta are rounded more and more.
+    """
+    force = openmm.HarmonicBondForce()
+    for i, j in itertools.combinations(centres, 2):
+        force.addBond(i, j, 0.0, TRAP / len(centres))
+    return force
 
 
 def round_everything(integrator):
@@ -144,7 +157,8 @@ def in_long_double(context, integrator):
     u, v, inverse = arrows[:, i], arrows[:, j], 1.0 / (r * r).sum(axis=0)
     dipolar = (u * v).sum(axis=0) - 3.0 * (u * r).sum(axis=0) * (v * r).sum(axis=0) * inverse
     dipolar *= parameters["dipole_coupling"] * inverse * np.sqrt(inverse)
-    potential = (parameters["soft_repulsion"] * inverse**6 + dipolar).sum()
+    spring = 0.5 * TRAP / len(bodies) / inverse
+    potential = (parameters["soft_repulsion"] * inverse**6 + dipolar + spring).sum()
     kinetic = 0.5 * ((P * P / bodies.mass).sum() + (m * m / bodies.inertia.T).sum())
     spin = np.cross(R, P, axis=0).sum(axis=1) + np.einsum("ijn,jn->i", Q, m)
     return kinetic + potential, P.T, spin
@@ -173,7 +187,7 @@ def virtual_site(site, places):
 
 
 def dipoles(start, variant, last, h=DIPOLE_STEP):
-    """Return the records of one cluster, (1, records)."""
+    """Return the records of one droplet, (1, records)."""
     settle = variant == "settle"
     integrator = (
         openmm.VerletIntegrator(h * DIPOLE_SCHEME.stages)
