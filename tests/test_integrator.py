@@ -11,7 +11,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-import triangle
+import three_masses
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 SHIFT = np.array([0.5, 0.0, 0.0])
@@ -428,13 +428,13 @@ def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
 
 
 def test_a_body_alone_has_no_closest_one():
-    system = triangle.system()
+    system = three_masses.system()
     force = openmm.CustomExternalForce("1e300*exp(x*1e3)")
     force.addParticle(0, [])
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(triangle.POSITIONS)
+    context.setPositions(three_masses.POSITIONS)
     with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The Context keeps"):
         integrator.step(1)
 

@@ -14,7 +14,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-import triangle
+import three_masses
 from openmm_exactrb import problems
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -108,10 +108,10 @@ def megabytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
 
 
-def context_of_a_triangle():
+def context_of_a_three_masses():
     """Return a Context with an integrator that has made a step."""
-    context = openmm.Context(triangle.system(), rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
-    context.setPositions(triangle.POSITIONS)
+    context = openmm.Context(three_masses.system(), rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
+    context.setPositions(three_masses.POSITIONS)
     context.getIntegrator().bind(context)  # the search for it would take most of the time
     context.getIntegrator().step(1)
     return context
@@ -121,7 +121,7 @@ def make_and_drop(n):
     """Make n integrators with a Context each and drop them; return weak references to them."""
     left = []
     for _ in range(n):
-        context = context_of_a_triangle()
+        context = context_of_a_three_masses()
         integrator = context.getIntegrator()
         left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator._coupling)]
     return left
@@ -136,7 +136,7 @@ def test_a_thousand_integrators_leave_nothing():
     gc.collect()
     assert not any(reference() for reference in left)
     growth = megabytes() - before
-    kept = [context_of_a_triangle() for _ in range(100)]
+    kept = [context_of_a_three_masses() for _ in range(100)]
     cost = (megabytes() - before - growth) / len(kept)
     assert growth < 0.05 * 1000 * cost, f"{growth:.1f} MB stayed; a Context holds {cost:.3f} MB"
 
