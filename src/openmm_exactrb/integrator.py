@@ -160,8 +160,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Tell the integrator its Context.
 
         Only needed where it cannot be found, since `step` looks for the Context that was made with this integrator; and
-        after `Context.reinitialize` where masses or lengths of constraints were changed. Forces and constraints that
-        were added or removed are noticed without.
+        after `openmm.Context.reinitialize` where masses or lengths of constraints were changed. Forces and constraints
+        that were added or removed are noticed without.
 
         Parameters
         ----------

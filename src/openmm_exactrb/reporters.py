@@ -139,7 +139,7 @@ class CanonicalMomenta:
 
     Notes
     -----
-    It is appended to `Simulation.reporters`. The momenta after a draw depend on the seed and the number of the step
+    It is appended to ``Simulation.reporters``. The momenta after a draw depend on the seed and the number of the step
     only, so that a run that is resumed ends as one without a break.
     """
 
