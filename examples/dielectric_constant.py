@@ -10,8 +10,8 @@ averages, beside what the Ewald sum of another program gave for the same state.
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
 
-This page shows ``python examples/dielectric_constant.py --equilibration 20 --duration 200``, too short a run for a small
-error; left to itself the script runs for 500 ps.
+This page shows ``python examples/dielectric_constant.py --equilibration 20 --duration 200``, which is too short for a
+small error; without options the script runs for 500 ps.
 """
 
 from __future__ import annotations
