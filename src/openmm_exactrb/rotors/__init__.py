@@ -22,8 +22,8 @@ from openmm_exactrb.sums import exactly
 __all__ = ["ROTORS", "Flow", "NotConvergedWarning", "Rotor", "free_rotor", "rotor", "rotor_of_sums"]
 
 
-#: The smallest moment whose reciprocal is a number.
-SMALLEST_MOMENT = 1e-307
+#: Between them a moment and its reciprocal are normal numbers.
+SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
 #: The largest ratio of the moments of a body: beyond it formulas lose the smallest one.
 WIDEST = 1e15
 
@@ -117,7 +117,7 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     ------
     ValueError
         If there is no such rotor, or moments are not positive and finite, not of this shape, below
-        ``SMALLEST_MOMENT`` or further apart than ``WIDEST``.
+        ``SMALLEST_MOMENT``, above ``LARGEST_MOMENT``, or further apart than ``WIDEST``.
 
     Notes
     -----
@@ -131,10 +131,10 @@ def rotor(name: str, inertia: ArrayLike) -> Flow:
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
     least, largest = moments.min(axis=-1), moments.max(axis=-1)
-    if (least < SMALLEST_MOMENT).any() or (largest > WIDEST * least).any():
+    if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
         raise ValueError(
-            f"inertia must not be below {SMALLEST_MOMENT:g}, nor the moments of a body differ by more than a factor "
-            f"{WIDEST:g}: use other units, or treat the body as linear"
+            f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
+            f"factor {WIDEST:g}: use other units, or treat the body as linear"
         )
     return ROTORS[name].factory(np.ascontiguousarray(np.atleast_2d(moments).T))
 
