@@ -239,3 +239,9 @@ def test_other_surroundings_give_the_same_dielectric_constant():
     reference, uncertainty = by_ewald_sum(1.0)
     print(f"\nmu² = 1, surroundings of 7: {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")
     assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+
+
+def test_a_new_file_gets_the_names_of_its_columns_also_when_appended_to(tmp_path):
+    rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
+    rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
+    assert (tmp_path / "moments.csv").read_text() == "step,time (ps),Mx,My,Mz\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -13,7 +14,39 @@ from openmm import unit
 _COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
 
 
-class EnergyReporter:
+class _Lines:
+    """Lines of CSV at intervals, each written through at once."""
+
+    def __init__(
+        self,
+        file: str | os.PathLike[str] | TextIO,
+        reportInterval: int,
+        columns: Sequence[str],
+        append: bool,
+    ) -> None:
+        if reportInterval < 1:
+            raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
+        self._interval = reportInterval
+        self._owned = isinstance(file, (str, os.PathLike))
+        self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
+        if not append or (self._owned and self._out.tell() == 0):
+            self._out.write(",".join(columns) + "\n")
+
+    def _steps_left(self, simulation: Any) -> int:
+        return int(self._interval - simulation.currentStep % self._interval)
+
+    def _write(self, simulation: Any, state: Any, values: Iterable[float]) -> None:
+        time = state.getTime().value_in_unit(unit.picosecond)
+        self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in (time, *values))]) + "\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """Close the file, if the reporter opened it."""
+        if self._owned:
+            self._out.close()
+
+
+class EnergyReporter(_Lines):
     """Write the energies of rigid bodies as CSV, every digit of float64.
 
     Parameters
@@ -31,18 +64,11 @@ class EnergyReporter:
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
-        if reportInterval < 1:
-            raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
-        self._interval = reportInterval
-        self._owned = isinstance(file, (str, os.PathLike))
-        self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
-        if not append or (self._owned and self._out.tell() == 0):
-            self._out.write(",".join(_COLUMNS) + "\n")
+        super().__init__(file, reportInterval, _COLUMNS, append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Tell OpenMM when the next line is due and what it needs."""
-        steps = self._interval - simulation.currentStep % self._interval
-        return {"steps": steps, "periodic": None, "include": ["energy"]}
+        return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
 
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line.
@@ -56,18 +82,10 @@ class EnergyReporter:
         translational, rotational = (e._value for e in simulation.integrator.kineticEnergies())
         kinetic = translational + rotational
         potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-        time = state.getTime().value_in_unit(unit.picosecond)
-        values = (time, translational, rotational, kinetic, potential, kinetic + potential)
-        self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
-        self._out.flush()
-
-    def close(self) -> None:
-        """Close the file, if the reporter opened it."""
-        if self._owned:
-            self._out.close()
+        self._write(simulation, state, (translational, rotational, kinetic, potential, kinetic + potential))
 
 
-class MomentReporter:
+class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, every digit of float64.
 
     The moment is the sum of charge times position over all particles, with molecules whole. For soft dipoles the
@@ -82,25 +100,18 @@ class MomentReporter:
     charges : (n_particles,) array_like
         They must add up to zero in every molecule.
     append : bool, optional
-        Write behind the lines that the file has.
+        As for `EnergyReporter`.
     """
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
-        if reportInterval < 1:
-            raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
-        self._interval = reportInterval
+        super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
         self._charges = np.asarray(charges, dtype=np.float64)
-        self._owned = isinstance(file, (str, os.PathLike))
-        self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
-        if not append:
-            self._out.write("step,time (ps),Mx,My,Mz\n")
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Tell OpenMM when the next line is due and what it needs."""
-        steps = self._interval - simulation.currentStep % self._interval
-        return {"steps": steps, "periodic": False, "include": ["positions"]}
+        return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line.
@@ -112,14 +123,7 @@ class MomentReporter:
             With positions.
         """
         moment = self._charges @ state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-        time = state.getTime().value_in_unit(unit.picosecond)
-        self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in (time, *moment))]) + "\n")
-        self._out.flush()
-
-    def close(self) -> None:
-        """Close the file, if the reporter opened it."""
-        if self._owned:
-            self._out.close()
+        self._write(simulation, state, moment)
 
 
 class CanonicalMomenta:
@@ -166,4 +170,4 @@ class CanonicalMomenta:
 
 
 def _open(file: str | os.PathLike[str], append: bool) -> TextIO:
-    return Path(file).open("a") if append else Path(file).open("w")
+    return Path(file).open("a" if append else "w")
