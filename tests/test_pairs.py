@@ -228,9 +228,13 @@ def test_boxes_that_do_not_fit_are_refused():
         context.getState(energy=True)
 
 
-@pytest.mark.parametrize("kernel", ["openmm", "compiled"])
-def test_a_liquid_keeps_its_energy_to_the_order_of_the_scheme(kernel):
-    context, integrator = context_of(64, kernel, periodic=True, dipole=(0.0, 0.0, 1.0))
+@pytest.mark.parametrize(
+    "options",
+    [{"kernel": "openmm"}, {"kernel": "compiled"}, {"kernel": "auto", "long_range": "ewald", "ewald_tolerance": 1e-2}],
+    ids=["openmm", "compiled", "ewald"],
+)
+def test_a_liquid_keeps_its_energy_to_the_order_of_the_scheme(options):
+    context, integrator = context_of(64, periodic=True, dipole=(0.0, 0.0, 1.0), **options)
     openmm.LocalEnergyMinimizer.minimize(context, 100.0)
     integrator.setVelocitiesToTemperature(60.0, 3)
     start = context.getState(positions=True, velocities=True)

@@ -6,8 +6,10 @@ import importlib
 import logging
 import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.util import find_spec
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
@@ -63,6 +65,26 @@ def load(module: str) -> ModuleType:
     events: Any = importlib.import_module("numba.core.event")
     events.register("numba:compile", _announcer(events))
     return importlib.import_module(f"openmm_exactrb.{module}")
+
+
+def in_threads(function: Callable[[int, int], None], n: int, threads: int) -> None:
+    """Call ``function(first, last)`` on ranges that make up n, each in a thread of its own, this one included."""
+    ours, *others = pairwise(n * k // threads for k in range(threads + 1))
+    waiting = [_pool(os.getpid()).submit(function, *part) for part in others]
+    function(*ours)
+    for part in waiting:
+        part.result()
+
+
+@cache
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process; a fork needs its own."""
+    return ThreadPoolExecutor(max(1, cores() - 1), f"openmm-exactrb-{process}")
+
+
+def cores() -> int:
+    """Return all cores, or what NUMBA_NUM_THREADS says."""
+    return int(importlib.import_module("numba").config.NUMBA_NUM_THREADS)
 
 
 @cache

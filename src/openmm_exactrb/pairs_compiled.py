@@ -7,19 +7,18 @@ vector registers, and any number of threads gives the same bits.
 from __future__ import annotations
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from itertools import pairwise
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.ewald_compiled import clouds, screened
+from openmm_exactrb.kernels import cores, in_threads
+from openmm_exactrb.kernels import inlined as _inlined
 from openmm_exactrb.kernels import reordered as _compiled
 
 Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]
+Ewald = tuple[float, float, float]
 
 # Fewer pairs than this are not worth a second thread, which costs about 50 microseconds.
 _SHARED = 200_000
@@ -32,6 +31,7 @@ def soft_dipoles(
     truncation: Truncation | None = None,
     threads: int | None = None,
     attraction: float | None = None,
+    ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
     """Return the energy and the forces on centres and tips, as `potentials.soft_dipole_force` defines them.
 
@@ -48,6 +48,8 @@ def soft_dipoles(
         All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
     attraction : float, optional
         4 epsilon sigma^6; without it there is nothing to pay for it.
+    ewald : (alpha, largest, dielectric), optional
+        Inverse width of the clouds of an Ewald sum, wave number where it ends, and relative permittivity outside.
 
     Returns
     -------
@@ -58,24 +60,21 @@ def soft_dipoles(
     """
     n = len(x) // 2
     forces, energies = np.empty((2 * n, 3)), np.empty(n)
-    if threads is None:
-        threads = numba.config.NUMBA_NUM_THREADS if n * n > _SHARED else 1
-    ours, *others = pairwise(n * k // threads for k in range(threads + 1))
+    threads = threads or (cores() if n * n > _SHARED else 1)
+    alpha = ewald and ewald[0]
 
-    def sum_rows(first: int, last: int) -> None:
-        _rows(first, last, x, repulsion, coupling, attraction, truncation, energies, forces)
+    def sum_rows(*rows: int) -> None:
+        _rows(*rows, x, repulsion, coupling, attraction, alpha, truncation, energies, forces)
 
-    waiting = [_pool(os.getpid()).submit(sum_rows, *rows) for rows in others]
-    sum_rows(*ours)
-    for rows in waiting:
-        rows.result()
-    return 0.5 * float(energies.sum()), forces
-
-
-@cache
-def _pool(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process; a fork needs its own."""
-    return ThreadPoolExecutor(max(1, numba.config.NUMBA_NUM_THREADS - 1), f"soft-dipoles-{process}")
+    in_threads(sum_rows, n, threads)
+    energy = 0.5 * float(energies.sum())
+    if ewald and truncation:
+        arrows = _split(x)
+        wave_energy, pull, field = clouds(arrows[:3], arrows[3:], truncation[:3], *ewald, threads)
+        energy += coupling * wave_energy
+        forces[0::2] += coupling * (pull - field).T[:n]
+        forces[1::2] += coupling * field.T[:n]
+    return energy, forces
 
 
 @_compiled
@@ -90,8 +89,8 @@ def _split(x):
     return arrows
 
 
-@_compiled
-def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None):
+@_inlined
+def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, alpha=None):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
     core = repulsion * (i * i * i) * (i * i * i)
@@ -100,9 +99,14 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None):
         i3 = attraction * (i * i * i)
         core -= i3
         slope -= 6.0 * i3
-    b = coupling * i * math.sqrt(i)
-    c = 3.0 * b * i
-    return core + b * uv - c * ur * vr, i * slope + c * (uv - 5.0 * i * ur * vr), b, c
+    if alpha is None:
+        b = coupling * i * math.sqrt(i)
+        c = 3.0 * b * i
+        d = 5.0 * c * i
+    else:
+        b, c, d = screened(r2, i, alpha)
+        b, c, d = coupling * b, coupling * c, coupling * d
+    return core + b * uv - c * ur * vr, i * slope + c * uv - d * ur * vr, b, c
 
 
 @_compiled
@@ -118,7 +122,7 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):
 
 
 @_compiled
-def _rows(first, last, sites, repulsion, coupling, attraction, truncation, energies, forces):
+def _rows(first, last, sites, repulsion, coupling, attraction, alpha, truncation, energies, forces):
     """Sum twice the energy, and the forces, of some spheres with all others."""
     n, arrows = len(energies), _split(sites)
     for i in range(first, last):
@@ -133,7 +137,7 @@ def _rows(first, last, sites, repulsion, coupling, attraction, truncation, energ
                 z -= truncation[2] * np.rint(z / truncation[2])
             r2 = x * x + y * y + z * z if (j != i) & (j < n) else np.inf
             uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction)
+            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, alpha)
             if truncation is not None:
                 e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
             energy += e

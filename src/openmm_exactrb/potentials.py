@@ -6,6 +6,7 @@ OpenMM's units, amu, nm, ps and kJ/mol, are a consistent set: reduced units map 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 from openmm import unit
+from scipy.optimize import brentq
 
 from openmm_exactrb import kernels, vectors
 
@@ -67,6 +69,8 @@ def soft_dipole_force(
     cutoff: float | None = None,
     switch: float | None = None,
     dielectric: float = np.inf,
+    long_range: str = "reaction field",
+    ewald_tolerance: float = 1e-4,
     kernel: str = "auto",
 ) -> openmm.CustomCompoundBondForce | openmm.PythonForce:
     """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
@@ -77,6 +81,10 @@ def soft_dipole_force(
     energy, s running from 1 to 0 in r² between `switch` and `cutoff`: forces have two continuous derivatives. The
     radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume: a uniform polarisation then has the
     reaction field that `dielectric` asks for, which the fluctuation formula of `dielectric_constant` relies on.
+
+    An Ewald sum (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)) takes the dipoles of all images, and the
+    switch then acts on the spheres and on next to nothing of the dipoles. It too has an exact gradient: whatever its
+    tolerance, it is a smooth potential whose energy a symplectic scheme keeps.
 
     Parameters
     ----------
@@ -95,7 +103,12 @@ def soft_dipole_force(
     cutoff, switch : float, optional
         In nm; half the shortest edge and three quarters of the cutoff.
     dielectric : float
-        Relative permittivity around the cutoff sphere: infinity for a conductor, 1 for truncation without a field.
+        Relative permittivity around the cutoff sphere: infinity for a conductor, 1 for truncation without a field. With
+        an Ewald sum, around all images.
+    long_range : {"reaction field", "ewald"}
+        What stands for dipoles beyond the cutoff in a periodic box. The Ewald sum needs the compiled kernel.
+    ewald_tolerance : float
+        Error of the dipoles' forces and fields in a liquid, as a part of their root mean square.
     kernel : {"auto", "openmm", "compiled"}
         Who computes it: OpenMM from a formula, or a compiled kernel in double precision on all cores, which needs
         numba and is some fifty times faster on a CPU. "auto" takes the compiled one where numba is installed; on a
@@ -110,9 +123,10 @@ def soft_dipole_force(
     Raises
     ------
     ValueError
-        If the kernel is unknown, there is no arrow, the attraction is not finite, or the cutoffs do not fit the box.
+        If the kernel is unknown, there is no arrow, the attraction is not finite, the cutoffs do not fit the box, or an
+        Ewald sum has no box, another kernel than the compiled one, or a tolerance that is no small number.
     ModuleNotFoundError
-        If the compiled kernel is asked for and numba is not installed.
+        If the compiled kernel is asked for, or an Ewald sum, and numba is not installed.
 
     Notes
     -----
@@ -127,11 +141,17 @@ def soft_dipole_force(
     if not np.isfinite(attraction):
         raise ValueError(f"attraction must be a finite number, not {attraction}")
     truncation = None if box is None else _truncation(box, cutoff, switch, dielectric)
+    ewald = None
+    if long_range == "ewald":
+        ewald = _ewald(truncation, ewald_tolerance, dielectric, kernel)
+        kernel = "compiled"
+    elif long_range != "reaction field":
+        raise ValueError(f"unknown long_range {long_range!r}: choose one of reaction field, ewald")
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
     if attraction:
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if kernels.chosen(kernel):
-        force = openmm.PythonForce(SoftDipoles(truncation), parameters)
+        force = openmm.PythonForce(SoftDipoles(truncation, ewald), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
     else:
         force = _soft_dipole_formula(arrows, truncation, attracts="soft_attraction" in parameters)
@@ -149,10 +169,16 @@ class SoftDipoles:
     ----------
     truncation : (cutoff, switch, reaction), optional
         Distances in nm and the strength of the reaction field in 1/nm³; with it the boundaries are periodic.
+    ewald : (alpha, largest, dielectric), optional
+        An Ewald sum in place of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
+        relative permittivity around all images.
     """
 
-    def __init__(self, truncation: tuple[float, float, float] | None = None) -> None:
+    def __init__(
+        self, truncation: tuple[float, float, float] | None = None, ewald: tuple[float, float, float] | None = None
+    ) -> None:
         self.truncation = truncation
+        self.ewald = ewald
 
     def __call__(self, state: openmm.State) -> tuple[float, NDArray[np.float64]]:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
@@ -163,6 +189,7 @@ class SoftDipoles:
             parameters["dipole_coupling"],
             self.truncation and self._in_box(state.getPeriodicBoxVectors(asNumpy=True)._value),
             attraction=parameters.get("soft_attraction"),
+            ewald=self.ewald,
         )
         return energy, forces
 
@@ -175,7 +202,7 @@ class SoftDipoles:
             raise ValueError("soft dipoles need a rectangular box")
         _check_cutoff(cutoff, edges)
         a, b, c = map(float, edges)
-        return a, b, c, cutoff**2, 1.0 / (cutoff**2 - switch**2), reaction
+        return a, b, c, cutoff**2, 1.0 / (cutoff**2 - switch**2), 0.0 if self.ewald else reaction
 
 
 def _truncation(
@@ -193,6 +220,27 @@ def _truncation(
     if not dielectric >= 1.0:
         raise ValueError(f"dielectric must be at least 1, not {dielectric}")
     return cutoff, switch, 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric) / _sharp_volume(cutoff, switch)
+
+
+def _ewald(
+    truncation: tuple[float, float, float] | None, tolerance: float, dielectric: float, kernel: str
+) -> tuple[float, float, float]:
+    """Return inverse width of the clouds, largest wave number, and the permittivity outside.
+
+    Both parts end where a Gaussian has become small: exp(-x²) with x = alpha switch, exp(-y²) with y = largest/2 alpha.
+    The factors before them were measured in liquids of 125 and 512 dipoles; they hold for 1e-2 to 1e-12.
+    """
+    if truncation is None:
+        raise ValueError("an Ewald sum needs a periodic box")
+    if not 1e-13 <= tolerance <= 1e-2:
+        raise ValueError(f"ewald_tolerance must be between 1e-13 and 1e-2, not {tolerance}")
+    if kernel == "openmm":
+        raise ValueError("OpenMM's kernel has no Ewald sum: ask for the compiled one, or for a reaction field")
+    kernels.require()
+    _, switch, _ = truncation
+    alpha = math.log(4.0 / tolerance) ** 0.5 / switch
+    y = brentq(lambda y: 0.5 * y**3 * math.exp(-y * y) - tolerance, 1.5, 7.0)
+    return alpha, 2.0 * alpha * y, dielectric
 
 
 def _sharp_volume(cutoff: float, switch: float) -> float:

@@ -80,6 +80,8 @@ def dipole_fluid(
     cutoff: float | None = None,
     switch: float | None = None,
     dielectric: float = np.inf,
+    long_range: str = "reaction field",
+    ewald_tolerance: float = 1e-4,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
@@ -110,7 +112,7 @@ def dipole_fluid(
         Whether the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
     density : float, optional
         Spheres per nm³ in the box; 0.8/sigma³, a liquid.
-    cutoff, switch, dielectric, kernel
+    cutoff, switch, dielectric, long_range, ewald_tolerance, kernel
         As `soft_dipole_force` takes them.
 
     Returns
@@ -144,8 +146,8 @@ def dipole_fluid(
     box = _box(n, sigma, density, trap) if periodic else None
     if box is not None:
         spacing = box / edge
-    elif density is not None or cutoff is not None or switch is not None:
-        raise ValueError("density, cutoff and switch are for a periodic box: add periodic=True")
+    elif density is not None or cutoff is not None or switch is not None or long_range != "reaction field":
+        raise ValueError("density, cutoff, switch and long_range are for a periodic box: add periodic=True")
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
     arrow = 0.5 * sigma * (vector / strength)
@@ -165,6 +167,8 @@ def dipole_fluid(
         cutoff=cutoff,
         switch=switch,
         dielectric=dielectric,
+        long_range=long_range,
+        ewald_tolerance=ewald_tolerance,
         kernel=kernel,
     )
     system.addForce(potential)
