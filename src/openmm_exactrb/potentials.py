@@ -14,7 +14,6 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 from openmm import unit
-from scipy.optimize import brentq
 
 from openmm_exactrb import kernels, vectors
 
@@ -239,7 +238,9 @@ def _ewald(
     kernels.require()
     _, switch, _ = truncation
     alpha = math.log(4.0 / tolerance) ** 0.5 / switch
-    y = brentq(lambda y: 0.5 * y**3 * math.exp(-y * y) - tolerance, 1.5, 7.0)
+    y = 3.0
+    for _ in range(40):  # y³ exp(-y²)/2 = tolerance
+        y = math.log(0.5 * y**3 / tolerance) ** 0.5
     return alpha, 2.0 * alpha * y, dielectric
 
 
