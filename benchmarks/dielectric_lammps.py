@@ -8,13 +8,11 @@ Langevin thermostat. The values in examples/dielectric_constant.py are from this
 from __future__ import annotations
 
 import argparse
-import ctypes
-import sys
 import tempfile
-from pathlib import Path
 
 import numpy as np
 
+import lammps_peer
 import openmm_exactrb as rb
 
 
@@ -35,35 +33,25 @@ def main():
 
 def simulate(arguments):
     """Return the total moments (n, 3), every tenth step after 10000 of equilibration."""
-    for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):  # not on the loader's path
-        ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
-    from lammps import lammps
-
     n, kT, seed = arguments.n, arguments.temperature, arguments.seed
     box = (n / arguments.density) ** (1.0 / 3.0)
     edge = next(k for k in range(1, n + 1) if k**3 >= n)
     centres = (np.argwhere(np.ones((edge, edge, edge)))[:n] + 0.5) * box / edge
     u = np.random.default_rng(seed).standard_normal((n, 3))
     u *= arguments.dipole2**0.5 / np.linalg.norm(u, axis=1, keepdims=True)
-    lmp = lammps(cmdargs=["-screen", "none", "-log", "none"])
-    lmp.commands_string(
-        f"""
-        units lj
-        atom_style hybrid sphere dipole
-        region all block 0 {box} 0 {box} 0 {box}
-        create_box 1 all
+    lmp = lammps_peer.dipoles(
+        centres,
+        u,
         """
+        pair_style lj/cut/dipole/long 3.6 3.6
+        pair_coeff * * 1.0 1.0
+        kspace_style ewald/dipole 1e-3
+        """,
+        box=box,
     )
-    lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, centres.ravel())
-    lmp.commands_list([f"set atom {i + 1} dipole {x} {y} {z}" for i, (x, y, z) in enumerate(u)])
     with tempfile.TemporaryDirectory() as folder:
         lmp.commands_string(
             f"""
-            pair_style lj/cut/dipole/long 3.6 3.6
-            pair_coeff * * 1.0 1.0
-            kspace_style ewald/dipole 1e-3
-            set type 1 mass 1.0
-            set type 1 diameter 1.0
             velocity all create {kT} {seed} loop geom
             compute mu all property/atom mux muy muz
             compute M all reduce sum c_mu[1] c_mu[2] c_mu[3]

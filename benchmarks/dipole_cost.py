@@ -150,8 +150,10 @@ def kernel(n, threads=None):
 
 def lammps_step(n):
     """Return LAMMPS's step for the same start; its potential has the attraction -(sigma/r)^6 too, at the same cost."""
+    centres, directions = places(n)
     lmp = lammps_peer.dipoles(
-        *places(n),
+        centres,
+        2.0**0.5 * directions,
         """
         pair_style lj/cut/dipole/cut 60
         pair_coeff * * 1.0 1.0
@@ -159,7 +161,6 @@ def lammps_step(n):
     )
     lmp.commands_string(
         """
-        set type 1 diameter 1.0
         velocity all create 0.1 1
         fix motion all nve/sphere update dipole
         timestep 0.005

@@ -64,8 +64,10 @@ def lammps_error(evaluations, first):
     """Return the largest energy error of LAMMPS, relative to our energy, and its evaluations."""
     _, _, positions = start()
     steps = round(T * evaluations)
+    centres, directions = dipole_cost.arrows(positions._value, N)
     lmp = lammps_peer.dipoles(
-        *dipole_cost.arrows(positions._value, N),
+        centres,
+        2.0**0.5 * directions,
         """
         pair_style hybrid/overlay lj/cut/dipole/cut 60 mie/cut 60
         pair_coeff * * lj/cut/dipole/cut 0.0 1.0

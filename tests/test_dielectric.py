@@ -99,11 +99,13 @@ def test_wrong_values_get_one_sentence(changes, message):
 # -- reporters --------------------------------------------------------------------------------------------------
 
 
-def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, **options):
+def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, forces=(), **options):
     """Return a Simulation in the canonical ensemble, and the text that its moments go to."""
     topology, system, positions = rb.dipole_fluid(
         n, seed, dipole=(0.0, 0.0, mu2**0.5), inertia=(0.2, 0.2, 0.2), periodic=True, density=density, **options
     )
+    for force in forces:
+        system.addForce(force(topology))
     ends = {"C": -2.0 * mu2**0.5, "D": 2.0 * mu2**0.5}
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
     integrator = rb.ExactRigidBodyIntegrator(step, scheme="S2_2")
@@ -220,6 +222,47 @@ def liquid(mu2, picoseconds, **options):
     simulation.step(round((40.0 + picoseconds) / 0.0125))
     surroundings = {name: value for name, value in options.items() if name == "dielectric"}
     return rb.dielectric_constant(moments_in(text)[800:], n / 0.822, 1.15, **surroundings)
+
+
+@pytest.mark.validate
+def test_a_strongly_polar_liquid_has_the_dielectric_constant_of_another_program():
+    """Both by an Ewald sum, with mu² = 3."""
+    value, error = liquid(3.0, 4000.0, long_range="ewald")
+    reference, uncertainty = by_ewald_sum(3.0)
+    print(f"\nmu² = 3: Ewald sums {value:.2f} +- {error:.2f}, LAMMPS {reference} +- {uncertainty}")
+    assert error < 0.05 * value
+    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+
+
+@pytest.mark.validate
+def test_a_ferrofluid_has_the_susceptibility_of_the_literature():
+    """Soft repulsive spheres (WCA) with lambda = 3 at a volume fraction of 0.0262: chi = 0.822 +- 0.017.
+
+    Z. Wang, C. Holm and H. W. Müller, Phys. Rev. E 66, 021405 (2002), table 1, as ESPResSo's tutorial on ferrofluids
+    quotes it. The fluctuations of 1000 dipoles between conductors have it; here are 125.
+    """
+    kT, density, mu2, n = 1.0, 6.0 * 0.0262 / np.pi, 3.0, 125
+    simulation, text = simulation_of(
+        n, density, kT, mu2, step=0.03, sample=0.12, long_range="ewald", forces=[repulsion_of_wca]
+    )
+    simulation.context.setParameter("soft_repulsion", 0.0)
+    simulation.step(round(6000.0 / 0.03))
+    value, error = rb.dielectric_constant(moments_in(text)[3000:], n / density, kT)
+    print(f"\nferrofluid: chi = {value - 1.0:.3f} +- {error:.3f}, literature 0.822 +- 0.017")
+    assert error < 0.02
+    assert abs(value - 1.822) < 3.0 * np.hypot(error, 0.017)
+
+
+def repulsion_of_wca(topology):
+    """Return the force 4 (r^-12 - r^-6) + 1 up to its minimum, between the centres."""
+    force = openmm.CustomNonbondedForce("4*(r^-12 - r^-6) + 1")
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(2.0 ** (1.0 / 6.0))
+    for _ in topology.atoms():
+        force.addParticle([])
+    centres = [atom.index for atom in topology.atoms() if atom.name == "C"]
+    force.addInteractionGroup(centres, centres)
+    return force
 
 
 @pytest.mark.validate

@@ -1,0 +1,182 @@
+"""What an Ewald sum of dipoles costs for a given error: ours and LAMMPS's, on the same liquid, in turns.
+
+The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3. The error is that of the torques, root mean
+square, as a part of theirs, against our sum at a tolerance of 1e-13, which the tests compare with a plain sum and with
+OpenMM's AMOEBA. LAMMPS (pair_style lj/cut/dipole/long, fix nve/sphere update dipole, one core) may choose: ewald/dipole
+or pppm/dipole, the accuracy, and the cutoff: half the box, or 3, 4 or 5 sigma. Its column is the fastest that reaches
+the error. Times are the least of the rounds, of a stage of S6_10 with everything in it and of
+a step of LAMMPS, which is one force evaluation too. Raw data go to out/benchmarks/ewald_cost.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import openmm
+
+import lammps_peer
+import openmm_exactrb as rb
+
+OUT = Path("out/benchmarks")
+DENSITY, KT, MU2 = 0.822, 1.15, 3.0
+STAGES = rb.SCHEMES["S6_10"].stages
+ERRORS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("-n", type=int, nargs="*", default=[125, 512, 1000], help="numbers of dipoles (125 512 1000)")
+    add("--rounds", type=int, default=5, help="%(default)s")
+    arguments = parser.parse_args()
+    OUT.mkdir(parents=True, exist_ok=True)
+    table = {n: measure(n, arguments.rounds) for n in arguments.n}
+    with (OUT / "ewald_cost.json").open("w") as file:
+        json.dump(table, file, indent=1)
+    report(table)
+
+
+def measure(n, rounds):
+    """Return label, error of the torques and times (s) of every contender."""
+    context, _ = liquid(n, 1e-13)
+    state = context.getState(positions=True, velocities=True)
+    exact = torques(context, n)
+    contenders, contexts = {}, [context]  # an integrator does not keep its Context
+    for tolerance in ERRORS:
+        ours, integrator = liquid(n, tolerance)
+        ours.setState(state)
+        contenders[f"ours, tolerance {tolerance:g}"] = error(torques(ours, n), exact), stages(integrator)
+        contexts.append(ours)
+    if lammps_peer.INSTALLED:
+        x = sites(context, n)
+        places = x[:, -2], 2.0 * MU2**0.5 * (x[:, -1] - x[:, -2])
+        # Finer meshes take minutes to set up and are slower than the sum.
+        choices = [("ewald", accuracy) for accuracy in ERRORS] + [("pppm", accuracy) for accuracy in ERRORS[:2]]
+        for (kspace, accuracy), cutoff in itertools.product(choices, cutoffs(n)):
+            lmp = peer(n, places, kspace, accuracy, cutoff)
+            found = torques_of(lmp, n)
+            contenders[f"LAMMPS, {kspace}/dipole {accuracy:g}, cutoff {cutoff:.2f}"] = error(found, exact), step(lmp)
+    evaluations = STAGES * max(1, 20_000 // (n * STAGES))
+    times = {name: [] for name in contenders}
+    for _ in range(rounds):
+        for name, (_, run) in contenders.items():
+            start = time.perf_counter()
+            run(evaluations)
+            times[name].append((time.perf_counter() - start) / evaluations)
+    return {name: {"error": contenders[name][0], "rounds_s": times[name]} for name in contenders}
+
+
+def liquid(n, tolerance):
+    """Return the Context and the integrator of a liquid that has molten."""
+    _, system, positions = rb.dipole_fluid(
+        n,
+        dipole=(0.0, 0.0, MU2**0.5),
+        inertia=(0.2, 0.2, 0.2),
+        attraction=1.0,
+        periodic=True,
+        density=DENSITY,
+        long_range="ewald",
+        ewald_tolerance=tolerance,
+    )
+    integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="S6_10")
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
+    integrator.setVelocitiesToTemperature(KT / 8.31446261815324e-3, 1)
+    if tolerance == 1e-13:
+        return molten(n, context, integrator)
+    integrator.step(1)
+    return context, integrator
+
+
+def molten(n, context, integrator):
+    """Run the liquid with a rough sum, and put it into this Context."""
+    rough, mover = liquid(n, 1e-3)
+    for k in range(4):
+        mover.setVelocitiesToTemperature(KT / 8.31446261815324e-3, k)
+        mover.step(100)
+    context.setState(rough.getState(positions=True, velocities=True))
+    return context, integrator
+
+
+def sites(context, n):
+    """Return the sites (n, k, 3) of all spheres; the last two are centre and tip of the dipole."""
+    return context.getState(positions=True).getPositions(asNumpy=True)._value.reshape(n, -1, 3)
+
+
+def torques(context, n):
+    """Return the torques (n, 3), from the forces on the sites with mass."""
+    x = sites(context, n)
+    forces = context.getState(forces=True).getForces(asNumpy=True)._value.reshape(x.shape)
+    return np.cross(x[:, :-2] - x[:, -2:-1], forces[:, :-2]).sum(axis=1)
+
+
+def error(found, exact):
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+def stages(integrator):
+    return lambda evaluations: integrator.step(evaluations // STAGES)
+
+
+def edge(n):
+    return (n / DENSITY) ** (1.0 / 3.0)
+
+
+def cutoffs(n):
+    return [0.5 * edge(n), 3.0, 4.0, 5.0]
+
+
+def peer(n, places, kspace, accuracy, cutoff):
+    """Return a LAMMPS with the same dipoles, after one evaluation."""
+    lmp = lammps_peer.dipoles(
+        *places,
+        f"""
+        pair_style lj/cut/dipole/long {cutoff} {cutoff}
+        pair_coeff * * 1.0 1.0
+        kspace_style {kspace}/dipole {accuracy}
+        """,
+        box=edge(n),
+    )
+    lmp.commands_string(
+        """
+        velocity all create 1.15 1
+        fix motion all nve/sphere update dipole
+        timestep 0.001
+        run 0
+        """
+    )
+    return lmp
+
+
+def torques_of(lmp, n):
+    order = np.argsort(lmp.numpy.extract_atom("id")[:n])
+    return lmp.numpy.extract_atom("torque")[:n][order].copy()
+
+
+def step(lmp):
+    return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
+
+
+def report(table):
+    """Print what the fastest costs that reaches an error."""
+    for n, rows in table.items():
+        print(f"\nN = {n:<8}{'ours (ms a stage)':>20}{'LAMMPS (ms a step)':>22}{'ratio':>8}")
+        for wanted in ERRORS:
+            best = {}
+            for name, row in rows.items():
+                who = name.split(",")[0]
+                if row["error"] <= wanted and min(row["rounds_s"]) < best.get(who, (np.inf, ""))[0]:
+                    best[who] = min(row["rounds_s"]), name
+            ours, theirs = best.get("ours", (np.nan, ""))[0], best.get("LAMMPS", (np.nan, "none reaches it"))
+            print(f"  {wanted:<8g}{1e3 * ours:>20.3f}{1e3 * theirs[0]:>22.3f}{ours / theirs[0]:>8.2f}   {theirs[1]}")
+
+
+if __name__ == "__main__":
+    main()
