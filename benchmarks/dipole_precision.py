@@ -47,8 +47,7 @@ def ours(scheme, rotor, evaluations):
     context.setPositions(positions)
 
     def energy():
-        potential = context.getState(energy=True).getPotentialEnergy()
-        return (potential + sum(integrator.kineticEnergies(), 0.0 * potential)).value_in_unit(unit.kilojoule_per_mole)
+        return integrator.totalEnergy().value_in_unit(unit.kilojoule_per_mole)
 
     first, largest, every = energy(), 0.0, max(1, steps // 50)
     try:

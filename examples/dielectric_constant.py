@@ -5,8 +5,8 @@ The dielectric constant of a Stockmayer fluid
 A box of Lennard-Jones spheres with point dipoles and all their images, by an Ewald sum. Every half picosecond all
 momenta are drawn anew, so that the run samples the canonical ensemble. The fluctuations of the total dipole moment give
 the dielectric constant. The picture is its running estimate with the standard error from block averages, beside what
-LAMMPS gave for the same state. ``--long-range "reaction field"`` truncates the dipoles instead, which needs no numba and
-is good enough for weak ones (``--dipole2 1``).
+LAMMPS gave for the same state. ``--long-range "reaction field"`` truncates the dipoles instead, which needs no numba
+and is good enough for weak ones (``--dipole2 1``).
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.

@@ -65,6 +65,19 @@ def test_stock_simulation_and_reporters_work_and_mdtraj_reads_the_trajectory(tmp
     assert rows[-1, 3] == pytest.approx(temperature, rel=1e-12)
 
 
+def test_the_total_energy_is_that_of_the_forces_that_act():
+    simulation = simulation_of()
+    simulation.step(3)
+    potential, kinetic = energies(simulation)
+    assert simulation.integrator.totalEnergy()._value == pytest.approx(potential + kinetic, rel=1e-13)
+    simulation.system.getForce(0).setForceGroup(3)
+    simulation.context.reinitialize(preserveState=True)
+    simulation.integrator.setIntegrationForceGroups({1})
+    assert simulation.integrator.totalEnergy()._value == pytest.approx(kinetic, rel=1e-13)
+    simulation.integrator.setIntegrationForceGroups({0, 3})
+    assert simulation.integrator.totalEnergy()._value == pytest.approx(potential + kinetic, rel=1e-13)
+
+
 def test_the_state_of_the_context_is_that_of_the_bodies(scheme):
     simulation = simulation_of(scheme=scheme.name)
     simulation.step(7)

@@ -50,8 +50,7 @@ def errors(figure, name, method, evaluations, T, spacing=None, seed=None):
     context.setPositions(x)
 
     def energy():
-        potential = context.getState(energy=True).getPotentialEnergy()
-        return (potential + sum(integrator.kineticEnergies(), 0.0 * potential)).value_in_unit(unit.kilojoule_per_mole)
+        return integrator.totalEnergy().value_in_unit(unit.kilojoule_per_mole)
 
     H0, largest, seconds = energy(), 0.0, 0.0
     try:

@@ -307,9 +307,7 @@ def energies(
 
 def _time_and_energy(context: openmm.Context, integrator: ExactRigidBodyIntegrator) -> tuple[float, float]:
     """Return the time in ps and the total energy in kJ/mol."""
-    state = context.getState(energy=True)
-    kinetic = sum(energy._value for energy in integrator.kineticEnergies())
-    return state.getTime()._value, kinetic + state.getPotentialEnergy()._value
+    return context.getTime()._value, integrator.totalEnergy()._value
 
 
 # -- carrying out ---------------------------------------------------------------------------------------------------

@@ -229,6 +229,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         translational, rotational = coupling.bodies.kinetic_energies(coupling.state)
         return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
 
+    def totalEnergy(self) -> unit.Quantity:
+        """Return the energy that a run should keep, in kJ/mol: kinetic, and potential of the force groups that act.
+
+        The kinetic part is that of the bodies in float64, also where the platform's velocities are rounded.
+        """
+        context = self._up_to_date().context
+        state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
+        return sum(self.kineticEnergies(), state.getPotentialEnergy())
+
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
