@@ -8,6 +8,9 @@ the dielectric constant. The picture is its running estimate with the standard e
 LAMMPS gave for the same state. ``--long-range "reaction field"`` truncates the dipoles instead, which needs no numba
 and is good enough for weak ones (``--dipole2 1``).
 
+``--core wca --density 0.05 --temperature 1`` is a ferrofluid, spheres that only repel: a state known from the
+literature. It is dilute, and its short chains turn slowly: ``--duration 10000 --step 0.03``.
+
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
 
@@ -37,6 +40,9 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 # The dielectric constant of the Stockmayer fluid and its standard error, at density, kT and mu²: by an Ewald sum of 125
 # dipoles in LAMMPS, 400000 and 150000 steps (benchmarks/dielectric_lammps.py).
 EWALD = {(0.822, 1.15, 3.0): (64.6, 1.8), (0.822, 1.15, 1.0): (7.51, 0.16)}
+# That of WCA spheres, at a volume fraction of 0.0262 and lambda = 3: Z. Wang, C. Holm and H. W. Müller, Phys. Rev. E
+# 66, 021405 (2002), table 1, as ESPResSo's tutorial on ferrofluids quotes it.
+FERROFLUID = {(0.05, 1.0, 3.0): (1.822, 0.017)}
 DRAW = 0.5  # ps between two draws of the momenta
 SAMPLE = 0.05  # ps between two moments
 
@@ -57,13 +63,13 @@ def main() -> None:
 
 
 def parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="The dielectric constant of a Stockmayer fluid.")
+    parser = argparse.ArgumentParser(description="The dielectric constant of dipolar spheres.")
     add = parser.add_argument
     add("-n", type=int, default=125, metavar="N", help="number of spheres (%(default)s)")
     add("--density", type=positive, default=0.822, metavar="RHO", help="spheres a nm^3 (%(default)s)")
     add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
     add("--dipole2", type=positive, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
-    add("--attraction", type=float, default=1.0, metavar="A", help="1: Stockmayer, 0: soft spheres (%(default)s)")
+    add("--core", choices=("lennard-jones", "soft", "wca"), default="lennard-jones", help="%(default)s")
     add("--long-range", choices=("ewald", "reaction field"), default="ewald", help="dipoles far away (%(default)s)")
     add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
     add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
@@ -89,13 +95,15 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         args.seed,
         dipole=(0.0, 0.0, strength),
         inertia=(0.2, 0.2, 0.2),
-        attraction=args.attraction,
+        attraction=1.0 if args.core == "lennard-jones" else 0.0,
         periodic=True,
         density=args.density,
         long_range=args.long_range,
         # A GPU computes its own forces, if it can.
         kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "openmm",
     )
+    if args.core == "wca":
+        system.addForce(wca(topology))
     job = rb.Run.from_options(args, free=("duration",))
     interval = max(1, round(SAMPLE / args.step))
     moments = partial(rb.MomentReporter, charges=charges(topology, strength))
@@ -105,6 +113,8 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
     integrator = rb.ExactRigidBodyIntegrator(args.step, scheme="S2_2")
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(args.platform))
     simulation.context.setPositions(positions)
+    if args.core == "wca":
+        simulation.context.setParameter("soft_repulsion", 0.0)
     if not job.resuming:
         openmm.LocalEnergyMinimizer.minimize(simulation.context, 100.0, 50)  # no pair of the lattice too close
     integrator.setVelocitiesToTemperature(args.temperature / KB, args.seed)
@@ -114,6 +124,18 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         job.advance(simulation, steps, progress=bar.update)
     table = np.loadtxt(job.folder / "moments.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
     return table[table[:, 0] > args.equilibration], args.n / args.density
+
+
+def wca(topology: app.Topology) -> openmm.CustomNonbondedForce:
+    """Return the repulsion of Weeks, Chandler and Andersen, 4 (r^-12 - r^-6) + 1 up to its minimum."""
+    force = openmm.CustomNonbondedForce("4*(r^-12 - r^-6) + 1")
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(2.0 ** (1.0 / 6.0))
+    centres = [atom.index for atom in topology.atoms() if atom.name == "C"]
+    for _ in topology.atoms():
+        force.addParticle([])
+    force.addInteractionGroup(centres, centres)
+    return force
 
 
 def charges(topology: app.Topology, strength: float, length: float = 0.5) -> np.ndarray:
@@ -132,8 +154,10 @@ def running(times: np.ndarray, moments: np.ndarray, volume: float, kT: float) ->
 def known(args: argparse.Namespace) -> tuple[str, float, float]:
     """Return what there is to compare with."""
     state = args.density, args.temperature, args.dipole2
-    if args.attraction == 1.0 and state in EWALD:
-        return "Ewald sum, LAMMPS", *EWALD[state]
+    if args.core == "lennard-jones" and state in EWALD:
+        return "LAMMPS", *EWALD[state]
+    if args.core == "wca" and state in FERROFLUID:
+        return "Wang, Holm and Müller (2002)", *FERROFLUID[state]
     y = 4.0 * np.pi * args.density * args.dipole2 / (9.0 * args.temperature)
     return "Clausius and Mossotti", (1.0 + 2.0 * y) / (1.0 - y) if y < 1.0 else np.inf, 0.0
 
