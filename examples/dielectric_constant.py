@@ -95,15 +95,14 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         args.seed,
         dipole=(0.0, 0.0, strength),
         inertia=(0.2, 0.2, 0.2),
-        attraction=1.0 if args.core == "lennard-jones" else 0.0,
+        attraction=0.0 if args.core == "soft" else 1.0,
+        wca=args.core == "wca",
         periodic=True,
         density=args.density,
         long_range=args.long_range,
         # A GPU computes its own forces, if it can.
         kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "openmm",
     )
-    if args.core == "wca":
-        system.addForce(wca(topology))
     job = rb.Run.from_options(args, free=("duration",))
     interval = max(1, round(SAMPLE / args.step))
     moments = partial(rb.MomentReporter, charges=charges(topology, strength))
@@ -113,8 +112,6 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
     integrator = rb.ExactRigidBodyIntegrator(args.step, scheme="S2_2")
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(args.platform))
     simulation.context.setPositions(positions)
-    if args.core == "wca":
-        simulation.context.setParameter("soft_repulsion", 0.0)
     if not job.resuming:
         openmm.LocalEnergyMinimizer.minimize(simulation.context, 100.0, 50)  # no pair of the lattice too close
     integrator.setVelocitiesToTemperature(args.temperature / KB, args.seed)
@@ -124,18 +121,6 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         job.advance(simulation, steps, progress=bar.update)
     table = np.loadtxt(job.folder / "moments.csv", delimiter=",", skiprows=1, ndmin=2)[:, 1:]
     return table[table[:, 0] > args.equilibration], args.n / args.density
-
-
-def wca(topology: app.Topology) -> openmm.CustomNonbondedForce:
-    """Return the repulsion of Weeks, Chandler and Andersen, 4 (r^-12 - r^-6) + 1 up to its minimum."""
-    force = openmm.CustomNonbondedForce("4*(r^-12 - r^-6) + 1")
-    force.setNonbondedMethod(force.CutoffPeriodic)
-    force.setCutoffDistance(2.0 ** (1.0 / 6.0))
-    centres = [atom.index for atom in topology.atoms() if atom.name == "C"]
-    for _ in topology.atoms():
-        force.addParticle([])
-    force.addInteractionGroup(centres, centres)
-    return force
 
 
 def charges(topology: app.Topology, strength: float, length: float = 0.5) -> np.ndarray:

@@ -99,13 +99,11 @@ def test_wrong_values_get_one_sentence(changes, message):
 # -- reporters --------------------------------------------------------------------------------------------------
 
 
-def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, forces=(), **options):
+def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, **options):
     """Return a Simulation in the canonical ensemble, and the text that its moments go to."""
     topology, system, positions = rb.dipole_fluid(
         n, seed, dipole=(0.0, 0.0, mu2**0.5), inertia=(0.2, 0.2, 0.2), periodic=True, density=density, **options
     )
-    for force in forces:
-        system.addForce(force(topology))
     ends = {"C": -2.0 * mu2**0.5, "D": 2.0 * mu2**0.5}
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
     integrator = rb.ExactRigidBodyIntegrator(step, scheme="S2_2")
@@ -243,10 +241,8 @@ def test_a_ferrofluid_has_the_susceptibility_of_the_literature():
     (state, (reference, uncertainty)), n = *example()["FERROFLUID"].items(), 125
     density, kT, mu2 = state
     assert density == pytest.approx(6.0 * 0.0262 / np.pi, rel=1e-3)
-    simulation, text = simulation_of(
-        n, density, kT, mu2, step=0.03, sample=0.12, long_range="ewald", forces=[example()["wca"]]
-    )
-    simulation.context.setParameter("soft_repulsion", 0.0)
+    options = {"long_range": "ewald", "attraction": 1.0, "wca": True}
+    simulation, text = simulation_of(n, density, kT, mu2, step=0.03, sample=0.12, **options)
     simulation.step(round(6000.0 / 0.03))
     value, error = rb.dielectric_constant(moments_in(text)[3000:], n / density, kT)
     print(f"\nferrofluid: chi = {value - 1.0:.3f} +- {error:.3f}, literature {reference - 1.0:.3f} +- {uncertainty}")

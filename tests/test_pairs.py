@@ -74,9 +74,10 @@ def test_both_kernels_agree_for_a_body_of_its_own():
     assert_same(*(energy_and_forces(context_of(30, kernel, **own)[0]) for kernel in ("openmm", "compiled")))
 
 
+@pytest.mark.parametrize("wca", [False, True])
 @pytest.mark.parametrize("options", [OPEN, FIELD], ids=["open", "periodic"])
-def test_both_kernels_agree_for_the_stockmayer_fluid(options):
-    own = options | {"attraction": 0.8, "sigma": 0.9, "epsilon": 1.7}
+def test_both_kernels_agree_for_the_stockmayer_fluid(options, wca):
+    own = options | {"attraction": 0.8, "wca": wca, "sigma": 1.2 if wca else 0.9, "epsilon": 1.7}
     assert_same(*(energy_and_forces(context_of(30, kernel, **own)[0]) for kernel in ("openmm", "compiled")))
 
 
@@ -97,10 +98,32 @@ def test_two_stockmayer_spheres_have_the_energy_of_their_definition():
     assert energies == pytest.approx([core + mu**2 / r**3, core - pull + mu**2 / r**3], rel=1e-13)
 
 
-def test_both_kernels_follow_the_parameters_of_the_context():
+@pytest.mark.parametrize("kernel", ["openmm", "compiled"])
+def test_spheres_of_weeks_chandler_and_andersen_only_repel(kernel):
+    """Lennard-Jones up to its minimum at 2^(1/6) sigma, raised by epsilon."""
+    sigma, epsilon = 1.1, 1.7
+    own = {"strength": 1e-6, "length": 0.5, "sigma": sigma, "epsilon": epsilon, "attraction": 1.0, "wca": True}
+    force = rb.soft_dipole_force([(0, 1), (2, 3)], kernel=kernel, **own)
+    system = openmm.System()
+    for _ in range(4):
+        system.addParticle(1.0)
+    system.addForce(force)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    for r, inside in ((0.9, True), (1.2, True), (1.234, True), (1.236, False), (3.0, False)):
+        context.setPositions([[0, 0, 0], [0, 0, 0.5], [r, 0, 0], [r, 0, 0.5]])
+        exact = (4.0 * epsilon * ((sigma / r) ** 12 - (sigma / r) ** 6) + epsilon) * inside
+        energy, forces = energy_and_forces(context)
+        assert energy == pytest.approx(exact, rel=1e-10, abs=1e-11)
+        assert forces[2, 0] == pytest.approx(
+            24.0 * epsilon * (2.0 * (sigma / r) ** 12 - (sigma / r) ** 6) / r * inside, abs=1e-10
+        )
+
+
+@pytest.mark.parametrize("wca", [False, True])
+def test_both_kernels_follow_the_parameters_of_the_context(wca):
     results = []
     for kernel in ("openmm", "compiled"):
-        context, _ = context_of(9, kernel, attraction=0.5)
+        context, _ = context_of(9, kernel, attraction=0.5, wca=wca)
         context.setParameter("soft_attraction", 2.7)
         context.setParameter("soft_repulsion", 1.3)
         context.setParameter("dipole_coupling", 2.1)
@@ -261,6 +284,7 @@ def test_a_liquid_keeps_its_energy_to_the_order_of_the_scheme(options):
         ({"periodic": True, "dielectric": 0.5}, "dielectric must be at least 1"),
         ({"periodic": True, "trap": 0.5}, "needs none"),
         ({"attraction": np.nan}, "attraction must be a finite number"),
+        ({"wca": True}, "without an attraction there is no minimum"),
         ({"density": 0.8}, "add periodic=True"),
         ({"cutoff": 1.0}, "add periodic=True"),
         ({"kernel": "fortran"}, "unknown kernel"),

@@ -31,6 +31,7 @@ def soft_dipoles(
     truncation: Truncation | None = None,
     threads: int | None = None,
     attraction: float | None = None,
+    minimum: tuple[float, float] | None = None,
     ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
     """Return the energy and the forces on centres and tips, as `potentials.soft_dipole_force` defines them.
@@ -48,6 +49,8 @@ def soft_dipoles(
         All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
     attraction : float, optional
         4 epsilon sigma^6; without it there is nothing to pay for it.
+    minimum : (squared distance, depth), optional
+        Where the spheres' energy ends, raised by the depth (Weeks, Chandler and Andersen).
     ewald : (alpha, largest, dielectric), optional
         Inverse width of the clouds of an Ewald sum, wave number where it ends, and relative permittivity outside.
 
@@ -64,7 +67,7 @@ def soft_dipoles(
     alpha = ewald and ewald[0]
 
     def sum_rows(*rows: int) -> None:
-        _rows(*rows, x, repulsion, coupling, attraction, alpha, truncation, energies, forces)
+        _rows(*rows, x, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces)
 
     in_threads(sum_rows, n, threads)
     energy = 0.5 * float(energies.sum())
@@ -90,7 +93,7 @@ def _split(x):
 
 
 @_inlined
-def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, alpha=None):
+def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alpha=None):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
     core = repulsion * (i * i * i) * (i * i * i)
@@ -99,6 +102,9 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, alpha=None):
         i3 = attraction * (i * i * i)
         core -= i3
         slope -= 6.0 * i3
+    if minimum is not None:
+        core = core + minimum[1] if r2 < minimum[0] else 0.0
+        slope = slope if r2 < minimum[0] else 0.0
     if alpha is None:
         b = coupling * i * math.sqrt(i)
         c = 3.0 * b * i
@@ -122,7 +128,7 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):
 
 
 @_compiled
-def _rows(first, last, sites, repulsion, coupling, attraction, alpha, truncation, energies, forces):
+def _rows(first, last, sites, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces):
     """Sum twice the energy, and the forces, of some spheres with all others."""
     n, arrows = len(energies), _split(sites)
     for i in range(first, last):
@@ -137,7 +143,7 @@ def _rows(first, last, sites, repulsion, coupling, attraction, alpha, truncation
                 z -= truncation[2] * np.rint(z / truncation[2])
             r2 = x * x + y * y + z * z if (j != i) & (j < n) else np.inf
             uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, alpha)
+            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha)
             if truncation is not None:
                 e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
             energy += e

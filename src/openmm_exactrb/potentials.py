@@ -64,6 +64,7 @@ def soft_dipole_force(
     sigma: float = 1.0,
     epsilon: float = 1.0,
     attraction: float = 0.0,
+    wca: bool = False,
     box: Sequence[float] | None = None,
     cutoff: float | None = None,
     switch: float | None = None,
@@ -97,6 +98,10 @@ def soft_dipole_force(
         In nm and kJ/mol.
     attraction : float
         How much of the attraction -4 epsilon (sigma/r)^6 of Lennard-Jones there is: 1 for the Stockmayer fluid.
+    wca : bool
+        Whether the spheres' energy ends at its minimum, raised to be zero there (Weeks, Chandler and Andersen, J. Chem.
+        Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. Its second
+        derivative has a step there, which costs schemes of high order their order.
     box : sequence of three float, optional
         Edges in nm of a rectangular periodic box.
     cutoff, switch : float, optional
@@ -139,6 +144,8 @@ def soft_dipole_force(
         raise ValueError("soft dipoles need at least one arrow (centre, tip)")
     if not np.isfinite(attraction):
         raise ValueError(f"attraction must be a finite number, not {attraction}")
+    if wca and not attraction > 0.0:
+        raise ValueError("without an attraction there is no minimum: wca needs a positive one, 1 for Lennard-Jones")
     truncation = None if box is None else _truncation(box, cutoff, switch, dielectric)
     ewald = None
     if long_range == "ewald":
@@ -150,10 +157,10 @@ def soft_dipole_force(
     if attraction:
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
     if kernels.chosen(kernel):
-        force = openmm.PythonForce(SoftDipoles(truncation, ewald), parameters)
+        force = openmm.PythonForce(SoftDipoles(truncation, ewald, wca=wca), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
     else:
-        force = _soft_dipole_formula(arrows, truncation, attracts="soft_attraction" in parameters)
+        force = _soft_dipole_formula(arrows, truncation, attracts=bool(attraction), wca=wca)
         for name, value in (parameters | _box_parameters(box)).items():
             force.addGlobalParameter(name, value)
     force.setUsesPeriodicBoundaryConditions(box is not None)
@@ -171,23 +178,35 @@ class SoftDipoles:
     ewald : (alpha, largest, dielectric), optional
         An Ewald sum in place of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
         relative permittivity around all images.
+    wca : bool
+        Whether the spheres' energy ends at its minimum.
     """
 
     def __init__(
-        self, truncation: tuple[float, float, float] | None = None, ewald: tuple[float, float, float] | None = None
+        self,
+        truncation: tuple[float, float, float] | None = None,
+        ewald: tuple[float, float, float] | None = None,
+        *,
+        wca: bool = False,
     ) -> None:
         self.truncation = truncation
         self.ewald = ewald
+        self.wca = wca
 
     def __call__(self, state: openmm.State) -> tuple[float, NDArray[np.float64]]:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
         parameters = dict(state.getParameters())
+        repulsion, minimum = parameters["soft_repulsion"], None
+        if self.wca:
+            ratio = parameters["soft_attraction"] / repulsion
+            minimum = (2.0 / ratio) ** (1.0 / 3.0), 0.25 * ratio**2 * repulsion
         energy, forces = kernels.load("pairs_compiled").soft_dipoles(
             vectors.positions(state),
-            parameters["soft_repulsion"],
+            repulsion,
             parameters["dipole_coupling"],
             self.truncation and self._in_box(state.getPeriodicBoxVectors(asNumpy=True)._value),
             attraction=parameters.get("soft_attraction"),
+            minimum=minimum,
             ewald=self.ewald,
         )
         return energy, forces
@@ -263,10 +282,12 @@ def _box_parameters(box: Sequence[float] | None) -> dict[str, float]:
 
 
 def _soft_dipole_formula(
-    arrows: Sequence[tuple[int, int]], truncation: tuple[float, float, float] | None, *, attracts: bool = False
+    arrows: Sequence[tuple[int, int]], truncation: tuple[float, float, float] | None, *, attracts: bool, wca: bool
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential as a formula for OpenMM, with all pairs as bonds."""
     core = "soft_repulsion*i^6 - soft_attraction*i^3" if attracts else "soft_repulsion*i^6"
+    if wca:
+        core = f"step(2*soft_repulsion*i^3 - soft_attraction)*({core} + soft_attraction^2/(4*soft_repulsion))"
     energy = f"{core} + dipole_coupling*i3*(uv - 3*i*ur*vr);"
     displacement = "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
     if truncation is not None:

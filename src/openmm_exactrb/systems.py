@@ -72,6 +72,7 @@ def dipole_fluid(
     sigma: float = 1.0,
     epsilon: float = 1.0,
     attraction: float = 0.0,
+    wca: bool = False,
     spacing: float = BINDING_DISTANCE,
     perturbation: float = 0.01,
     trap: float = 0.0,
@@ -101,6 +102,8 @@ def dipole_fluid(
         Size (nm) and strength (kJ/mol) of the soft sphere.
     attraction : float
         0 for soft spheres, 1 for the attraction of Lennard-Jones: the Stockmayer fluid.
+    wca : bool
+        With an attraction, whether the spheres only repel: Lennard-Jones up to its minimum.
     spacing : float
         Lattice constant in nm.
     perturbation : float
@@ -163,6 +166,7 @@ def dipole_fluid(
         sigma=sigma,
         epsilon=epsilon,
         attraction=attraction,
+        wca=wca,
         box=None if box is None else (box, box, box),
         cutoff=cutoff,
         switch=switch,
