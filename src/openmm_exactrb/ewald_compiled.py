@@ -1,7 +1,7 @@
-"""The Ewald sum of point dipoles in compiled double precision. Importing this imports numba: see `compiled`.
+"""The Ewald sum of point dipoles in reciprocal space, compiled. Importing this imports numba: see `compiled`.
 
-S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980): Gaussian clouds of the width 1/alpha
-screen the dipoles; `screened` is what a pair feels of them then, `clouds` the sum over the waves that make the clouds.
+S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). The waves are standing ones here, products
+of a cosine or a sine along each axis, so that sums over them are sums along one axis after the other.
 """
 
 from __future__ import annotations
@@ -10,66 +10,24 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
-from scipy.special import erfcx
 
 from openmm_exactrb.kernels import in_threads
-from openmm_exactrb.kernels import inlined as _inlined
 from openmm_exactrb.kernels import reordered as _compiled
 
 Array = NDArray[np.float64]
 Edges = tuple[float, float, float]
 
-# Farther than this many widths nothing is left of a screened dipole: exp(-6.5²) is 4e-19.
-_FAR = 6.5
-_HALF = 0.5 * _FAR**2
+
+def number_of_waves(edges: Edges, k_max: float) -> float:
+    """Return about how many wave vectors the sum has, of which each stands for its opposite too."""
+    return math.prod(edges) * k_max**3 / (12.0 * math.pi**2)
 
 
-def _polynomial(coefficients):
-    highest, *others = map(float, coefficients[::-1])
-    rest = np.array(others)
-
-    @_inlined
-    def polynomial(x):
-        value = highest
-        for k in range(len(rest)):
-            value = value * x + rest[k]
-        return value
-
-    return polynomial
-
-
-# Library functions would keep the loop over pairs out of the vector registers. Here is the 32nd root of exp(-s), and
-# exp(x²) erfc(x) by t = (x - 2)/(x + 2), both to rounding.
-_root_of_exp = _polynomial([math.exp(-_HALF / 32.0) / math.factorial(k) for k in range(17)])
-_erfcx = _polynomial(
-    Chebyshev.interpolate(lambda t: erfcx(2.0 * (1.0 + t) / (1.0 - t)), 19, [-1.0, (_FAR - 2.0) / (_FAR + 2.0)])
-    .convert(kind=Polynomial)
-    .coef
-)
-
-
-@_inlined
-def screened(r2, i, alpha):
-    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; the derivative of each is -r the next."""
-    s = min(alpha * alpha * r2, _FAR**2)
-    x = math.sqrt(s)
-    gauss = _root_of_exp((_HALF - s) / 32.0)
-    for _ in range(5):
-        gauss *= gauss
-    slope = 2.0 / math.sqrt(math.pi) * x * gauss
-    b1 = gauss * _erfcx((x - 2.0) / (x + 2.0)) + slope
-    b2 = 3.0 * b1 + 2.0 * s * slope
-    b3 = 5.0 * b2 + 4.0 * s * s * slope
-    b = i * math.sqrt(i)
-    return b * b1, b * i * b2, b * i * i * b3
-
-
-def clouds(
-    r: Array, u: Array, edges: Edges, alpha: float, largest: float, dielectric: float, threads: int = 1
+def reciprocal_space(
+    r: Array, u: Array, edges: Edges, alpha: float, k_max: float, dielectric: float, threads: int = 1
 ) -> tuple[float, Array, Array]:
-    """Return energy, forces and fields of dipoles in the clouds of all others, their images included.
+    """Return energy, forces and fields of dipoles in the Gaussian clouds of all others, their images included.
 
     Parameters
     ----------
@@ -79,8 +37,8 @@ def clouds(
         Of a rectangular box.
     alpha : float
         Inverse width of the clouds.
-    largest : float
-        Wave number up to which waves are summed.
+    k_max : float
+        Largest wave number.
     dielectric : float
         Relative permittivity of what is around all boxes: infinity for a conductor.
     threads : int
@@ -92,10 +50,8 @@ def clouds(
     forces, fields : (3, n) array
         Minus the derivatives of the energy by places and by dipoles.
     """
-    weights, counts = _spectrum(edges, alpha, largest)
-    kx, ky, kz = (_wave_numbers(edge, largest) for edge in edges)
-    box = np.array(edges)[:, None]
-    r = r - box * np.rint(r / box)
+    weights, counts = _spectrum(edges, alpha, k_max)
+    kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
     x, y, z = _standing_waves(r[0], kx), _standing_waves(r[1], ky), _standing_waves(r[2], kz)
     amplitudes, forces, fields = np.zeros_like(weights), np.zeros_like(u), np.zeros_like(u)
 
@@ -105,29 +61,31 @@ def clouds(
     def sum_waves(*dipoles: int) -> None:
         _derivatives(*dipoles, u, x, y, z, kz, counts, factors, forces, fields)
 
-    in_threads(sum_dipoles, len(weights), threads)
+    in_threads(sum_dipoles, counts.sum(axis=1), threads)
     factors = weights * amplitudes
-    in_threads(sum_waves, len(u[0]), threads)
-    # Its own cloud is no partner of a dipole; the surface of the sample is one of all.
-    rest = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
-    rest -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
-    return 0.5 * float((factors * amplitudes).sum() - (rest * u).sum()), forces, fields + rest
+    in_threads(sum_waves, np.ones(len(u[0]), dtype=np.int64), threads)
+    # A dipole is no partner of its own cloud, and all are partners of the surface of the sample.
+    uniform = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
+    uniform -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
+    return 0.5 * float((factors * amplitudes).sum() - (uniform * u).sum()), forces, fields + uniform
 
 
-def _wave_numbers(edge: float, largest: float) -> Array:
-    return 2.0 * math.pi / edge * np.arange(int(largest * edge / (2.0 * math.pi)) + 1, dtype=np.float64)
+def _wave_numbers(edge: float, k_max: float) -> Array:
+    return 2.0 * math.pi / edge * np.arange(int(k_max * edge / (2.0 * math.pi)) + 1, dtype=np.float64)
 
 
-@lru_cache(maxsize=8)
-def _spectrum(edges: Edges, alpha: float, largest: float) -> tuple[Array, NDArray[np.int64]]:
+@lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
+def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
     """Return weights W of the products of waves along x, y and z, and how many along z each of the others has.
 
-    Along an axis the waves are a cosine and a sine of each wave number, in turns; any but zero is its opposite too.
+    Along an axis the waves are a cosine and a sine of each wave number, in turns; any but zero is its opposite too. The
+    second is sin 0: nothing.
     """
-    kx, ky, kz = (_wave_numbers(edge, largest).repeat(2) for edge in edges)
+    kx, ky, kz = (_wave_numbers(edge, k_max).repeat(2) for edge in edges)
     k2 = kx[:, None, None] ** 2 + ky[:, None] ** 2 + kz**2
-    counts = (k2 <= largest**2).sum(axis=2)
-    k2[(k2 == 0.0) | (k2 > largest**2)] = np.inf
+    counts = (k2 <= k_max**2).sum(axis=2)
+    counts[1] = counts[:, 1] = 0
+    k2[(k2 == 0.0) | (k2 > k_max**2)] = np.inf
     images = (1.0 + (kx > 0.0))[:, None, None] * (1.0 + (ky > 0.0))[:, None] * (1.0 + (kz > 0.0))
     weights: Array = 4.0 * math.pi / math.prod(edges) * images * np.exp(k2 / (-4.0 * alpha * alpha)) / k2
     return weights, counts
@@ -155,6 +113,8 @@ def _amplitudes(first, last, u, x, y, z, counts, amplitudes):
     across, along = np.empty((2, n))
     for a in range(first, last):
         for b in range(counts.shape[1]):
+            if counts[a, b] == 0:
+                continue
             for i in range(n):
                 across[i] = u[0, i] * x[1, a, i] * y[0, b, i] + u[1, i] * x[0, a, i] * y[1, b, i]
                 along[i] = u[2, i] * x[0, a, i] * y[0, b, i]
@@ -176,6 +136,8 @@ def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
     for a in range(counts.shape[0]):
         h[:] = hy[:] = hyy[:] = hz[:] = hyz[:] = hzz[:] = 0.0
         for b in range(counts.shape[1]):
+            if counts[a, b] == 0:
+                continue
             g[:] = gz[:] = gzz[:] = 0.0
             for m in range(counts[a, b] // 2):
                 C, S, k = factors[a, b, 2 * m], factors[a, b, 2 * m + 1], kz[m]

@@ -13,6 +13,9 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 _log = logging.getLogger("openmm_exactrb")
 
 Function = Callable[..., Any]
@@ -67,9 +70,20 @@ def load(module: str) -> ModuleType:
     return importlib.import_module(f"openmm_exactrb.{module}")
 
 
-def in_threads(function: Callable[[int, int], None], n: int, threads: int) -> None:
-    """Call ``function(first, last)`` on ranges that make up n, each in a thread of its own, this one included."""
-    ours, *others = pairwise(n * k // threads for k in range(threads + 1))
+def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
+    """Call ``function(first, last)`` on ranges of about equal work, each in a thread of its own, this one included.
+
+    Parameters
+    ----------
+    function : callable
+    work : (n,) array
+        What each of n items costs, in any unit.
+    threads : int
+    """
+    done = np.cumsum(work)
+    ours, *others = pairwise(
+        [0, *np.searchsorted(done, done[-1] / threads * np.arange(1, threads)).tolist(), len(work)]
+    )
     waiting = [_pool(os.getpid()).submit(function, *part) for part in others]
     function(*ours)
     for part in waiting:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from openmm_exactrb.ewald_compiled import clouds, screened
+from openmm_exactrb.ewald_compiled import number_of_waves, reciprocal_space
 from openmm_exactrb.kernels import cores, in_threads
 from openmm_exactrb.kernels import inlined as _inlined
 from openmm_exactrb.kernels import reordered as _compiled
@@ -20,8 +21,11 @@ Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]
 Ewald = tuple[float, float, float]
 
-# Fewer pairs than this are not worth a second thread, which costs about 50 microseconds.
+# Less than this, in pairs, is not worth a second thread, which costs about 50 microseconds.
 _SHARED = 200_000
+
+# Farther than this many widths of its cloud nothing is left of a screened dipole: exp(-6.5²) is 4e-19.
+_FAR = 6.5
 
 
 def soft_dipoles(
@@ -61,20 +65,23 @@ def soft_dipoles(
     forces : (2 n, 3) array
         In kJ/mol/nm.
     """
+    if ewald and truncation is None:
+        raise ValueError("an Ewald sum needs a box")
     n = len(x) // 2
+    waves = number_of_waves(truncation[:3], ewald[1]) if ewald and truncation else 0
+    threads = threads or (cores() if n * (n + waves) > _SHARED else 1)
     forces, energies = np.empty((2 * n, 3)), np.empty(n)
-    threads = threads or (cores() if n * n > _SHARED else 1)
     alpha = ewald and ewald[0]
 
     def sum_rows(*rows: int) -> None:
         _rows(*rows, x, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces)
 
-    in_threads(sum_rows, n, threads)
+    in_threads(sum_rows, np.ones(n, dtype=np.int64), threads)
     energy = 0.5 * float(energies.sum())
     if ewald and truncation:
         arrows = _split(x)
-        wave_energy, pull, field = clouds(arrows[:3], arrows[3:], truncation[:3], *ewald, threads)
-        energy += coupling * wave_energy
+        far, pull, field = reciprocal_space(arrows[:3], arrows[3:], truncation[:3], *ewald, threads)
+        energy += coupling * far
         forces[0::2] += coupling * (pull - field).T[:n]
         forces[1::2] += coupling * field.T[:n]
     return energy, forces
@@ -90,6 +97,52 @@ def _split(x):
             arrows[k, i] = x[2 * i, k]
             arrows[3 + k, i] = x[2 * i + 1, k] - x[2 * i, k]
     return arrows
+
+
+def _polynomial(coefficients):
+    highest, *others = map(float, coefficients[::-1])
+    rest = np.array(others)
+
+    @_inlined
+    def polynomial(x):
+        value = highest
+        for k in range(len(rest)):
+            value = value * x + rest[k]
+        return value
+
+    return polynomial
+
+
+def _scaled_erfc(t):
+    x = 2.0 * (1.0 + t) / (1.0 - t)
+    return math.exp(x * x) * math.erfc(x)
+
+
+# Functions of a library would keep the loop over pairs out of the vector registers. These are the 32nd root of exp(-s),
+# by s about its middle, and exp(x²) erfc(x), by t = (x - 2)/(x + 2).
+_MIDDLE = 0.5 * _FAR**2
+_root_of_exp = _polynomial([math.exp(-_MIDDLE / 32.0) / math.factorial(k) for k in range(17)])
+_erfcx = _polynomial(
+    Chebyshev.interpolate(np.vectorize(_scaled_erfc), 19, [-1.0, (_FAR - 2.0) / (_FAR + 2.0)])
+    .convert(kind=Polynomial)
+    .coef
+)
+
+
+@_inlined
+def screened(r2, i, alpha):
+    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; the derivative of each is -r the next."""
+    s = min(alpha * alpha * r2, _FAR**2)
+    x = math.sqrt(s)
+    gauss = _root_of_exp((_MIDDLE - s) / 32.0)
+    for _ in range(5):
+        gauss *= gauss
+    slope = 2.0 / math.sqrt(math.pi) * x * gauss
+    b1 = gauss * _erfcx((x - 2.0) / (x + 2.0)) + slope
+    b2 = 3.0 * b1 + 2.0 * s * slope
+    b3 = 5.0 * b2 + 4.0 * s * s * slope
+    b = i * math.sqrt(i)
+    return b * b1, b * i * b2, b * i * i * b3
 
 
 @_inlined

@@ -149,7 +149,7 @@ def dipole_fluid(
     box = _box(n, sigma, density, trap) if periodic else None
     if box is not None:
         spacing = box / edge
-    elif density is not None or cutoff is not None or switch is not None or long_range != "reaction field":
+    elif density is not None or cutoff is not None or switch is not None or long_range == "ewald":
         raise ValueError("density, cutoff, switch and long_range are for a periodic box: add periodic=True")
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
