@@ -56,7 +56,7 @@ def reciprocal_space(
     amplitudes, forces, fields = np.zeros_like(weights), np.zeros_like(u), np.zeros_like(u)
 
     def sum_dipoles(*planes: int) -> None:
-        _amplitudes(*planes, u, x, y, z, counts, amplitudes)
+        _amplitudes(*planes, u, x, y, z, kz, counts, amplitudes)
 
     def sum_waves(*dipoles: int) -> None:
         _derivatives(*dipoles, u, x, y, z, kz, counts, factors, forces, fields)
@@ -95,19 +95,25 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
 def _standing_waves(x, k):
     """Return cos k x and sin k x in turns, and their first and second derivatives, (3, 2 k, n)."""
     waves = np.empty((3, 2 * len(k), len(x)))
-    for i in range(len(x)):
-        c1, s1 = (math.cos(k[1] * x[i]), math.sin(k[1] * x[i])) if len(k) > 1 else (1.0, 0.0)
-        c, s = 1.0, 0.0
-        for m in range(len(k)):
+    waves[0, 0], waves[0, 1] = 1.0, 0.0
+    for m in range(1, len(k)):
+        for i in range(len(x)):
+            if m == 1:
+                c, s = math.cos(k[1] * x[i]), math.sin(k[1] * x[i])
+            else:
+                c1, s1, c, s = waves[0, 2, i], waves[0, 3, i], waves[0, 2 * m - 2, i], waves[0, 2 * m - 1, i]
+                c, s = c * c1 - s * s1, s * c1 + c * s1
             waves[0, 2 * m, i], waves[0, 2 * m + 1, i] = c, s
+    for m in range(len(k)):
+        for i in range(len(x)):
+            c, s = waves[0, 2 * m, i], waves[0, 2 * m + 1, i]
             waves[1, 2 * m, i], waves[1, 2 * m + 1, i] = -k[m] * s, k[m] * c
             waves[2, 2 * m, i], waves[2, 2 * m + 1, i] = -k[m] * k[m] * c, -k[m] * k[m] * s
-            c, s = c * c1 - s * s1, s * c1 + c * s1
     return waves
 
 
 @_compiled
-def _amplitudes(first, last, u, x, y, z, counts, amplitudes):
+def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
     """Sum u.grad over all dipoles, for the waves of some rows of x."""
     n = u.shape[1]
     across, along = np.empty((2, n))
@@ -118,11 +124,16 @@ def _amplitudes(first, last, u, x, y, z, counts, amplitudes):
             for i in range(n):
                 across[i] = u[0, i] * x[1, a, i] * y[0, b, i] + u[1, i] * x[0, a, i] * y[1, b, i]
                 along[i] = u[2, i] * x[0, a, i] * y[0, b, i]
-            for c in range(counts[a, b]):
-                total = 0.0
+            for m in range(counts[a, b] // 2):
+                across_c = across_s = along_c = along_s = 0.0
                 for i in range(n):
-                    total += across[i] * z[0, c, i] + along[i] * z[1, c, i]
-                amplitudes[a, b, c] = total
+                    c, s = z[0, 2 * m, i], z[0, 2 * m + 1, i]
+                    across_c += across[i] * c
+                    across_s += across[i] * s
+                    along_c += along[i] * c
+                    along_s += along[i] * s
+                amplitudes[a, b, 2 * m] = across_c - kz[m] * along_s
+                amplitudes[a, b, 2 * m + 1] = across_s + kz[m] * along_c
 
 
 @_compiled
