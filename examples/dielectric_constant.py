@@ -57,7 +57,8 @@ def main() -> None:
     times, values, errors = running(moments[:, 0] - args.equilibration, moments[:, 1:], volume, args.temperature)
     name, *reference = known(args)
     print(f"dielectric constant {values[-1]:.4g} +- {errors[-1]:.2g} from {args.duration:g} ps")
-    print(f"{name}: {reference[0]:.4g}" + (f" +- {reference[1]:.2g}" if reference[1] else ""))
+    if np.isfinite(reference[0]):
+        print(f"{name}: {reference[0]:.4g}" + (f" +- {reference[1]:.2g}" if reference[1] else ""))
     draw(times, values, errors, args.long_range, name, reference, picture)
     print(f"{args.out}: moments.csv, energies.csv, dielectric_constant.png")
 
@@ -140,7 +141,7 @@ def known(args: argparse.Namespace) -> tuple[str, float, float]:
     """Return what there is to compare with."""
     state = args.density, args.temperature, args.dipole2
     if args.core == "lennard-jones" and state in EWALD:
-        return "LAMMPS", *EWALD[state]
+        return "LAMMPS, Ewald sum of 125 dipoles", *EWALD[state]
     if args.core == "wca" and state in FERROFLUID:
         return "Wang, Holm and Müller (2002)", *FERROFLUID[state]
     y = 4.0 * np.pi * args.density * args.dipole2 / (9.0 * args.temperature)

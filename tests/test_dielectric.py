@@ -252,7 +252,7 @@ def test_a_ferrofluid_has_the_susceptibility_of_the_literature():
 
 @pytest.mark.validate
 def test_the_stockmayer_liquid_has_the_dielectric_constant_of_an_ewald_sum():
-    """Not so with mu² = 3 in a box of this size: see docs/guide.md."""
+    """By a reaction field, which is not enough with mu² = 3 in a box of this size: see docs/guide.md."""
     value, error = liquid(1.0, 500.0)
     reference, uncertainty = by_ewald_sum(1.0)
     print(f"\nmu² = 1: reaction field {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")

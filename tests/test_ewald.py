@@ -240,8 +240,9 @@ def test_a_barostat_changes_the_box_of_the_sum():
     assert again.getState(energy=True).getPotentialEnergy()._value == state.getPotentialEnergy()._value
 
 
-def test_a_serialised_system_has_the_same_sum():
-    context = context_of(27, dielectric=4.0)
+@pytest.mark.parametrize("wca", [False, True])
+def test_a_serialised_system_has_the_same_sum(wca):
+    context = context_of(27, dielectric=4.0, attraction=1.0, wca=wca)
     system = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(context.getSystem()))
     copy = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
     copy.setPositions(context.getState(positions=True).getPositions())

@@ -31,7 +31,7 @@ def dielectric_constant(
     kT : float
         In kJ/mol.
     dielectric : float
-        eps' of the surroundings: what `soft_dipole_force` was given, infinity for an Ewald sum.
+        eps' of the surroundings: what `soft_dipole_force` was given, with a reaction field or with an Ewald sum.
     blocks : int
         Into which the run is cut for the error. Each of them should be many times as long as the moment remembers.
 

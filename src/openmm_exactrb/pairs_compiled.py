@@ -171,13 +171,16 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alp
 
 @_compiled
 def truncated(r2, uv, energy, a, b, c, coupling, truncation):
-    """Add the reaction field, and multiply by a switch S(r²) that is smooth to the third derivative."""
+    """Add the reaction field, and multiply by a switch S(r²) that is smooth to the sixth derivative."""
     _, _, _, end, rate, reaction = truncation
     b -= coupling * reaction
     energy -= coupling * reaction * uv
     s = min(1.0, max(0.0, (end - r2) * rate))
-    S = s * s * s * s * (35.0 - s * (84.0 - s * (70.0 - 20.0 * s)))
-    slope = -140.0 * rate * (s * (1.0 - s)) ** 3
+    t = 2.0 * s - 1.0
+    u = t * t
+    odd = 3003.0 - u * (6006.0 - u * (9009.0 - u * (8580.0 - u * (5005.0 - u * (1638.0 - u * 231.0)))))
+    S = 0.5 + t * odd / 2048.0
+    slope = -12012.0 * rate * (s * (1.0 - s)) ** 6
     return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
 
 

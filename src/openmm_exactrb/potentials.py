@@ -79,15 +79,16 @@ def soft_dipole_force(
 
     Section 3.4 of the paper; with `attraction` the Stockmayer fluid. With a box the boundaries are periodic: the
     nearest image within a cutoff, the field of a dielectric around it, -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ for a pair
-    (Barker and Watts, Mol. Phys. 26, 789 (1973)), and a switch S = 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7 on the whole
-    energy, s running from 1 to 0 in r² between `switch` and `cutoff`: forces have two continuous derivatives. The
-    radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume: a uniform polarisation then has the
-    reaction field that `dielectric` asks for, which the fluctuation formula of `dielectric_constant` relies on.
+    (Barker and Watts, Mol. Phys. 26, 789 (1973)), and a switch S on the whole energy, proportional to the integral of
+    (s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`: forces have five continuous
+    derivatives, as schemes of order 6 need them. The radius a³ = 3 integral S r² dr is that of a sharp sphere with the
+    same volume: a uniform polarisation then has the reaction field that `dielectric` asks for, which the fluctuation
+    formula of `dielectric_constant` relies on.
 
     An Ewald sum (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)) takes the dipoles of all images, and the
     switch then acts on the spheres and on next to nothing of the dipoles. It too has an exact gradient: whatever its
-    tolerance, in a fixed box it is a smooth potential whose energy a symplectic scheme keeps. In a changing box waves
-    come and go, each a part of the tolerance.
+    tolerance, in a fixed box it is as smooth as the switch, and a symplectic scheme keeps its energy. Where the box
+    changes, the energy jumps by up to about the tolerance.
 
     Parameters
     ----------
@@ -103,8 +104,8 @@ def soft_dipole_force(
         How much of the attraction -4 epsilon (sigma/r)^6 of Lennard-Jones there is: 1 for the Stockmayer fluid.
     wca : bool
         Whether the spheres' energy ends at its minimum, raised to be zero there (Weeks, Chandler and Andersen, J. Chem.
-        Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. Its second
-        derivative has a step there, which costs schemes of high order their order.
+        Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. The second
+        derivative has a step there: take a scheme of order 2, none keeps a higher one.
     box : sequence of three float, optional
         Edges in nm of a rectangular periodic box.
     cutoff, switch : float, optional
@@ -209,8 +210,10 @@ class SoftDipoles:
         parameters = dict(state.getParameters())
         repulsion, minimum = parameters["soft_repulsion"], None
         if self.wca:
+            if not repulsion > 0.0:
+                raise ValueError(f"spheres with a minimum need a positive soft_repulsion, not {repulsion}")
             ratio = parameters["soft_attraction"] / repulsion
-            minimum = (2.0 / ratio) ** (1.0 / 3.0), 0.25 * ratio**2 * repulsion
+            minimum = (2.0 / ratio) ** (1.0 / 3.0) if ratio > 0.0 else math.inf, 0.25 * ratio**2 * repulsion
         energy, forces = kernels.load("pairs_compiled").soft_dipoles(
             vectors.positions(state),
             repulsion,
@@ -289,10 +292,10 @@ def _splitting(
 
 def _sharp_volume(cutoff: float, switch: float) -> float:
     """Return 3 integral S(r) r² dr, the cube of the radius of a sharp sphere with the volume of the switched one."""
-    x, weights = np.polynomial.legendre.leggauss(9)  # exact: a polynomial of degree 16
+    x, weights = np.polynomial.legendre.leggauss(15)  # exact: a polynomial of degree 28
     r = switch + 0.5 * (cutoff - switch) * (1.0 + x)
-    s = (cutoff**2 - r**2) / (cutoff**2 - switch**2)
-    S = s**4 * (35.0 - 84.0 * s + 70.0 * s**2 - 20.0 * s**3)
+    t = 2.0 * (cutoff**2 - r**2) / (cutoff**2 - switch**2) - 1.0
+    S = 0.5 + np.polynomial.polynomial.polyval(t**2, [3003, -6006, 9009, -8580, 5005, -1638, 231]) * t / 2048.0
     return switch**3 + 1.5 * (cutoff - switch) * float(weights @ (S * r**2))
 
 
@@ -318,7 +321,8 @@ def _soft_dipole_formula(
         cutoff, switch, reaction = truncation
         energy = (
             f"S*({core} + dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr));"
-            "S = s^4*(35 - 84*s + 70*s^2 - 20*s^3);"
+            "S = 0.5 + t*(3003 - 6006*u + 9009*u^2 - 8580*u^3 + 5005*u^4 - 1638*u^5 + 231*u^6)/2048;"
+            "u = t*t; t = 2*s - 1;"
             f"s = min(1, max(0, ({cutoff**2!r} - r2)/{cutoff**2 - switch**2!r}));"
         )
         displacement = "".join(

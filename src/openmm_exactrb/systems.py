@@ -103,7 +103,7 @@ def dipole_fluid(
     attraction : float
         0 for soft spheres, 1 for the attraction of Lennard-Jones: the Stockmayer fluid.
     wca : bool
-        With an attraction, whether the spheres only repel: Lennard-Jones up to its minimum.
+        With an attraction, whether the spheres only repel: Lennard-Jones up to its minimum. For schemes of order 2.
     spacing : float
         Lattice constant in nm.
     perturbation : float
