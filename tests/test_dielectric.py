@@ -214,6 +214,12 @@ def by_ewald_sum(mu2):
     return example()["EWALD"][0.822, 1.15, mu2]
 
 
+def assert_agrees(name, value, error, reference, uncertainty):
+    """Compare two dielectric constants, within three of their combined standard errors."""
+    print(f"\n{name}: {value:.3f} +- {error:.3f}, reference {reference} +- {uncertainty}")
+    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+
+
 def liquid(mu2, picoseconds, **options):
     """Return dielectric constant and error of the Stockmayer fluid at density 0.822 and kT = 1.15."""
     n = 125
@@ -229,10 +235,8 @@ def liquid(mu2, picoseconds, **options):
 def test_a_strongly_polar_liquid_has_the_dielectric_constant_of_another_program():
     """Both by an Ewald sum, with mu² = 3."""
     value, error = liquid(3.0, 4000.0, long_range="ewald")
-    reference, uncertainty = by_ewald_sum(3.0)
-    print(f"\nmu² = 3: Ewald sums {value:.2f} +- {error:.2f}, LAMMPS {reference} +- {uncertainty}")
     assert error < 0.05 * value
-    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+    assert_agrees("mu² = 3, Ewald sum", value, error, *by_ewald_sum(3.0))
 
 
 @pytest.mark.validate
@@ -245,28 +249,23 @@ def test_a_ferrofluid_has_the_susceptibility_of_the_literature():
     simulation, text = simulation_of(n, density, kT, mu2, step=0.03, sample=0.12, **options)
     simulation.step(round(6000.0 / 0.03))
     value, error = rb.dielectric_constant(moments_in(text)[3000:], n / density, kT)
-    print(f"\nferrofluid: chi = {value - 1.0:.3f} +- {error:.3f}, literature {reference - 1.0:.3f} +- {uncertainty}")
     assert error < 0.02
-    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+    assert_agrees("ferrofluid", value, error, reference, uncertainty)
 
 
 @pytest.mark.validate
 def test_the_stockmayer_liquid_has_the_dielectric_constant_of_an_ewald_sum():
     """By a reaction field, which is not enough with mu² = 3 in a box of this size: see docs/guide.md."""
     value, error = liquid(1.0, 500.0)
-    reference, uncertainty = by_ewald_sum(1.0)
-    print(f"\nmu² = 1: reaction field {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")
     assert error < 0.05 * value
-    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+    assert_agrees("mu² = 1, reaction field", value, error, *by_ewald_sum(1.0))
 
 
 @pytest.mark.validate
 def test_other_surroundings_give_the_same_dielectric_constant():
     """The moment fluctuates half as much where the surroundings are as polar as the liquid."""
     value, error = liquid(1.0, 500.0, dielectric=7.0)
-    reference, uncertainty = by_ewald_sum(1.0)
-    print(f"\nmu² = 1, surroundings of 7: {value:.2f} +- {error:.2f}, Ewald sum {reference} +- {uncertainty}")
-    assert abs(value - reference) < 3.0 * np.hypot(error, uncertainty)
+    assert_agrees("mu² = 1, surroundings of 7", value, error, *by_ewald_sum(1.0))
 
 
 def test_a_new_file_gets_the_names_of_its_columns_also_when_appended_to(tmp_path):
