@@ -5,8 +5,8 @@ square, as a part of theirs, against our sum at a tolerance of 1e-13, which the 
 OpenMM's AMOEBA. LAMMPS (pair_style lj/cut/dipole/long, fix nve/sphere update dipole, one core) may choose: ewald/dipole
 or pppm/dipole (with accuracies of 1e-2 and 1e-3: finer meshes take minutes to set up and were slower than the sum), the
 accuracy, and the cutoff: half the box, or 3, 4 or 5 sigma. Its column is the fastest that reaches the error. Times are
-the least of the rounds, of a stage of S6_10 with everything in it and of a step of LAMMPS, which is one force evaluation
-too. Raw data go to out/benchmarks/ewald_cost.json.
+the least of the rounds, of a stage of S6_10 with everything in it and of a step of LAMMPS, also one force evaluation
+each. Raw data go to out/benchmarks/ewald_cost.json.
 """
 
 from __future__ import annotations
