@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
-from openmm import app
+from openmm import app, unit
 from scipy.signal import lfilter
 from scipy.special import erf
 
 import openmm_exactrb as rb
 from dielectric_gas import _correlation, dielectric_gas
 
-KB = 8.31446261815324e-3
+KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KT, VOLUME = 1.2, 30.0
 

@@ -529,7 +529,7 @@ def test_opencl_agrees_with_reference_and_keeps_the_state_in_float64(precision):
 # -- equilibrium ------------------------------------------------------------------------------------------------
 
 
-def check_equilibrium(n, starts, picoseconds, cutoff, seed=1):
+def check_equilibrium(n, starts, picoseconds, cutoff):
     """NVE from canonical starts: equal temperatures, and the structure of OpenMM's own rigid water.
 
     The difference of the temperatures is correlated over some 0.2 ps: its error comes from sixteen blocks, each a
@@ -538,18 +538,18 @@ def check_equilibrium(n, starts, picoseconds, cutoff, seed=1):
     options = {"nonbondedCutoff": cutoff * unit.nanometer, "switchDistance": (cutoff - 0.1) * unit.nanometer}
     topology, system, positions = periodic_water(n, **options)
     langevin = openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.002)
-    langevin.setRandomNumberSeed(seed)
+    langevin.setRandomNumberSeed(1)
     theirs = app.Simulation(topology, system, langevin, CPU)
     theirs.context.setPositions(positions)
     theirs.minimizeEnergy()
-    theirs.context.setVelocitiesToTemperature(300.0, seed)
+    theirs.context.setVelocitiesToTemperature(300.0, 1)
     theirs.step(round(0.25 * starts * picoseconds / 0.002))
     integrator = rb.ExactRigidBodyIntegrator(0.006, scheme="S2_3")
     ours = app.Simulation(topology, system, integrator, CPU)
     frames, reference, differences = [], [], []
     for start in range(starts):
         ours.context.setState(theirs.context.getState(positions=True))
-        integrator.setVelocitiesToTemperature(300.0, starts * seed + start)
+        integrator.setVelocitiesToTemperature(300.0, start)
         for _ in range(round(picoseconds / 0.06)):
             ours.step(10)
             frames.append(positions_of(ours))
@@ -558,7 +558,7 @@ def check_equilibrium(n, starts, picoseconds, cutoff, seed=1):
             theirs.step(30)
             reference.append(positions_of(theirs))
     blocks = [block.mean() for block in np.array_split(differences, 16)]
-    assert stats.ttest_1samp(blocks, 0.0).pvalue > 1e-4
+    assert stats.ttest_1samp(blocks, 0.0).pvalue > 1e-3
     box = np.array([v.value_in_unit(unit.nanometer) for v in system.getDefaultPeriodicBoxVectors()])
     curves = []
     for xyz in (frames, reference):

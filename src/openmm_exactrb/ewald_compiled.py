@@ -52,7 +52,8 @@ def reciprocal_space(
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
-    x, y, z = _standing_waves(r[0], kx), _standing_waves(r[1], ky), _standing_waves(r[2], kz)
+    x, y = _differentiated(_standing_waves(r[0], kx), kx), _differentiated(_standing_waves(r[1], ky), ky)
+    z = _standing_waves(r[2], kz)
     amplitudes, forces, fields = np.zeros_like(weights), np.zeros_like(u), np.zeros_like(u)
 
     def sum_dipoles(*planes: int) -> None:
@@ -93,23 +94,31 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
 
 @_compiled
 def _standing_waves(x, k):
-    """Return cos k x and sin k x in turns, and their first and second derivatives, (3, 2 k, n)."""
-    waves = np.empty((3, 2 * len(k), len(x)))
-    waves[0, 0], waves[0, 1] = 1.0, 0.0
+    """Return cos k x and sin k x in turns, (2 k, n)."""
+    waves = np.empty((2 * len(k), len(x)))
+    waves[0], waves[1] = 1.0, 0.0
     for m in range(1, len(k)):
         for i in range(len(x)):
             if m == 1:
                 c, s = math.cos(k[1] * x[i]), math.sin(k[1] * x[i])
             else:
-                c1, s1, c, s = waves[0, 2, i], waves[0, 3, i], waves[0, 2 * m - 2, i], waves[0, 2 * m - 1, i]
+                c1, s1, c, s = waves[2, i], waves[3, i], waves[2 * m - 2, i], waves[2 * m - 1, i]
                 c, s = c * c1 - s * s1, s * c1 + c * s1
-            waves[0, 2 * m, i], waves[0, 2 * m + 1, i] = c, s
-    for m in range(len(k)):
-        for i in range(len(x)):
-            c, s = waves[0, 2 * m, i], waves[0, 2 * m + 1, i]
-            waves[1, 2 * m, i], waves[1, 2 * m + 1, i] = -k[m] * s, k[m] * c
-            waves[2, 2 * m, i], waves[2, 2 * m + 1, i] = -k[m] * k[m] * c, -k[m] * k[m] * s
+            waves[2 * m, i], waves[2 * m + 1, i] = c, s
     return waves
+
+
+@_compiled
+def _differentiated(waves, k):
+    """Return standing waves and their first and second derivatives, (3, 2 k, n)."""
+    all_three = np.empty((3, *waves.shape))
+    all_three[0] = waves
+    for m in range(len(k)):
+        for i in range(waves.shape[1]):
+            c, s = waves[2 * m, i], waves[2 * m + 1, i]
+            all_three[1, 2 * m, i], all_three[1, 2 * m + 1, i] = -k[m] * s, k[m] * c
+            all_three[2, 2 * m, i], all_three[2, 2 * m + 1, i] = -k[m] * k[m] * c, -k[m] * k[m] * s
+    return all_three
 
 
 @_compiled
@@ -127,7 +136,7 @@ def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
             for m in range(counts[a, b] // 2):
                 across_c = across_s = along_c = along_s = 0.0
                 for i in range(n):
-                    c, s = z[0, 2 * m, i], z[0, 2 * m + 1, i]
+                    c, s = z[2 * m, i], z[2 * m + 1, i]
                     across_c += across[i] * c
                     across_s += across[i] * s
                     along_c += along[i] * c
@@ -153,7 +162,7 @@ def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
             for m in range(counts[a, b] // 2):
                 C, S, k = factors[a, b, 2 * m], factors[a, b, 2 * m + 1], kz[m]
                 for i in range(first, last):
-                    c, s = z[0, 2 * m, i], z[0, 2 * m + 1, i]
+                    c, s = z[2 * m, i], z[2 * m + 1, i]
                     g[i] += C * c + S * s
                     gz[i] += k * (S * c - C * s)
                     gzz[i] -= k * k * (C * c + S * s)

@@ -157,11 +157,11 @@ def soft_dipole_force(
     truncation = ewald = None
     if box is not None:
         truncation = _truncation(box, cutoff, switch, 1.0 if long_range == "ewald" else dielectric)
-    if long_range == "ewald":
-        if box is None or truncation is None:
-            raise ValueError("an Ewald sum needs a periodic box")
-        _check_ewald(ewald_tolerance, kernel)
-        kernel, ewald = "compiled", (*_splitting(len(arrows), box, truncation, ewald_tolerance), dielectric)
+        if long_range == "ewald":
+            _check_ewald(ewald_tolerance, kernel)
+            kernel, ewald = "compiled", (*_splitting(len(arrows), box, truncation, ewald_tolerance), dielectric)
+    elif long_range == "ewald":
+        raise ValueError("an Ewald sum needs a periodic box")
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
     if attraction:
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
@@ -190,9 +190,6 @@ class SoftDipoles:
     wca : bool
         Whether the spheres' energy ends at its minimum.
     """
-
-    ewald: tuple[float, float, float] | None = None  # what older pickles lack
-    wca = False
 
     def __init__(
         self,
