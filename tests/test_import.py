@@ -1,7 +1,10 @@
-"""Importing the package stays cheap: what is slow to import waits until it is needed."""
+"""Importing the package is cheap, and everybody imports the same files."""
 
 import subprocess
 import sys
+from pathlib import Path
+
+import openmm_exactrb
 
 
 def test_what_is_slow_to_import_waits():
@@ -9,3 +12,10 @@ def test_what_is_slow_to_import_waits():
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     loaded = {name.partition(".")[0] for name in run.stdout.split()}
     assert loaded.isdisjoint({"scipy", "numba", "matplotlib", "tqdm", "dask", "distributed"})
+
+
+def test_tests_and_their_child_processes_run_the_files_of_this_checkout(tmp_path):
+    ours = Path(__file__).parent.parent / "openmm_exactrb" / "__init__.py"
+    script = "import openmm_exactrb; print(openmm_exactrb.__file__)"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert Path(openmm_exactrb.__file__) == Path(run.stdout.strip()) == ours
