@@ -29,7 +29,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[
         If it cannot be written; what was there before is there still.
     """
     path = Path(file)
-    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    part = path.with_name(path.name + ".part")
     try:
         with part.open(mode) as out:
             yield out
