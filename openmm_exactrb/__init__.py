@@ -2,7 +2,8 @@
 
 from openmm_exactrb import ensemble
 from openmm_exactrb.dielectric import dielectric_constant
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.guard import NonFiniteError
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import CanonicalMomenta, EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor

@@ -12,14 +12,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.propagate import compose
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.motion.engine import Flow, run
+from openmm_exactrb.motion.kick import exact_gradient_kick, kick
+from openmm_exactrb.motion.kinetic import rigid
+from openmm_exactrb.motion.state import State
 from openmm_exactrb.quaternions import matrix
-from openmm_exactrb.rotors import rotor_of_sums
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.sums import exactly, fastest_advance
+from openmm_exactrb.schemes.word import DRIFT, KICK, repeated
 
 Array = NDArray[np.float64]
-State = tuple[Array, Array]
+#: Attitudes (4, N) and body-frame angular momenta (3, N), or sums of them.
+TopState = tuple[Array, Array]
 
 
 class Problem(Protocol):
@@ -43,50 +48,62 @@ def kinetic_energy(inertia: Array, m: Array) -> Array:
     return energy
 
 
-def energy(problem: Problem, state: State) -> Array:
+def energy(problem: Problem, state: TopState) -> Array:
     """Return the total energy T + V of each body."""
     q, m = state
     return kinetic_energy(problem.inertia, m) + problem.potential(q)
 
 
-def integrate(problem: Problem, state: State, h: float, n: int, scheme: Scheme, method: str = "exact") -> State:
+def integrate(
+    problem: Problem, state: TopState, h: float, n: int, scheme: Scheme, method: str | Rotor = "exact"
+) -> TopState:
     """Move a problem by n steps of size h.
 
     Parameters
     ----------
     problem : Problem
     state : tuple
-        (q, m), not changed: arrays (4, N) and (3, N), or sums (2, 4, N) and (2, 3, N) of `openmm_exactrb.sums`. Within
-        a call everything is a sum; between calls only if sums are handed in.
+        (q, m), not changed: arrays (4, N) and (3, N), or sums (2, 4, N) and (2, 3, N) of `openmm_exactrb.compensated`.
+        Within a call everything is a sum; between calls only if sums are handed in.
     h : float
         Step size.
     n : int
-        Number of steps.
+        Number of steps. The last stage of a step and the first of the next are one, and a processed scheme prepares the
+        state before them and finishes it after them.
     scheme : Scheme
-    method : str, optional
-        A key of `openmm_exactrb.ROTORS`.
+    method : str or Rotor, optional
+        A key of `openmm_exactrb.ROTORS`, or an entry of your own.
 
     Returns
     -------
     tuple
         (q, m) after the last step, as it was handed in.
+
+    Raises
+    ------
+    KeyError
+        If the scheme has a letter beside "A", "B" and its force-gradient kicks.
     """
-    flow, advance = rotor_of_sums(method, problem.inertia.T), fastest_advance()
-
-    def drift(state: State, tau: float) -> State:
-        return flow(*state, tau)
-
-    def kick(state: State, tau: float) -> State:
-        q, m = state
-        return q, advance(m, problem.torque(q[0]), tau)
-
-    def gradient(state: State, tau: float) -> State:
-        q, m = state
-        return q, advance(m, problem.gradient_torque(q[0]), tau)
-
     q, m = (x if x.ndim == 3 else exactly(x) for x in state)
-    q, m = compose(scheme, drift, kick, gradient)((q, m), h, n)
-    return (q, m) if state[0].ndim == 3 else (q[0], m[0])
+    nowhere = np.zeros((2, 3, 0))
+    word = scheme.processor + repeated(scheme.word, n) + scheme.postprocessor if n else ()
+    end = run(word, flows(problem, scheme, method), State(nowhere, nowhere, q, m), h)
+    return (end.q, end.m) if state[0].ndim == 3 else (end.q[0], end.m[0])
+
+
+def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[str, Flow[State]]:
+    """Return what the letters of a scheme do to a problem."""
+    kinetic = rigid(np.zeros(0), rotor_of_sums(method, problem.inertia.T))
+    nothing = np.zeros((3, 0))
+
+    def forces(state: State) -> tuple[Array, Array]:
+        return nothing, problem.torque(state.q[0])
+
+    def gradient(state: State) -> tuple[Array, Array]:
+        return nothing, problem.gradient_torque(state.q[0])
+
+    kicks = {letter: exact_gradient_kick(forces, gradient, kinetic, strength) for letter, strength in scheme.gradients}
+    return {DRIFT: kinetic.drift, KICK: kick(forces, kinetic), **kicks}
 
 
 @dataclass(frozen=True)
@@ -107,7 +124,7 @@ class HeavyTop:
     direction: Array
 
     @classmethod
-    def random(cls, rng: np.random.Generator, epsilon: float, T0: float, n: int) -> tuple[HeavyTop, State]:
+    def random(cls, rng: np.random.Generator, epsilon: float, T0: float, n: int) -> tuple[HeavyTop, TopState]:
         """Draw n tops as section 3.3.1 does: I1 = 1, kinetic energy T0, random u0, attitude (1, 0, 0, 0).
 
         The moments I1 < I2 < I3 <= I1 + I2 are those of physical bodies; two components of m are drawn so that the
@@ -162,7 +179,7 @@ class Satellite:
     radius: float = 1.5e5
 
     @classmethod
-    def paper(cls) -> tuple[Satellite, State]:
+    def paper(cls) -> tuple[Satellite, TopState]:
         """Return the satellite of section 3.3.2 and its state at the start."""
         satellite = cls(np.array([[1.7e4], [3.7e4], [5.4e4]]))
         omega = np.array([[15.0], [-15.0], [15.0]])

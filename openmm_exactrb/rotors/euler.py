@@ -18,10 +18,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.compensated import keep_norm
 from openmm_exactrb.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
-from openmm_exactrb.rotors.flow import Array, Flow, ascending, keep_norm
+from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14

@@ -1,4 +1,4 @@
-"""What flows of the free rigid body share: their type, the order of the axes, and a norm that does not drift."""
+"""What flows of the free rigid body share: their type, and the order of the axes."""
 
 from __future__ import annotations
 
@@ -31,13 +31,3 @@ def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array
     """
     order = np.argsort(inertia, axis=0, kind="stable")
     return order, np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
-
-
-def keep_norm(m1: Array, m: Array, square: Array) -> Array:
-    """Bring momenta m1 (3, N) that have the norm of m up to roundoff to that norm, in place; `square` is m.m.
-
-    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - m1.m1/m.m
-    leaves has one, because floating-point numbers below one are denser than above, and the norm drifts.
-    """
-    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
-    return m1

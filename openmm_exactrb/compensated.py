@@ -1,16 +1,14 @@
-"""Unevaluated sums high + low, so that a million small steps round no more than one large one.
+"""Against roundoff: unevaluated sums high + low, and norms that do not drift.
+
+Of sums, a million small steps round no more than one large one.
 
 A sum is an array (2, ...): ``x[0]`` is the number rounded to float64, ``x[1]`` what the rounding left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
-
-from openmm_exactrb import kernels
 
 Array = NDArray[np.float64]
 
@@ -36,20 +34,16 @@ def add(x: Array, step: Array) -> Array:
     return total
 
 
-def fastest_advance() -> Callable[[Array, Array, float], Array]:
-    """Return advance(x, rate, t) -> x + t rate for a sum x (2, k, N) and rates (k, N), compiled where numba is."""
-    if not kernels.available():
-        return lambda x, rate, t: add(x, t * rate)
-    compiled = kernels.load("sums_compiled").advance
-
-    def advance(x: Array, rate: Array, t: float) -> Array:
-        total = np.empty(x.shape)
-        compiled(np.ascontiguousarray(x), np.ascontiguousarray(rate), t, total)
-        return total
-
-    return advance
-
-
 def renewed(x: Array, high: Array) -> Array:
     """Return the sum with a new high part; the low part stays where the high part is what it was."""
     return np.array([high, np.where(high == x[0], x[1], 0.0)])
+
+
+def keep_norm(m1: Array, m: Array, square: Array) -> Array:
+    """Bring momenta m1 (3, N) that have the norm of m up to roundoff to that norm, in place; `square` is m.m.
+
+    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - m1.m1/m.m
+    leaves has one, because floating-point numbers below one are denser than above, and the norm drifts.
+    """
+    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
+    return m1

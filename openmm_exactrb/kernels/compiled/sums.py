@@ -1,8 +1,8 @@
-"""Sums high + low, compiled: the twin of `sums.add`."""
+"""Sums high + low, compiled: the twin of `plain.sums`."""
 
 from __future__ import annotations
 
-from openmm_exactrb.kernels import compiled, inlined
+from openmm_exactrb.kernels.build import compiled, inlined
 
 
 @inlined

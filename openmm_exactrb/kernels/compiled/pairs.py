@@ -12,10 +12,10 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from openmm_exactrb.ewald_compiled import number_of_waves, reciprocal_space
-from openmm_exactrb.kernels import cores, in_threads
-from openmm_exactrb.kernels import inlined as _inlined
-from openmm_exactrb.kernels import reordered as _compiled
+from openmm_exactrb.kernels.build import inlined as _inlined
+from openmm_exactrb.kernels.build import reordered as _compiled
+from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
+from openmm_exactrb.kernels.threads import cores, in_threads
 
 Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]

@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels import in_threads
-from openmm_exactrb.kernels import reordered as _compiled
+from openmm_exactrb.kernels.build import reordered as _compiled
+from openmm_exactrb.kernels.threads import in_threads
 
 Array = NDArray[np.float64]
 Edges = tuple[float, float, float]

@@ -28,6 +28,16 @@ def forces(state: openmm.State) -> Array:
     return _vectors(state, openmm.State.Forces)
 
 
+def surroundings(state: openmm.State) -> tuple[tuple[float, ...], dict[str, float]]:
+    """Return the box and the parameters: what forces depend on beside positions."""
+    return box(state), dict(state.getParameters())
+
+
+def box(state: openmm.State) -> tuple[float, ...]:
+    """Return the nine components of the vectors of the periodic box in nm."""
+    return tuple(x for vector in state.getPeriodicBoxVectors()._value for x in vector)
+
+
 def _vectors(state: openmm.State, kind: int) -> Array:
     values = np.empty((state._getNumParticles(), 3))
     state._getVectorAsNumpy(kind, values)

@@ -1,0 +1,1 @@
+"""One Context of OpenMM and all that touches it."""

@@ -1,0 +1,122 @@
+"""What OpenMM does between steps, as a letter of the word: barostats, thermostats, CMMotionRemover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.compensated import add
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.clock import Clock
+from openmm_exactrb.context.forces import Places
+from openmm_exactrb.context.session import Session
+from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.motion.engine import Flow
+from openmm_exactrb.motion.state import State
+
+Array = NDArray[np.float64]
+
+_BAROSTATS = (
+    "MonteCarloAnisotropicBarostat",
+    "MonteCarloBarostat",
+    "MonteCarloFlexibleBarostat",
+    "MonteCarloMembraneBarostat",
+)
+_THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
+#: Forces that change positions or velocities between steps: without them a System conserves its energy.
+COUPLINGS = (_THERMOSTAT, _REMOVER, *_BAROSTATS)
+
+
+class Couplings:
+    """The couplings of a System.
+
+    Parameters
+    ----------
+    context : openmm.Context
+    named : sequence of sequences of int
+        Particles of bodies that a user named.
+
+    Raises
+    ------
+    ValueError
+        If a barostat would tear bodies.
+
+    Attributes
+    ----------
+    act : bool
+        Whether there are any.
+    intervals : tuple of int
+        Steps between two removals of the motion of the centre of mass.
+    kT : float
+        The highest temperature of a thermostat, in kJ/mol.
+    """
+
+    def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
+        forces = [(type(force).__name__, force) for force in context.getSystem().getForces()]
+        barostats = [force for name, force in forces if "Barostat" in name]
+        thermostats = [force for name, force in forces if name == _THERMOSTAT]
+        _refuse_torn_bodies(context, barostats, named)
+        self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
+        self._moves, self._pushes = bool(barostats), bool(thermostats)
+        self.act = bool(barostats or thermostats or self.intervals)
+        self.kT = max((gas_constant_times(force.getDefaultTemperature()) for force in thermostats), default=0.0)
+
+    @property
+    def removes_motion(self) -> bool:
+        """Whether the centre of mass is kept at rest."""
+        return bool(self.intervals)
+
+    def flow(self, session: Session, places: Places, clock: Clock) -> Flow[State]:
+        """Return what OpenMM does between two steps.
+
+        Barostats and thermostats do it themselves, at the places of the state; a moved box or new velocities are taken
+        up. The motion of the centre of mass is removed here, from momenta in float64.
+        """
+        context = session.context
+
+        def openmm_acts(state: State) -> State:
+            places.write(state)
+            if self._pushes:
+                session.write_velocities(state)
+            box = arrays.box(context.getState())
+            clock.tick()
+            if not self._pushes and arrays.box(context.getState()) == box:
+                return state
+            places.lose()
+            return session.compared(state, *session.held())
+
+        def flow(state: State, tau: float) -> State:
+            if self._moves or self._pushes:
+                state = openmm_acts(state)
+            if any(clock.number % interval == 0 for interval in self.intervals):
+                state = without_motion(session.bodies.mass, state)
+            return state
+
+        return flow
+
+
+def without_motion(mass: Array, state: State) -> State:
+    """Return a state whose centre of mass is at rest; the masses of the bodies are (N,)."""
+    velocity = state.P.sum(axis=(0, 2)) / mass.sum()
+    return state._replace(P=add(state.P, -np.outer(velocity, mass)))
+
+
+def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
+    """Refuse bodies that a barostat would tear, since it moves particles, or OpenMM's molecules, each by itself."""
+    for barostat in barostats:
+        if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
+            name = type(barostat).__name__
+            raise ValueError(f"{name} would scale the bodies themselves: call its setScaleMoleculesAsRigid(True)")
+    if not barostats or not named:
+        return
+    molecule = {particle: number for number, molecule in enumerate(context.getMolecules()) for particle in molecule}
+    for number, body in enumerate(named):
+        if len({molecule[particle] for particle in body}) > 1:
+            raise ValueError(
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
+                "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+            )

@@ -1,0 +1,130 @@
+"""The rigid bodies of an OpenMM System: which particles belong together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.context.shapes import kinds_from_distances, kinds_from_positions
+from openmm_exactrb.motion.bodies import Kind, RigidBodies
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequence[int]] | None = None) -> RigidBodies:
+    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its free particles.
+
+    Parameters
+    ----------
+    system : openmm.System
+    positions : (n_particles, 3) array
+        In nm. They tell a body from its mirror image, and give the shape where constraints do not.
+    bodies : sequence of sequences of int, optional
+        Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
+
+    Raises
+    ------
+    ValueError
+        If nothing can move, constraints do not fix a cluster fully or lead out of a body, a body is named wrongly, or
+        the System has Drude particles.
+    """
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    _refuse_drude_particles(system)
+    given = _named_bodies(system, masses, bodies or [])
+    groups: dict[tuple[bytes, bytes], list[Indices]] = {}
+    for particles, distances in _clusters(system, masses, given):
+        groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
+    shapes: list[Kind] = []
+    for (mass_bytes, distance_bytes), members in groups.items():
+        body_masses = np.frombuffer(mass_bytes)
+        distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
+        make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
+        shapes += make(np.stack(members), body_masses, distances, positions)
+    if not shapes:
+        raise ValueError("the System has no particle with mass: there is nothing to move")
+    kinds, start = [], 0
+    for shape in sorted(shapes, key=lambda shape: not shape.turns):
+        stop = start + len(shape.particles)
+        kinds.append(replace(shape, bodies=slice(start, stop)))
+        start = stop
+    return RigidBodies(kinds, len(masses))
+
+
+def _refuse_drude_particles(system: openmm.System) -> None:
+    for force in system.getForces():
+        if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
+            names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
+            raise ValueError(
+                f"the System has Drude particles ({names}, ...), which need an integrator of their own: use a force "
+                "field without them"
+            )
+
+
+def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
+    """Return the particles with mass of the bodies that a user named."""
+    seen: dict[int, int] = {}
+    named = []
+    for number, body in enumerate(bodies):
+        particles = np.array(sorted(body), dtype=np.intp)
+        for particle in map(int, particles):
+            if not 0 <= particle < len(masses):
+                raise ValueError(f"body {number} names particle {particle}, but the System has {len(masses)} particles")
+            if particle in seen:
+                raise ValueError(f"particle {particle} is named twice, in bodies {seen[particle]} and {number}")
+            if masses[particle] == 0.0 and not system.isVirtualSite(particle):
+                raise ValueError(f"particle {particle} of body {number} has no mass: a rigid body needs masses")
+            seen[particle] = number
+        massive = particles[masses[particles] > 0.0]
+        if not len(massive):
+            raise ValueError(f"body {number} has no particle with mass")
+        named.append(massive)
+    return named
+
+
+def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
+    from scipy.sparse import coo_array  # here, for a short import of the package
+    from scipy.sparse.csgraph import connected_components
+
+    n, count = len(masses), system.getNumConstraints()
+    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
+    for i in range(count):
+        p, q, length = system.getConstraintParameters(i)
+        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
+    owner = np.full(n, -1)
+    for number, particles in enumerate(given):
+        owner[particles] = number
+    leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
+    if leading_out.any():
+        p, q = pairs[np.argmax(leading_out)]
+        raise ValueError(f"the constraint between particles {p} and {q} leads out of a rigid body: remove it")
+    links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
+    rows, columns = np.concatenate(links).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    place = np.empty(n, dtype=np.intp)
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
+    for start, stop in itertools.pairwise(bounds):
+        place[order[start:stop]] = np.arange(stop - start)
+    of_cluster = np.argsort(label[pairs[:, 0]], kind="stable")
+    limits = np.searchsorted(label[pairs[of_cluster, 0]], np.arange(len(bounds)))
+    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
+        particles = order[start:stop]
+        if not masses[particles].any():  # frozen, or a virtual site
+            continue
+        distances = np.full((len(particles), len(particles)), np.nan)
+        np.fill_diagonal(distances, 0.0)
+        constraints = of_cluster[limits[cluster] : limits[cluster + 1]]
+        i, j = place[pairs[constraints]].T
+        distances[i, j] = distances[j, i] = lengths[constraints]
+        if owner[particles[0]] >= 0:
+            distances[~np.eye(len(particles), dtype=bool)] = np.nan
+        yield particles, distances

@@ -1,0 +1,103 @@
+"""Forces of a Context as a function of places."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.motion.state import State
+
+Array = NDArray[np.float64]
+
+
+class Places:
+    """Writes the places of bodies into a Context, unless they are there.
+
+    Parameters
+    ----------
+    context : openmm.Context
+    bodies : RigidBodies
+    x : (n_particles, 3) array
+        Positions of all particles; those of the bodies are overwritten.
+    """
+
+    def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
+        self.context, self.bodies, self._x = context, bodies, x
+        self._at: State | None = None
+
+    def write(self, state: State) -> None:
+        """Have the Context at the places of a state."""
+        if self._at is None or not _same_places(self._at, state):
+            self.context.setPositions(self.bodies.positions(state.rounded, self._x))
+            self.context.computeVirtualSites()
+            self._at = state
+
+    def lose(self) -> None:
+        """Forget where the Context is: something else moves it."""
+        self._at = None
+
+
+class Forces:
+    """Forces and torques on bodies at the places of a state.
+
+    The last ones are kept as long as places, box and parameters of the Context are the same. What else forces depend on
+    cannot be seen (`updateParametersInContext`): each call of `step` has Forces of its own.
+
+    Parameters
+    ----------
+    places : Places
+    groups : int
+        Bits of the force groups that act.
+    timings : Timings
+    """
+
+    def __init__(self, places: Places, groups: int, timings: Timings) -> None:
+        self._places, self._groups, self._timings = places, groups, timings
+        self._at: State | None = None
+        self._seen: Any = None  # the State of OpenMM that they come from
+        self._value = (np.zeros(0), np.zeros(0))
+
+    def __call__(self, state: State) -> tuple[Array, Array]:
+        """Return the forces (3, N) and body-frame torques (3, K)."""
+        if not self._known(state):
+            start = time.perf_counter()
+            self._places.write(state)
+            self._seen = self._places.context.getState(forces=True, parameters=True, groups=self._groups)
+            forces = arrays.forces(self._seen)
+            self._timings.forces += time.perf_counter() - start
+            self._timings.evaluations += 1
+            self._value = self._places.bodies.forces(state.rounded, forces)
+            self._at = state
+        return self._value
+
+    def twin(self) -> Forces:
+        """Return the same forces with a memory of their own."""
+        return Forces(self._places, self._groups, self._timings)
+
+    def of(self, groups: int) -> Forces:
+        """Return those of some of the groups, given by their bits."""
+        return Forces(self._places, self._groups & groups, self._timings)
+
+    def potential(self, state: State) -> float:
+        """Return the potential energy in kJ/mol."""
+        self._places.write(state)
+        energy = self._places.context.getState(energy=True, groups=self._groups).getPotentialEnergy()
+        return float(energy._value)
+
+    def _known(self, state: State) -> bool:
+        """Tell whether the forces at the places of a state are the last ones."""
+        if self._at is None or not _same_places(self._at, state):
+            return False
+        now = self._places.context.getState(parameters=True)
+        return arrays.surroundings(now) == arrays.surroundings(self._seen)
+
+
+def _same_places(a: State, b: State) -> bool:
+    same = a.R is b.R and a.q is b.q
+    return same or (np.array_equal(a.R[0], b.R[0]) and np.array_equal(a.q[0], b.q[0]))

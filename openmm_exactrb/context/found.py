@@ -1,0 +1,39 @@
+"""The Context of an integrator: OpenMM does not tell."""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+import openmm
+
+
+def find_context(integrator: openmm.Integrator) -> openmm.Context:
+    """Find the Context that was made with an integrator.
+
+    Raises
+    ------
+    ValueError
+        If there is none yet.
+    """
+    context = _referring(integrator)
+    if context is None and gc.get_freeze_count():  # what is frozen refers to nothing, for the collector
+        gc.unfreeze()
+        context = _referring(integrator)
+        gc.freeze()
+    if context is None:
+        raise ValueError(
+            "the integrator has no Context yet: make a Simulation or a Context with it first, or call bind(context)"
+        )
+    return context
+
+
+def _referring(integrator: Any) -> Any:
+    for referrer in gc.get_referrers(integrator):
+        if isinstance(referrer, openmm.Context):
+            return referrer
+        if isinstance(referrer, dict) and referrer.get("_integrator") is integrator:
+            for owner in gc.get_referrers(referrer):
+                if isinstance(owner, openmm.Context):
+                    return owner
+    return None

@@ -1,0 +1,97 @@
+"""The engine that carries words out here, with forces from OpenMM."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_exactrb.context.clock import Clock
+from openmm_exactrb.context.couplings import Couplings
+from openmm_exactrb.context.forces import Forces, Places
+from openmm_exactrb.context.letters import Maker, Parts, flows
+from openmm_exactrb.context.session import Session
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.motion.engine import run, steps
+from openmm_exactrb.motion.guard import Guard
+from openmm_exactrb.motion.kinetic import Kinetic, rigid
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.word import OPENMM, Word
+
+
+@dataclass
+class Host:
+    """What the steps of an integrator in its present Context are made of.
+
+    Attributes
+    ----------
+    session : Session
+    couplings : Couplings
+    kinetic : Kinetic
+    timings : Timings
+    """
+
+    session: Session
+    couplings: Couplings
+    kinetic: Kinetic
+    timings: Timings
+
+    def advance(
+        self,
+        integrator: openmm.CustomIntegrator,
+        scheme: Scheme,
+        makers: Mapping[str, Maker],
+        n: int,
+    ) -> None:
+        """Make n steps; what happens, the Context then holds the last state that is one of the bodies.
+
+        Raises
+        ------
+        ValueError
+            If nobody makes the flow of a letter.
+        NonFiniteError
+            If a step is a bad one.
+        """
+        session, couplings = self.session, self.couplings
+        h = integrator.getStepSize().value_in_unit(unit.picosecond)
+        places = Places(session.context, session.bodies, session.particles)
+        forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings)
+        guard = Guard(session.bodies, forces.potential)
+        clock = Clock(session.context, integrator, h)
+        moves = flows(
+            scheme.word + scheme.processor, Parts(session.bodies, self.kinetic, forces, guard, scheme), makers
+        )
+        moves[OPENMM] = couplings.flow(session, places, clock)
+        between: Word = ((OPENMM, 1.0),) if couplings.act else ()
+        guard.begin(session.state, couplings.kT)
+        state, kept = session.state, (clock.number, clock.time)
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
+                for word, whole in steps(scheme, n, alone=couplings.act):
+                    guard.enter(clock.number + 1, clock.time, state)
+                    state = guard.leave(run(word, moves, state, h))
+                    clock.next()
+                    if whole:
+                        session.state, kept = state, (clock.number, clock.time)
+                        session.state = state = run(between, moves, state, h)
+        finally:
+            clock.reset(*kept)
+            clock.stop()
+            session.publish()
+
+
+def host(
+    context: openmm.Context,
+    integrator: openmm.CustomIntegrator,
+    rotor: Rotor,
+    named: list[list[int]] | None,
+    timings: Timings,
+) -> Host:
+    """Find the bodies of a Context, and what moves them."""
+    session = Session(context, integrator, named)
+    rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
+    return Host(session, Couplings(context, named or []), rigid(session.bodies.mass, rotation, rotor.order), timings)

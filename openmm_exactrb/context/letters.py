@@ -1,0 +1,86 @@
+"""What the letters of a word do in a Context: a table from their first character to what makes their flow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from openmm_exactrb.context.forces import Forces
+from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.motion.engine import Flow
+from openmm_exactrb.motion.guard import Guard
+from openmm_exactrb.motion.kick import gradient_kick, kick
+from openmm_exactrb.motion.kinetic import Kinetic
+from openmm_exactrb.motion.state import State
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What flows are made of, for one call of `step`.
+
+    Attributes
+    ----------
+    bodies : RigidBodies
+    kinetic : Kinetic
+    forces : Forces
+        Those of all force groups that act.
+    guard : Guard
+    scheme : Scheme
+    """
+
+    bodies: RigidBodies
+    kinetic: Kinetic
+    forces: Forces
+    guard: Guard
+    scheme: Scheme
+
+
+#: maker(parts, letters) -> the flows of all letters of a word that begin with one character.
+Maker = Callable[[Parts, set[str]], dict[str, Flow[State]]]
+
+
+def _drifts(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
+    return {DRIFT: parts.kinetic.drift}
+
+
+def _kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
+    """Make "B", a kick of all forces that act, and "B3", one of the forces of group 3."""
+    forces = {letter: parts.forces if letter == KICK else parts.forces.of(1 << int(letter[1:])) for letter in letters}
+    return {letter: parts.guard.finite(kick(forces[letter], parts.kinetic)) for letter in letters}
+
+
+def _gradient_kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
+    strengths, bodies = dict(parts.scheme.gradients), parts.bodies
+    here, there = parts.forces, parts.forces.twin()
+    kicks = {
+        letter: gradient_kick(here, there, parts.kinetic, bodies.mass, bodies.inertia.T, strengths[letter])
+        for letter in letters
+    }
+    return {letter: parts.guard.finite(flow) for letter, flow in kicks.items()}
+
+
+#: The letters of the package by their first character.
+LETTERS: Mapping[str, Maker] = MappingProxyType({DRIFT: _drifts, KICK: _kicks, GRADIENT: _gradient_kicks})
+
+
+def flows(word: Word, parts: Parts, makers: Mapping[str, Maker]) -> dict[str, Flow[State]]:
+    """Return the flows of the letters of a word.
+
+    Raises
+    ------
+    ValueError
+        If nobody makes one of them.
+    """
+    made: dict[str, Flow[State]] = {}
+    names = {letter for letter, _ in word}
+    for first in sorted({letter[0] for letter in names}):
+        if first not in makers:
+            raise ValueError(
+                f"scheme {parts.scheme.name} has the letter {first!r}, which nobody has told this integrator: "
+                f"call addLetter({first!r}, maker) first"
+            )
+        made |= makers[first](parts, {letter for letter in names if letter[0] == first})
+    return made

@@ -1,0 +1,115 @@
+"""The shapes of rigid bodies: their particles in principal axes, from distances or from positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.kernels.plain.bodies import turned
+from openmm_exactrb.motion.bodies import Kind
+from openmm_exactrb.motion.fit import RIGIDITY, best_attitudes
+from openmm_exactrb.quaternions import matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
+_FLAT = 1e-10
+
+
+def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kind of bodies all of whose distances are known, or it and its mirror image."""
+    kind = _kind(particles, masses, distances)
+    if not kind.sites[0].any(axis=0).all():
+        return [kind]
+    X = positions[particles]
+    relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+    mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", masses, relative, kind.sites[0])) < 0.0
+    image = replace(kind, sites=kind.sites * (-1.0, 1.0, 1.0))
+    return [
+        replace(k, particles=particles[chosen]) for k, chosen in ((kind, ~mirrored), (image, mirrored)) if chosen.any()
+    ]
+
+
+def kinds_from_positions(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kinds of bodies of these masses whose shape is that of their positions.
+
+    Where all agree with the first one within `RIGIDITY` they have its shape, else each has its own.
+    """
+    X = positions[particles]
+    if not np.isfinite(X).all():
+        raise ValueError("positions are not finite: set them before the first step")
+    _refuse_floppy(particles[0], distances, X[0])
+    kind = _with_shape_of(particles[:1], masses, X[:1], positions)
+    relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+    attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)
+    misfit = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
+    if misfit[1:].max(initial=0.0) <= RIGIDITY:
+        return [replace(kind, particles=particles)]
+    each = [_with_shape_of(row[None], masses, x[None], positions) for row, x in zip(particles, X, strict=True)]
+    together = [[one for one in each if one.linear == linear] for linear in (False, True)]
+    return [_joined(some) for some in together if some]
+
+
+def _with_shape_of(particles: Indices, masses: Array, X: Array, positions: Array) -> Kind:
+    """Return the kind of one body (1, k) with the shape of its positions."""
+    apart = np.linalg.norm(X[0][:, None] - X[0][None], axis=2)
+    (kind,) = kinds_from_distances(particles, masses, apart, positions)
+    return kind
+
+
+def _joined(kinds: list[Kind]) -> Kind:
+    """Return bodies of the same masses as one kind with a shape for each."""
+    particles, sites, inertia = (
+        np.concatenate([getattr(kind, name) for kind in kinds]) for name in ("particles", "sites", "inertia")
+    )
+    return replace(kinds[0], particles=particles, sites=sites, inertia=inertia)
+
+
+def _refuse_floppy(particles: Indices, distances: Array, x: Array) -> None:
+    """Refuse constraints that leave a cluster a motion beside those of a rigid body."""
+    i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
+    if not len(i):  # named by the user
+        return
+    rows = np.zeros((len(i), len(x), 3))
+    direction = x[i] - x[j]
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
+    rank = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
+    if rank < 3 * len(x) - 6:
+        raise ValueError(
+            f"the constraints between particles {', '.join(map(str, particles))} do not hold them rigid: constrain "
+            "every distance between them, or none, or name them with bodies="
+        )
+
+
+def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
+    """Place the particles of a body in its principal axes, from all their distances."""
+    mass = float(masses.sum())
+    if len(masses) == 1:
+        return Kind(particles, slice(0), masses, np.zeros((1, 1, 3)), mass, np.zeros((1, 3)))
+    # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
+    # eigenvalues and the places as its eigenvectors.
+    weights = masses / mass
+    square = distances**2
+    to_centre = square @ weights
+    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
+    root = np.sqrt(masses)
+    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
+    spread = np.zeros(3)
+    axes = np.zeros((len(masses), 3))
+    found = min(3, len(masses))
+    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
+    axes[:, :found] = vectors[:, ::-1][:, :found]
+    spread[spread < _FLAT * spread[0]] = 0.0
+    sites = axes * np.sqrt(spread) / root[:, None]
+    misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
+    if misfit > 1e-5 * distances.max() or not spread[0] > 0.0:
+        raise ValueError(
+            f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
+            f"a distance is missed by {misfit:.2g} nm"
+        )
+    # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
+    return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

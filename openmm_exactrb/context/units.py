@@ -1,0 +1,43 @@
+"""Quantities and plain numbers of a user as plain numbers of the package."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from openmm import unit
+
+from openmm_exactrb import checks
+
+
+def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
+    """Return a finite number in a unit; one without a unit already is.
+
+    Raises
+    ------
+    ValueError
+        If it is no finite number, or of another kind of unit.
+    """
+    quantity: Any = value
+    if unit.is_quantity(value):
+        if not quantity.unit.is_compatible(in_unit):
+            raise ValueError(f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity of its kind")
+        quantity = quantity.value_in_unit(in_unit)
+    return checks.number(quantity, what, in_unit.get_symbol())
+
+
+def picoseconds(size: float | unit.Quantity) -> float:
+    """Return a time step in ps."""
+    return plain(size, unit.picosecond, "a time step")
+
+
+def kelvin(temperature: float | unit.Quantity) -> float:
+    """Return a temperature in K, which must not be negative."""
+    value = plain(temperature, unit.kelvin, "a temperature")
+    if value < 0.0:
+        raise ValueError(f"a temperature must not be negative, not {temperature}")
+    return value
+
+
+def gas_constant_times(temperature: float | unit.Quantity) -> float:
+    """Return RT in kJ/mol of a temperature in K."""
+    return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))

@@ -1,0 +1,1 @@
+"""The kernels for numba; importing them compiles them, or finds them in numba's cache."""

@@ -1,0 +1,231 @@
+"""The exact flow of the free rigid body, compiled: the twin of `plain.exact`, with its formulas and its names.
+
+Steps with b G h <= 0.3 go through `_short` in blocks of bodies. It has neither branches nor calls, so that the compiler
+advances as many bodies at once as a vector register holds; sine and cosine are series after a reduction to an eighth
+of a turn. All other steps go through `_long`, body by body.
+
+Momenta and moments are in ascending principal axes here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from openmm_exactrb.kernels.build import compiled, inlined, inner
+from openmm_exactrb.kernels.compiled.double_words import difference, times, times_squared
+from openmm_exactrb.kernels.compiled.elliptic import LANDEN, jacobi, rescaled, sine_short, third_kind, third_kind_short
+from openmm_exactrb.kernels.compiled.rotations import (
+    cosine_and_sine,
+    keeping_the_norm,
+    of_the_same_norm,
+    one_less_square,
+    product_of_quaternions,
+    rotate,
+    rotate_little,
+    turned,
+)
+from openmm_exactrb.kernels.compiled.sums import two_sum
+from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
+
+# Bodies in a block. Its rows lie next to each other at distances that the compiler knows, so that it sees that they
+# do not overlap.
+_BLOCK = 64
+_ROWS = 23
+# h G/I3 up to which the reduction of its angle is exact to roundoff.
+_LARGEST_ANGLE = 1e4
+_SMALLEST, _LARGEST = SAFE
+
+
+@inner
+def _short_block(block):
+    """Advance a block.
+
+    Rows: b, rho, sigma, 1/I3, m (3), t, q (4), the new m (3), whether the step was short, the low parts of q (4) and
+    of m (3).
+    """
+    for i in range(_BLOCK):
+        b, rho, sigma, inverse_I3 = block[i], block[_BLOCK + i], block[2 * _BLOCK + i], block[3 * _BLOCK + i]
+        x1, x2, x3 = block[4 * _BLOCK + i], block[5 * _BLOCK + i], block[6 * _BLOCK + i]
+        t0, t1, t2, t3, d1, d2, d3, is_short = _short(b, rho, sigma, inverse_I3, x1, x2, x3, block[7 * _BLOCK + i])
+        q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
+        l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
+        p0, p1, p2, p3 = product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
+        defect = 0.5 * one_less_square(q0, q1, q2, q3) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
+        p0, l0 = two_sum(q0, l0, p0 + q0 * defect)
+        p1, l1 = two_sum(q1, l1, p1 + q1 * defect)
+        p2, l2 = two_sum(q2, l2, p2 + q2 * defect)
+        p3, l3 = two_sum(q3, l3, p3 + q3 * defect)
+        block[8 * _BLOCK + i] = p0 if is_short else q0
+        block[9 * _BLOCK + i] = p1 if is_short else q1
+        block[10 * _BLOCK + i] = p2 if is_short else q2
+        block[11 * _BLOCK + i] = p3 if is_short else q3
+        block[12 * _BLOCK + i], d1 = two_sum(x1, block[20 * _BLOCK + i], d1)
+        block[13 * _BLOCK + i], d2 = two_sum(x2, block[21 * _BLOCK + i], d2)
+        block[14 * _BLOCK + i], d3 = two_sum(x3, block[22 * _BLOCK + i], d3)
+        block[15 * _BLOCK + i] = 1.0 if is_short else 0.0
+        block[16 * _BLOCK + i] = l0 if is_short else 0.0
+        block[17 * _BLOCK + i] = l1 if is_short else 0.0
+        block[18 * _BLOCK + i] = l2 if is_short else 0.0
+        block[19 * _BLOCK + i] = l3 if is_short else 0.0
+        block[20 * _BLOCK + i] = d1 if is_short else 0.0
+        block[21 * _BLOCK + i] = d2 if is_short else 0.0
+        block[22 * _BLOCK + i] = d3 if is_short else 0.0
+
+
+@inlined
+def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
+    """Return the rotation of a step less one, the change of the momentum, and whether the step is short enough."""
+    square_G = x1 * x1 + x2 * x2 + x3 * x3
+    G = math.sqrt(square_G)
+    hG = t * G
+    flip = -1.0 if x3 < 0.0 else 1.0
+    inverse_G = 1.0 / G
+    y1, y2, y3 = flip * x1 * inverse_G, x2 * inverse_G, flip * x3 * inverse_G
+    size = max(abs(y1), abs(y2))
+    is_short = (
+        (abs(b * hG) <= SHORT)
+        & (abs(hG * inverse_I3) <= _LARGEST_ANGLE)
+        & (G > _SMALLEST)
+        & (G < _LARGEST)
+        & (size > VANISHING)
+    )
+
+    x = sigma * (y3 * y3 + rho * y2 * y2)
+    transverse = y1 * y1 + sigma * y2 * y2
+    B, z = sigma * transverse, rho * transverse
+    w = sine_short(b * hG, x, z)
+    u = w * w
+    cn, dn = math.sqrt(1.0 - x * u), math.sqrt(1.0 - z * u)
+    half_angle = 0.5 * (hG * inverse_I3 + third_kind_short(w, x, z, B))
+    cosine, sine = cosine_and_sine(half_angle)
+    cn_less, dn_less = x * u / (1.0 + cn), z * u / (1.0 + dn)
+    t0, t1, t2, t3, d1, d2, d3 = rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, sigma, rho, cosine, sine)
+    d1, d2, d3 = keeping_the_norm(flip * d1 * G, d2 * G, flip * d3 * G, x1, x2, x3, square_G)
+    return t0, flip * t1, t2, flip * t3, d1, d2, d3, is_short
+
+
+@inner
+def _long(body, block, i, turn, means):
+    """Advance body i of a block by a step of any length, from any momentum."""
+    b, rho, sigma, inverse_I3, I1, I2, I3 = body
+    t = block[7 * _BLOCK + i]
+    m1, m2, m3 = block[4 * _BLOCK + i], block[5 * _BLOCK + i], block[6 * _BLOCK + i]
+    largest = max(abs(m1), abs(m2), abs(m3))
+    if not (largest < math.inf and abs(t) < math.inf):  # nan comes here too
+        for row in range(8, 15):
+            block[row * _BLOCK + i] = math.nan
+        return
+    exponent = math.frexp(largest)[1]
+    m1, m2, m3 = math.ldexp(m1, -exponent), math.ldexp(m2, -exponent), math.ldexp(m3, -exponent)
+    square_G = m1 * m1 + m2 * m2 + m3 * m3
+    if square_G == 0.0:
+        block[12 * _BLOCK + i] = block[13 * _BLOCK + i] = block[14 * _BLOCK + i] = 0.0
+        return
+    G = math.sqrt(square_G)
+    hG = t * math.ldexp(G, exponent)
+    y1, y2, y3 = m1 / G, m2 / G, m3 / G
+
+    S = separatrix_distance(I1, I2, I3, m1, m3) / (G * G)
+    B = sigma * (y1 * y1 + sigma * y2 * y2)
+    mirrored = S >= 0.0
+    r, s = (rho, sigma) if mirrored else (sigma, rho)
+    if mirrored:
+        y1, y3 = y3, y1
+    flip = math.copysign(1.0, y3)
+    y1, y3 = flip * y1, flip * y3
+
+    rA = r * (y3 * y3 + s * y2 * y2)
+    c = math.sqrt(rA)
+    kc2 = min(abs(S) / rA, 1.0) if rA > 0.0 else 1.0
+    v = b * hG * c
+    sn, cn, dn, half_turns = jacobi(v, kc2, means)
+    w = sn / c if c > 0.0 else b * hG
+    half_angle = 0.5 * (hG * inverse_I3 + third_kind(v, kc2, c, B, w, cn, dn, half_turns))
+    if mirrored:
+        half_angle, extra_re, extra_im = -half_angle, 1.0, 0.0
+    else:
+        extra_re, extra_im = cn * dn, w
+    f1, f2, unit = rescaled(y1, y2)
+    t0, t1, t2, t3, n1, n2, n3 = rotate(
+        y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, math.cos(half_angle), math.sin(half_angle)
+    )
+    t1, t3, n1, n3 = flip * t1, flip * t3, flip * n1, flip * n3
+    if mirrored:
+        t1, t2, t3, n1, n3 = -t3, -t2, -t1, n3, n1
+    n1, n2, n3 = of_the_same_norm(n1, n2, n3, m1, m2, m3, G, square_G)
+    block[12 * _BLOCK + i] = math.ldexp(n1, exponent)
+    block[13 * _BLOCK + i] = math.ldexp(n2, exponent)
+    block[14 * _BLOCK + i] = math.ldexp(n3, exponent)
+    q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
+    q0, q1, q2, q3 = turned(q0, q1, q2, q3, t0, t1, t2, t3)
+    block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i] = q0, q1, q2, q3
+
+
+@inlined
+def separatrix_distance(I1, I2, I3, m1, m3):
+    """Return S norm(m)² = rho m1² - sigma m3², its cancelling part in double-double."""
+    d, d_error = difference(I2, I1)
+    f, f_error = times(I3, d, d_error)
+    a, a_error = times_squared(f, f_error, m1)
+    d, d_error = difference(I3, I2)
+    f, f_error = times(I1, d, d_error)
+    c, c_error = times_squared(f, f_error, m3)
+    leading, error = difference(a, c)
+    distance = leading + (error + (a_error - c_error))
+    if abs(distance) <= ON_SEPARATRIX * (a + c):
+        return 0.0
+    return distance / (I2 * (I3 - I1)) if I3 > I1 else distance
+
+
+@compiled("f2 f3 f3 f1 F3 F3")
+def advance(body, q, m, t, q1, m1):
+    """Advance bodies by t into q1 and m1, in ascending principal axes.
+
+    Parameters
+    ----------
+    body : (7, 1) or (7, N) array
+        What `exact.constants` returns.
+    q, m : (2, 4, N) and (2, 3, N) arrays, or (1, 4, N) and (1, 3, N)
+        Sums, or plain numbers.
+    t : (1,) or (N,) array
+    q1, m1 : arrays of the same shapes
+        For the results; they may be q and m.
+    """
+    block = np.zeros(_ROWS * _BLOCK)
+    turn, means = np.empty(4), np.empty((2, LANDEN))
+    each, shared, every, summing = body.shape[1] > 1, 0, t.shape[0] > 1, q.shape[0] > 1
+    n = m.shape[2]
+    for start in range(0, n, _BLOCK):
+        length = min(_BLOCK, n - start)
+        for row in range(4):
+            for i in range(length):
+                block[row * _BLOCK + i] = body[row, start + i if each else shared]
+        for row in range(3):
+            for i in range(length):
+                block[(4 + row) * _BLOCK + i] = m[0, row, start + i]
+                block[(20 + row) * _BLOCK + i] = m[1, row, start + i] if summing else 0.0
+        for i in range(length):
+            block[7 * _BLOCK + i] = t[start + i if every else 0]
+        for row in range(4):
+            for i in range(length):
+                block[(8 + row) * _BLOCK + i] = q[0, row, start + i]
+                block[(16 + row) * _BLOCK + i] = q[1, row, start + i] if summing else 0.0
+        for i in range(length, _BLOCK):  # the rest is not used, but has to be a number
+            for row in range(12):
+                block[row * _BLOCK + i] = 1.0
+        _short_block(block)
+        for i in range(length):
+            if block[15 * _BLOCK + i] == 0.0:
+                _long(body[:, start + i if each else 0], block, i, turn, means)
+        for row in range(4):
+            for i in range(length):
+                q1[0, row, start + i] = block[(8 + row) * _BLOCK + i]
+                if summing:
+                    q1[1, row, start + i] = block[(16 + row) * _BLOCK + i]
+        for row in range(3):
+            for i in range(length):
+                m1[0, row, start + i] = block[(12 + row) * _BLOCK + i]
+                if summing:
+                    m1[1, row, start + i] = block[(20 + row) * _BLOCK + i]

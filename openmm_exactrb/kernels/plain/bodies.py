@@ -1,0 +1,60 @@
+"""Particles of rigid bodies of one kind in numpy: their places, and what the forces on them add up to."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.quaternions import matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def place(R: Array, q: Array, particles: Indices, sites: Array, first: int, x: Array) -> None:
+    """Write the places R + Q b of the particles of some bodies.
+
+    Parameters
+    ----------
+    R : (3, N) array
+    q : (4, K) array
+    particles : (n, k) array
+        Of the bodies `first` to `first` + n.
+    sites : (1, k, 3) or (n, k, 3) array
+        The places b in the bodies, of all or of each.
+    first : int
+    x : (., 3) array
+        Gets the rows `particles`.
+    """
+    bodies = slice(first, first + len(particles))
+    x[particles] = R.T[bodies, None] + turned(_attitudes(q, bodies), sites)
+
+
+def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Array, total: Array, torque: Array) -> None:
+    """Sum the forces (., 3) on the particles to the forces (3, N) and body-frame torques (3, K) of some bodies."""
+    bodies = slice(first, first + len(particles))
+    F = forces[particles]
+    n, k, _ = F.shape
+    by_site = np.ascontiguousarray(F.transpose(1, 2, 0))
+    total[:, bodies] = by_site.sum(axis=0)
+    # Moment D = sum over sites of b F^T, space components second; the torque is sum_c D_c x (Q^T e_c).
+    if len(sites) == 1:
+        D = (sites[0].T @ by_site.reshape(k, 3 * n)).reshape(3, 3, n)
+    else:
+        D = np.einsum("nsa,sin->ain", sites, by_site)
+    E = matrix(q[:, bodies]).swapaxes(0, 1)
+    torque[0, bodies] = (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
+    torque[1, bodies] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
+    torque[2, bodies] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
+
+
+def turned(Q: Array, sites: Array) -> Array:
+    """Return Q b for attitudes (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
+    n = len(Q)
+    if len(sites) > 1:
+        return np.einsum("nij,nsj->nsi", Q, sites)
+    return (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, sites.shape[1]).swapaxes(1, 2)
+
+
+def _attitudes(q: Array, bodies: slice) -> Array:
+    return matrix(q[:, bodies]).transpose(2, 0, 1)

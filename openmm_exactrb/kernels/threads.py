@@ -1,0 +1,47 @@
+"""Work that is shared out among threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from itertools import pairwise
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+
+def cores() -> int:
+    """Return all cores, or what NUMBA_NUM_THREADS says."""
+    return int(numba.config.NUMBA_NUM_THREADS)
+
+
+def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
+    """Call ``function(first, last)`` on ranges of about equal work, each in a thread of its own, this one included.
+
+    Parameters
+    ----------
+    function : callable
+    work : (n,) array
+        What each of n items costs, in any unit.
+    threads : int
+    """
+    if threads == 1:  # spares the microseconds of what follows
+        function(0, len(work))
+        return
+    done = np.cumsum(work)
+    ours, *others = pairwise(
+        [0, *np.searchsorted(done, done[-1] / threads * np.arange(1, threads)).tolist(), len(work)]
+    )
+    waiting = [_pool(os.getpid()).submit(function, *part) for part in others]
+    function(*ours)
+    for part in waiting:
+        part.result()
+
+
+@cache
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Return the threads of a process; a fork needs its own."""
+    return ThreadPoolExecutor(max(1, cores() - 1), f"openmm-exactrb-{process}")

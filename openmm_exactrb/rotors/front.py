@@ -1,0 +1,90 @@
+"""The flow alone, for a user: any number of bodies, any moments, momenta and times."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from openmm_exactrb.rotors.flow import Array
+from openmm_exactrb.rotors.registry import Rotor, rotor
+
+
+def free_rotor(
+    inertia: ArrayLike, q0: ArrayLike, m0: ArrayLike, t: ArrayLike, method: str | Rotor = "exact"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Advance free rigid bodies by the time t.
+
+    Solves mdot = m x I^-1 m, qdot = q (0, I^-1 m)/2: equations (1) and (19) of the paper.
+
+    Parameters
+    ----------
+    inertia : (3,) or (N, 3) array_like
+        Principal moments of inertia, in any order.
+    q0 : (4,) or (N, 4) array_like
+        Attitudes, scalar first, which turn body coordinates into space coordinates. They are normalised.
+    m0 : (3,) or (N, 3) array_like
+        Angular momenta in the body frame; zero is allowed.
+    t : float or (N,) array_like
+        Time, of any sign and size.
+    method : str or Rotor, optional
+        A key of `ROTORS`, or an entry of your own.
+
+    Returns
+    -------
+    q1 : (4,) or (N, 4) array
+    m1 : (3,) or (N, 3) array
+        New arrays; those handed in are not changed. A body with a number that is not finite becomes nan,
+        its neighbours are not touched.
+
+    Warns
+    -----
+    NotConvergedWarning
+        If a step is too long for some bodies, which are then nan; only flows whose `largest_angle` is finite.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit together, the method is unknown, moments are not positive, or an attitude is zero.
+
+    Examples
+    --------
+    >>> q, m = free_rotor([1.0, 1.88, 2.88], [1, 0, 0, 0], [0.3, 0.2, 0.1], 5.0)
+    >>> bool(abs(m @ m - 0.14) < 1e-15)
+    True
+    """
+    inertia, q, m, t = (np.asarray(a, dtype=np.float64) for a in (inertia, q0, m0, t))
+    if q.shape[-1:] != (4,) or m.shape[-1:] != (3,):
+        raise ValueError(f"q0 must have the shape (N, 4) and m0 (N, 3), not {q.shape} and {m.shape}")
+    try:
+        shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
+    except ValueError:
+        raise ValueError(
+            f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} are not of one number of bodies"
+        ) from None
+    if len(shape) > 1:
+        raise ValueError(f"bodies must be listed along one axis, not along {len(shape)}")
+    n = int(np.prod(shape))
+    flow = rotor(method, inertia)
+    attitudes = _normalised(_columns(q, n, 4))
+    with np.errstate(all="ignore"):  # what is not finite stays in its own body
+        q1, m1 = flow(attitudes, _columns(m, n, 3), np.broadcast_to(t, (n,)))
+    return np.ascontiguousarray(q1.T).reshape(*shape, 4), np.ascontiguousarray(m1.T).reshape(*shape, 3)
+
+
+def _columns(rows: Array, n: int, k: int) -> Array:
+    """Return (n, k) or (k,) rows as contiguous columns (k, n)."""
+    return np.ascontiguousarray(np.broadcast_to(rows, (n, k)).T)
+
+
+def _normalised(q: Array) -> Array:
+    """Return attitudes of norm one; those that are already are not touched."""
+    largest = np.abs(q).max(axis=0, initial=0.0)
+    if (largest == 0.0).any():
+        raise ValueError("an attitude q0 is zero: quaternions must have a direction, (1, 0, 0, 0) turns nothing")
+    norm = np.sqrt(np.einsum("in,in->n", q, q))
+    off = ~(np.abs(norm - 1.0) < 1e-12)
+    if not off.any():
+        return q
+    with np.errstate(invalid="ignore"):
+        scaled = q / np.where(off, largest, 1.0)
+        return scaled / np.where(off, np.sqrt(np.einsum("in,in->n", scaled, scaled)), 1.0)

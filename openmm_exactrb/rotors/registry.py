@@ -1,0 +1,166 @@
+"""Flows of the free rigid body by name.
+
+A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `ROTORS`, or a `Rotor` that is handed
+over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
+from openmm_exactrb.rotors.euler import ThirdKind
+from openmm_exactrb.rotors.flow import Array, Flow
+
+#: Between them a moment and its reciprocal are normal numbers.
+SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
+#: The largest ratio of the moments of a body: beyond it formulas lose the smallest one.
+WIDEST = 1e15
+
+
+@dataclass(frozen=True)
+class Rotor:
+    """A way to advance free rigid bodies.
+
+    Attributes
+    ----------
+    name : str
+    order : int or None
+        Order in the step; None if exact.
+    factory : callable
+        factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
+    reference : str
+    keeps_energy : bool
+        Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
+    largest_angle : float
+        Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
+    sums : bool
+        Whether the flow takes sums high + low of `openmm_exactrb.compensated` too, and then rounds next to nothing.
+    """
+
+    name: str
+    order: int | None
+    factory: Callable[[Array], Flow]
+    reference: str
+    keeps_energy: bool = True
+    largest_angle: float = math.inf
+    sums: bool = False
+
+
+def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
+    """Return the factory of flows with Gauss's rule in place of the exact integral."""
+    return lambda inertia: factory(inertia, euler.gauss(points))
+
+
+_HAIRER_VILMART = "Hairer and Vilmart (2006), doi:10.1088/0305-4470/39/42/006"
+_PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
+
+#: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
+ROTORS: Mapping[str, Rotor] = MappingProxyType(
+    {
+        entry.name: entry
+        for entry in (
+            Rotor("exact", None, exact.rotor("fastest"), _PAPER, sums=True),
+            Rotor("exact_numpy", None, exact.rotor("numpy"), _PAPER, sums=True),
+            Rotor("exact_compiled", None, exact.rotor("numba"), _PAPER, sums=True),
+            Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
+            Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
+            Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
+            Rotor("quaternion_c", None, quaternion.van_zon_schofield, f"{_PAPER}, section 2.4 (c)"),
+            *(
+                Rotor(f"rotation_gauss{2 * p}", 2 * p, _with_gauss(rotation.rotor, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
+            *(
+                Rotor(f"quaternion_gauss{2 * p}", 2 * p, _with_gauss(quaternion.kosenko, p), f"{_PAPER}, equation (39)")
+                for p in (3, 4, 5)
+            ),
+            *(Rotor(f"dmv{n}", n, moser_veselov.rotor(n), _HAIRER_VILMART, largest_angle=1.0) for n in (6, 8, 10)),
+            Rotor(
+                "mclachlan_reich",
+                2,
+                mclachlan_reich.rotor,
+                "Dullweber, Leimkuhler and McLachlan (1997), doi:10.1063/1.474310",
+                keeps_energy=False,
+            ),
+        )
+    }
+)
+
+
+def look_up(rotor: str | Rotor) -> Rotor:
+    """Return the rotor of a name; a `Rotor` is passed through.
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name.
+    """
+    if isinstance(rotor, Rotor):
+        return rotor
+    if not isinstance(rotor, str) or rotor not in ROTORS:
+        raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}, or hand over a Rotor")
+    return ROTORS[rotor]
+
+
+def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
+    """Prepare the flow of free bodies.
+
+    Parameters
+    ----------
+    method : str or Rotor
+        A key of `ROTORS`, or an entry of your own.
+    inertia : (3,) or (N, 3) array_like
+        Principal moments of inertia in any order: one body's for all, or one row a body.
+
+    Returns
+    -------
+    flow : callable
+        flow(q, m, t) -> (q, m), with component-first q (4, N), m (3, N), and t a scalar or (N,).
+
+    Raises
+    ------
+    ValueError
+        If there is no such rotor, or moments are not positive and finite, not of this shape, below
+        ``SMALLEST_MOMENT``, above ``LARGEST_MOMENT``, or further apart than ``WIDEST``.
+
+    Notes
+    -----
+    I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
+    """
+    entry = look_up(method)
+    moments = np.asarray(inertia, dtype=np.float64)
+    if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
+        raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
+    if not (np.isfinite(moments).all() and (moments > 0.0).all()):
+        raise ValueError("inertia must be positive and finite: give the three principal moments of each body")
+    least, largest = moments.min(axis=-1), moments.max(axis=-1)
+    if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
+        raise ValueError(
+            f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
+            f"factor {WIDEST:g}: use other units, or treat the body as linear"
+        )
+    return entry.factory(np.ascontiguousarray(np.atleast_2d(moments).T))
+
+
+def rotor_of_sums(method: str | Rotor, inertia: ArrayLike) -> Flow:
+    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
+
+    Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` round what they return to the high part.
+    """
+    flow = rotor(method, inertia)
+    if look_up(method).sums:
+        return flow
+
+    def rounding(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        q1, m1 = flow(q[0], m[0], t)
+        return exactly(q1), exactly(m1)
+
+    return rounding
