@@ -3,7 +3,7 @@
 from openmm_exactrb import ensemble
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator, NonFiniteError
-from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import CanonicalMomenta, EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run, written_whole
@@ -16,10 +16,13 @@ __all__ = [
     "SCHEMES",
     "CanonicalMomenta",
     "EnergyReporter",
+    "Ewald",
     "ExactRigidBodyIntegrator",
     "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",
+    "Open",
+    "ReactionField",
     "Run",
     "dielectric_constant",
     "dipole_fluid",
