@@ -25,7 +25,7 @@ def reaction(dielectric: float) -> float:
     """
     if not (dielectric == np.inf or checks.number(dielectric, "dielectric") >= 1.0):
         raise ValueError(f"dielectric must be at least 1, not {dielectric}")
-    return 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric)
+    return float(2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric))
 
 
 def dielectric_constant(

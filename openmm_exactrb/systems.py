@@ -131,11 +131,11 @@ def dipole_fluid(
         If the compiled kernel is asked for and numba is not installed.
     """
     vector = _dipole_vector(dipole)
-    n, sigma = checks.whole(n, "n", of="spheres"), checks.positive(sigma, "sigma", "nm")
+    n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
     checks.positive(epsilon, "epsilon", "kJ/mol")
     spacing = checks.positive(spacing, "spacing", "nm")
     perturbation = checks.not_negative(perturbation, "perturbation")
-    trap = checks.not_negative(trap, "trap", "kJ/mol/nm²")
+    trap = checks.not_negative(trap, "trap")
     box = _box(n, sigma, density, trap, boundary)
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
@@ -301,7 +301,7 @@ def rigid_water(
     """
     if model not in _WATER_MODELS:
         raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
-    n, spacing = checks.whole(n, "n", of="molecules"), checks.positive(spacing, "spacing", "nm")
+    n, spacing = checks.whole(n, "n"), checks.positive(spacing, "spacing", "nm")
     file, distance, angle = _WATER_MODELS[model]
     topology = app.Topology()
     chain = topology.addChain()

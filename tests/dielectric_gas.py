@@ -29,11 +29,11 @@ def dielectric_gas(density, kT, mu2, core, closest=0.3, farthest=30.0):
     log_r = 0.5 * np.log(closest * farthest) + 0.5 * np.log(farthest / closest) * x
     r = np.exp(log_r)
     volumes = 0.5 * np.log(farthest / closest) * weights * 4.0 * np.pi * r**3
-    J = np.sum(volumes * _correlation(mu2 / (kT * r**3), core(r) / kT))
+    J = np.sum(volumes * correlation(mu2 / (kT * r**3), core(r) / kT))
     return 1.0 + 3.0 * y * (1.0 + y + density * J), y
 
 
-def _correlation(a, core):
+def correlation(a, core):
     """Return <cos gamma exp(-core - a (sin sin cos phi - 2 cos cos))> (n,); phi is integrated by hand."""
     c, w = np.polynomial.legendre.leggauss(60)
     c1, c2, weight = c[:, None], c[None], 0.25 * w[:, None] * w[None]

@@ -55,7 +55,7 @@ class _Periodic:
         if self.cutoff is not None:
             checks.positive(self.cutoff, "cutoff", "nm")
         if self.switch is not None:
-            checks.not_negative(self.switch, "switch", "nm")
+            checks.not_negative(self.switch, "switch")
             if self.cutoff is not None:
                 _check_switch(self.switch, self.cutoff)
         reaction(self.dielectric)

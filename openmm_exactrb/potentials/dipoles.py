@@ -103,7 +103,7 @@ def soft_dipole_force(
 def _parameters(strength: float, length: float, sigma: float, epsilon: float, attraction: float) -> dict[str, float]:
     """Return the parameters of a Context, which both kernels read."""
     strength, length = checks.number(strength, "strength"), checks.positive(length, "length", "nm")
-    sigma, epsilon = checks.positive(sigma, "sigma", "nm"), checks.not_negative(epsilon, "epsilon", "kJ/mol")
+    sigma, epsilon = checks.positive(sigma, "sigma", "nm"), checks.not_negative(epsilon, "epsilon")
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
     if checks.number(attraction, "attraction"):
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
