@@ -12,23 +12,21 @@ PERIODIC = {"boundary": rb.ReactionField(), "density": 0.5}
 KERNELS = ("openmm", "compiled")
 
 
-@pytest.mark.parametrize(
-    ("n", "options"), [(1, OPEN), (2, OPEN), *((n, o) for n in (27, 40) for o in (OPEN, PERIODIC, FIELD))]
-)
+@pytest.mark.parametrize(("n", "options"), [(1, OPEN), (2, OPEN), (32, OPEN), (27, OPEN), (27, PERIODIC), (27, FIELD)])
 def test_both_kernels_agree(n, options):
     assert_same(*(evaluated(fluid(n, kernel=kernel, **options)[0]) for kernel in KERNELS))
 
 
 def test_both_kernels_agree_for_a_body_of_its_own():
     own = {"inertia": (1.0, 1.5, 2.0), "dipole": (0.3, -0.8, 0.5), "mass": 3.0, "sigma": 0.9, "epsilon": 1.7}
-    assert_same(*(evaluated(fluid(30, kernel=kernel, **own)[0]) for kernel in KERNELS))
+    assert_same(*(evaluated(fluid(27, kernel=kernel, **own)[0]) for kernel in KERNELS))
 
 
 @pytest.mark.parametrize("wca", [False, True])
 @pytest.mark.parametrize("options", [OPEN, FIELD], ids=["open", "periodic"])
 def test_both_kernels_agree_for_the_stockmayer_fluid(options, wca):
     own = options | {"attraction": 0.8, "wca": wca, "sigma": 1.2 if wca else 0.9, "epsilon": 1.7}
-    assert_same(*(evaluated(fluid(30, kernel=kernel, **own)[0]) for kernel in KERNELS))
+    assert_same(*(evaluated(fluid(27, kernel=kernel, **own)[0]) for kernel in KERNELS))
 
 
 @pytest.mark.parametrize(("wca", "attraction"), [(False, 2.7), (True, 2.7), (False, 0.0), (True, 0.0), (True, -1.0)])
