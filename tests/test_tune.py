@@ -10,11 +10,11 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
+from openmm_exactrb.workprecision import VERLET, Bench, Series, Start, conservative, expected_error, thermalised
 
 import openmm_exactrb as rb
 from openmm_exactrb import tuning
 from openmm_exactrb.schemes import FORCE_GRADIENT
-from openmm_exactrb.workprecision import VERLET, Bench, Series, Start, conservative, expected_error, thermalised
 
 FEW = ("V2", "S2_2", "SRKN4_6b")
 

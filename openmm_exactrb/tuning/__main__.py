@@ -1,4 +1,4 @@
-"""The command: python -m openmm_exactrb.tune system.xml state.xml --target 1e-4."""
+"""The command: python -m openmm_exactrb.tuning system.xml state.xml --target 1e-4."""
 
 from __future__ import annotations
 
@@ -6,15 +6,12 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import openmm
 
 from openmm_exactrb.schemes import CATALOGUE
-from openmm_exactrb.tuning import CANDIDATES, Choice, Point, Tuning, UnreachableError, tune
-
-__all__ = ["CANDIDATES", "Choice", "Point", "Tuning", "UnreachableError", "main", "tune"]
+from openmm_exactrb.tuning import CANDIDATES, tune
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -42,7 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="python -m openmm_exactrb.tune", description="Find the cheapest scheme and step for a wanted energy error."
+        prog="python -m openmm_exactrb.tuning",
+        description="Find the cheapest scheme and step for a wanted energy error.",
     )
     add = parser.add_argument
     add("system", type=Path, help="the System, written by openmm.XmlSerializer")
@@ -69,13 +67,5 @@ def _read(file: Path, kind: type[Any]) -> Any:
     return content
 
 
-class _Callable(ModuleType):
-    """`openmm_exactrb.tune` is the function, also after an import of this module has put the module in its place."""
-
-    def __call__(self, *args: Any, **options: Any) -> Tuning:
-        return tune(*args, **options)
-
-
 if __name__ == "__main__":
     sys.exit(main())
-sys.modules[__name__].__class__ = _Callable
