@@ -130,29 +130,6 @@ def test_the_moment_is_the_sum_of_the_dipoles():
     assert len(moments_in(text)) == 3
 
 
-def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
-    simulation, _ = simulation_of(64, 0.1, 1.5, 1.0, step=0.01, draw=0.1)
-    simulation.step(10)
-    first = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
-    for energy in simulation.integrator.kineticEnergies():
-        assert energy._value == pytest.approx(1.5 * 64 * 1.5, rel=4.0 * (2.0 / 192) ** 0.5)
-    simulation.step(10)
-    assert np.abs(simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value - first).max() > 0.1
-    simulation.currentStep = 10
-    simulation.reporters[1].report(simulation, None)
-    # The attitudes have changed, and with them the velocities of the sites; those of the centres have not.
-    again = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
-    np.testing.assert_allclose(
-        again.reshape(64, -1, 3)[:, :4].mean(axis=1), first.reshape(64, -1, 3)[:, :4].mean(axis=1), atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("reporter", [lambda n: rb.CanonicalMomenta(1.0, n), lambda n: rb.MomentReporter("x", n, [])])
-def test_intervals_are_at_least_one_step(reporter):
-    with pytest.raises(ValueError, match="at least one step"):
-        reporter(0)
-
-
 def test_a_run_of_almost_free_dipoles_has_1_plus_3_y():
     simulation, text = simulation_of(27, 0.05, 2.0, 0.1, step=0.04, draw=0.4, sample=0.4)
     simulation.step(4000)
