@@ -2,18 +2,8 @@ import signal
 
 import pytest
 from droplets import droplet, make
-from processes import SETTINGS
 
 from openmm_exactrb.runs.signals import ENDING
-
-
-@pytest.fixture(autouse=True, scope="package")
-def in_numpy():
-    """Compute as the processes do that start here."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in SETTINGS.items():
-            patch.setenv(name, value)
-        yield
 
 
 @pytest.fixture

@@ -1,7 +1,4 @@
-"""Real processes that run a script, forked from one that has imported what is slow to import.
-
-They can be killed, get signals and meet limits as processes from a shell do, and start in a tenth of the time.
-"""
+"""Real processes that run a script: they can be killed, get signals and meet limits as those from a shell do."""
 
 import multiprocessing
 import os
@@ -11,15 +8,12 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from forked import FORKED
 from openmm_exactrb import kernels
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 #: In numpy each starts sooner, and on a busy machine a bar would be a second line of errors.
 SETTINGS = {kernels.SWITCH: "0", "TQDM_DISABLE": "1"}
-
-FORKED = multiprocessing.get_context("forkserver")
-# The package itself is imported by each process, with its own settings.
-FORKED.set_forkserver_preload(["matplotlib.pyplot", "openmm.app", "pytest", "tqdm"])
 
 
 @dataclass

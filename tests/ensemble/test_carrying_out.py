@@ -7,19 +7,14 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
-import openmm
 import pytest
 from distributed import LocalCluster
-from openmm import app, unit
+from recipe_functions import SHORT, counted, deadly, held_up, slow, square, unkeepable
 
-import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.ensemble import Recipe
-
-SHORT = {"build": rb.dipole_fluid, "n": 8, "step": 0.02, "duration": 0.2, "temperature": 10.0}
+from openmm_exactrb.ensemble import Recipe, workers
 
 SCRIPT = """
 import sys, time
@@ -30,7 +25,7 @@ def slow_square(x):
     return {"square": x * x}
 
 if __name__ == "__main__":
-    for outcome in ensemble.as_completed(ensemble.sweep(slow_square, {"x": range(12)}), sys.argv[1], workers=2):
+    for outcome in ensemble.as_completed(ensemble.sweep(slow_square, {"x": range(8)}), sys.argv[1], workers=1):
         print(outcome.kept, outcome.recipe.arguments["x"], outcome.result["square"], flush=True)
 """
 
@@ -39,33 +34,6 @@ if __name__ == "__main__":
 def scheduler():
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
         yield cluster.scheduler_address
-
-
-def held_up(folder, seed, **arguments):
-    """Run energies; the first time that it comes to seed 3, wait to be killed."""
-    note = Path(folder) / str(seed)
-    first = not note.exists()
-    with note.open("a") as file:
-        file.write(f"{os.getpid()}\n")
-    if seed == 3 and first:
-        time.sleep(300.0)
-    return ensemble.energies(seed=seed, **arguments)
-
-
-def deadly():
-    os._exit(1)
-
-
-def square(x):
-    return x * x
-
-
-def counted(folder, name):
-    with (Path(folder) / name).open("a") as file:
-        file.write("called\n")
-    if name == "bad":
-        raise ArithmeticError(f"{name} cannot be")
-    return {"array": np.arange(3) / 7.0, "tuple": (1, 2.0, None), "nan": np.float64("nan"), "name": name}
 
 
 def kill_when_held_up(note, killed):
@@ -113,15 +81,15 @@ def test_killed_script_goes_on_where_it_stopped(tmp_path):
             process.stdout.readline()
         process.kill()
     finished = {file: file.stat().st_mtime_ns for file in kept.glob("*.json")}
-    assert 3 <= len(finished) < 12
+    assert 3 <= len(finished) < 8
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
-    assert [line[0] for line in lines] == ["True"] * len(finished) + ["False"] * (12 - len(finished))
-    assert {(int(x), int(y)) for _, x, y in lines} == {(x, x * x) for x in range(12)}
+    assert [line[0] for line in lines] == ["True"] * len(finished) + ["False"] * (8 - len(finished))
+    assert {(int(x), int(y)) for _, x, y in lines} == {(x, x * x) for x in range(8)}
     assert all(file.stat().st_mtime_ns == then for file, then in finished.items())
-    assert len(list(kept.iterdir())) == 12
-    assert "12/12" in done.stderr
+    assert len(list(kept.iterdir())) == 8
+    assert "8/8" in done.stderr
 
 
 def test_iterator_may_be_left_and_taken_up(tmp_path, scheduler):
@@ -164,10 +132,6 @@ def test_failure_is_reported_and_stops_nothing(tmp_path, scheduler, capfd):
     assert (notes / "good").read_text() == "called\n"
 
 
-def unkeepable():
-    return {"object": object()}
-
-
 def test_function_that_workers_cannot_import(tmp_path, scheduler, monkeypatch):
     (tmp_path / "only_here.py").write_text("def one():\n    return 1\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -177,7 +141,7 @@ def test_function_that_workers_cannot_import(tmp_path, scheduler, monkeypatch):
 
 
 def test_worker_of_another_version_does_not_compute():
-    report = ensemble._perform(ensemble._packed(Recipe(square, x=2)), "0.0")
+    report = workers.perform(workers.packed(Recipe(square, x=2)), "0.0")
     assert "the recipes come from 0.0" in report["error"]
 
 
@@ -192,63 +156,10 @@ def test_scheduler_that_goes_away(tmp_path):
     assert list(tmp_path.glob("*.json"))
 
 
-def slow(x):
-    time.sleep(0.5)
-    return x
-
-
 def test_scheduler_that_is_not_there(tmp_path, monkeypatch):
-    monkeypatch.setattr(ensemble, "_PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "PATIENCE", 0.5)
     with pytest.raises(ConnectionError, match=r"no dask scheduler answers at .tcp://127\.0\.0\.1:1"):
         ensemble.run([Recipe(square, x=1)], tmp_path, scheduler="tcp://127.0.0.1:1", progress=False)
-
-
-def keys(*values):
-    return {Recipe(square, x=value).key for value in values}
-
-
-def test_keys_tell_recipes_apart_and_nothing_else():
-    # Fixed: a later version must find what an earlier process wrote.
-    system = rb.dipole_fluid(2)[1]
-    values = [1, 2, 1.5, "1", None, [1, 2], {"a": 1}, np.arange(3), np.arange(3.0), np.arange(6).reshape(2, 3)]
-    values += [Path("a"), 1 * unit.femtosecond, 1 * unit.picosecond, rb.SCHEMES["V2"], rb.SCHEMES["S6_10"], square]
-    values += [system, rb.dipole_fluid(3)[1], app.PME, app.NoCutoff, {"mapping": []}, True]
-    assert len(keys(*values)) == len(values)
-    assert len(keys((1, 2), [1, 2], np.array([1, 2]).tolist(), [np.int64(1), np.int32(2)])) == 1
-    assert len(keys({"a": 1, "b": 2}, {"b": 2, "a": 1})) == 1
-    assert len(keys(system, openmm.XmlSerializer.clone(system))) == 1
-    assert len(keys(0.1, np.float64(0.1))) == 1
-    assert Recipe(square, x=1) != 1
-
-
-def test_key_is_the_same_in_another_process():
-    code = (
-        "import sys; sys.path.insert(0, 'tests'); import openmm_exactrb as rb, test_ensemble as t;"
-        "print(rb.ensemble.Recipe(rb.ensemble.energies, seed=1, **t.SHORT).key)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parent.parent, check=True
-    )
-    assert done.stdout.strip() == Recipe(ensemble.energies, seed=1, **SHORT).key
-
-
-def test_package_alone_does_not_import_dask():
-    code = "import sys, openmm_exactrb; print({'dask', 'distributed', 'tqdm'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
-
-
-def test_energies_take_velocities_and_samples():
-    def build():
-        topology, system, positions = rb.dipole_fluid(2, spacing=5.0)
-        return topology, system, positions, np.ones((system.getNumParticles(), 3))
-
-    result = ensemble.energies(build, step=0.1, duration=1.0, scheme="V2_drift", frames=4)
-    assert result["times"] == pytest.approx([0.0, 0.2, 0.5, 0.8, 1.0])
-    assert result["steps"] == 10
-    assert result["evaluations"] == 10
-    assert result["energies"][0] == pytest.approx(3.0, abs=0.1)  # two spheres of mass 1 at (1, 1, 1) nm/ps
-    assert result["energies"] == pytest.approx([result["energies"][0]] * 5, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -266,23 +177,3 @@ def test_energies_take_velocities_and_samples():
 def test_wrong_call(tmp_path, arguments, error, message):
     with pytest.raises(error, match=message):
         ensemble.run(**{"recipes": [Recipe(square, x=1)], "folder": tmp_path, "progress": False} | arguments)
-
-
-@pytest.mark.parametrize(
-    ("function", "arguments", "message"),
-    [
-        (lambda: 1, {}, "a function at the top level of a module is needed"),
-        ("square", {}, "a function at the top level of a module is needed"),
-        (square, {"y": 1}, "test_ensemble.square cannot be called with these arguments: missing a required argument"),
-        (square, {"x": object()}, "argument x of a recipe cannot be <object"),
-        (square, {"x": {1, 2}}, "argument x of a recipe cannot be {1, 2}"),
-    ],
-)
-def test_wrong_recipe(function, arguments, message):
-    with pytest.raises(TypeError, match=message):
-        Recipe(function, **arguments)
-
-
-def test_wrong_axis():
-    with pytest.raises(TypeError, match="axis x must be a list of values, not 'V2'"):
-        ensemble.sweep(square, {"x": "V2"})
