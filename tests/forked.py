@@ -3,7 +3,7 @@
 import multiprocessing
 
 # Nothing of this project: each process imports what it tests, with its own settings.
-PRELOADED = ["distributed", "matplotlib.pyplot", "openmm.app", "pytest", "tqdm"]
+PRELOADED = ["distributed", "matplotlib.pyplot", "numba", "openmm.app", "pytest", "tqdm"]
 
 FORKED = multiprocessing.get_context("forkserver")
 FORKED.set_forkserver_preload(PRELOADED)
