@@ -24,7 +24,7 @@ def lines():
 
 @pytest.fixture(scope="module")
 def tuned(droplet, lines):
-    return rb.tune(*droplet, target=1e-3, schemes=FEW, platform="Reference", duration=0.5, report=lines.append)
+    return rb.tune(*droplet, target=1e-3, schemes=FEW, platform="Reference", report=lines.append)
 
 
 def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
