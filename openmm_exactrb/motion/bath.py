@@ -1,0 +1,74 @@
+"""Friction and noise: the exact Ornstein-Uhlenbeck flow of momenta, the letter O of Langevin splittings.
+
+Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + low of `openmm_exactrb.sums`, or
+(1, 3, N) and (1, 3, K) without the low part. The first K of N bodies turn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.checks import not_negative
+from openmm_exactrb.motion.draws import Draws, Instant, Purpose
+from openmm_exactrb.sums import add
+
+Array = NDArray[np.float64]
+
+#: bath(P, m, tau, at) -> (P, m): new arrays, or the same ones where nothing happens.
+Bath = Callable[[Array, Array, float, Instant], tuple[Array, Array]]
+
+
+def langevin(mass: Array, moments: Array, kT: float, friction: float, rotational_friction: float, draws: Draws) -> Bath:
+    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and the same of m with I and a friction of its own.
+
+    It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two flows one after the other are one of both times,
+    and the Maxwell-Boltzmann distribution stays what it is: B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990,
+    for splittings with this flow.
+
+    Parameters
+    ----------
+    mass : (N,) array
+        Bodies without mass get no noise.
+    moments : (3, K) or (3, 1) array
+        Principal moments: zero along the axis of a linear body, which gets no noise there.
+    kT : float
+        Boltzmann's constant times temperature, in the unit of energy.
+    friction, rotational_friction : float
+        In the unit of 1/time. Where it is 0 the momenta are handed back as they came.
+    draws : Draws
+
+    Returns
+    -------
+    bath : callable
+        bath(P, m, tau, at) -> (P, m). It raises ValueError if tau is negative and there is friction.
+
+    Raises
+    ------
+    ValueError
+        If kT or a friction is negative or not finite.
+    """
+    kT = not_negative(kT, "kT")
+    g_P, g_m = not_negative(friction, "friction"), not_negative(rotational_friction, "rotational friction")
+    width_P, width_m = np.sqrt(kT * mass), np.sqrt(kT * moments)
+
+    def bath(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
+        return (
+            _relaxed(P, width_P, g_P * tau, lambda: draws.normals(at, Purpose.TRANSLATION, P.shape[1:])),
+            _relaxed(m, width_m, g_m * tau, lambda: draws.normals(at, Purpose.ROTATION, m.shape[1:])),
+        )
+
+    return bath
+
+
+def _relaxed(x: Array, width: Array, elapsed: float, normals: Callable[[], Array]) -> Array:
+    """Return momenta x (2, 3, N) after a time in units of 1/friction."""
+    if elapsed == 0.0:
+        return x
+    if elapsed < 0.0:
+        raise ValueError("friction has no way back in time: use a positive step, or friction 0")
+    # As a change of x, for then rounding fades together with the friction.
+    return add(x, math.expm1(-elapsed) * x[0] + math.sqrt(-math.expm1(-2.0 * elapsed)) * width * normals())
