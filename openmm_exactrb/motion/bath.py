@@ -26,8 +26,8 @@ def langevin(mass: Array, moments: Array, kT: float, friction: float, rotational
     """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and the same of m with I and a friction of its own.
 
     It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two flows one after the other are one of both times,
-    and the Maxwell-Boltzmann distribution stays what it is: B. Leimkuhler and C. Matthews (2013), doi:10.1063/1.4802990,
-    for splittings with this flow.
+    and the Maxwell-Boltzmann distribution stays what it is. For splittings with it see B. Leimkuhler and C. Matthews
+    (2013), doi:10.1063/1.4802990.
 
     Parameters
     ----------

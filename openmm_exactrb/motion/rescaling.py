@@ -40,8 +40,8 @@ def rescaling(
 ) -> Rescaling:
     """Prepare the exact flow of stochastic velocity rescaling.
 
-    The total energy less the sum of all heat is constant up to the error of the splitting, as the energy is without a
-    bath: the paper's equation (15).
+    The total energy less the sum of all heat is the paper's effective energy: it is as constant as the total energy of
+    the splitting without a bath.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def kinetic_energy(x: Array, rate: Array) -> float:
 
 
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
-    """Return the number that multiplies the momenta: the paper's equation (A7), with the sign of its sequel.
+    """Return the number that multiplies the momenta: the paper's appendix.
 
     In units where kT is one the momenta are a vector of length r, whose every component relaxes as
     `openmm_exactrb.motion.bath` has it. The component along the vector is r before, the others are zero: the number is
@@ -143,6 +143,7 @@ def gamma_variate(shape: float, draws: Draws, at: Instant, part: Purpose) -> flo
         x = draws.normals(at, part, (3, attempts))[2]
         u = draws.uniforms(at, _DECISIONS[part], (1, attempts))[0]
         v = (1.0 + x / math.sqrt(9.0 * d)) ** 3
+        # A logarithm that is one bit off changes nothing: it only decides.
         with np.errstate(invalid="ignore", divide="ignore"):  # v <= 0 is refused
             taken = (v > 0.0) & (np.log(u) < 0.5 * x * x + d * (1.0 - v + np.log(v)))
         if taken.any():
