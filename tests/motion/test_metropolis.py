@@ -63,7 +63,7 @@ def test_an_oscillator_is_exact_where_the_splitting_is_not():
 
 
 def ghmc_of_dipoles(n, h, steps):
-    """Return the error of U/kT of n dipoles in a field, moved as one system by OBABO with Metropolis, its width, rate."""
+    """Return the error of U/kT of dipoles that OBABO moves as one system, its width, and the rate of acceptance."""
     tops = Tops(n, WATER, WATER_MASS, KT, axis=1, x=20.0, w=40.0)
     bath = langevin(tops.masses, WATER[:, None], KT, 5.0, 5.0, DRAWS)
     state, tally, found = tops.canonical(np.random.default_rng(7)), Tally(), np.empty(steps)
