@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from openmm_exactrb import noise_compiled, noise_plain
+from openmm_exactrb import bath_compiled, bath_plain, noise_compiled, noise_plain
 from openmm_exactrb.motion.bath import langevin
 from openmm_exactrb.motion.draws import Draws, Instant
 from openmm_exactrb.motion.rescaling import rescaling
@@ -36,11 +36,11 @@ def best_time(function, repeats=9, duration=0.05):
     return min(times)
 
 
-def tasks(kernels, n):
+def tasks(kernels, relax, n):
     """Yield the name and the call of what is timed."""
     P, m, out, at = exactly(np.ones((3, n))), exactly(np.ones((3, n))), np.empty((3, n)), Instant(1, 2, 3)
-    bath = langevin(np.ones(n), MOMENTS, 2.5, 1.0, 1.0, Draws(kernels))
-    rescale = rescaling(np.ones(n), MOMENTS, 2.5, 1.0, (3 * n, 3 * n), Draws(kernels))
+    bath = langevin(np.ones(n), np.tile(MOMENTS, n), 2.5, 1.0, 1.0, relax)
+    rescale = rescaling(np.ones(n), np.tile(MOMENTS, n), 2.5, 1.0, (3 * n, 3 * n), Draws(kernels))
 
     def draw():
         for stream in (0, 1):
@@ -56,8 +56,11 @@ def main():
     rows = []
     print("     N   kernels           task  call (us)  us/body")
     for n in (216, 1000, 10_000, 100_000):
-        for name, kernels in (("numpy", noise_plain), ("compiled", noise_compiled)):
-            for task, call in tasks(kernels, n):
+        for name, *kernels in (
+            ("numpy", noise_plain, bath_plain.relax),
+            ("compiled", noise_compiled, bath_compiled.relax),
+        ):
+            for task, call in tasks(*kernels, n):
                 seconds = best_time(call)
                 rows.append((n, name, task, seconds))
                 print(f"{n:>6}{name:>10}{task:>15}{1e6 * seconds:>11.1f}{1e6 * seconds / n:>9.4f}")

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_exactrb import noise_compiled
+from openmm_exactrb import bath_compiled, noise_compiled
 from openmm_exactrb.motion.draws import Draws, Instant
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import rotor_of_sums
@@ -17,6 +17,7 @@ WATER_MASS = 18.015
 KT = 0.00831446261815324 * 300.0
 
 DRAWS = Draws(noise_compiled)
+RELAX = bath_compiled.relax
 
 # The weight of an outer kick of S2_2.
 _L = 0.1931833275037836
@@ -59,6 +60,10 @@ class Tops:
     @property
     def masses(self):
         return np.full(self.n, self.mass)
+
+    @property
+    def all_moments(self):
+        return np.tile(self.moments[:, None], self.n)
 
     def cosine(self, state):
         return matrix(state.q[0])[2, self.axis]

@@ -52,6 +52,10 @@ class Instant(NamedTuple):
     step: int
     letter: int
 
+    def stream(self, purpose: Purpose) -> int:
+        """Return the stream of numbers for a purpose here."""
+        return self.letter * PURPOSES + purpose
+
 
 @dataclass(frozen=True)
 class Draws:
@@ -67,11 +71,11 @@ class Draws:
     def normals(self, at: Instant, purpose: Purpose, shape: tuple[int, int]) -> Array:
         """Return standard normals (k, N), column i for body i."""
         out = np.empty(shape)
-        self.kernels.normals(at.seed, at.step, at.letter * PURPOSES + purpose, 0, shape[1], out)
+        self.kernels.normals(at.seed, at.step, at.stream(purpose), 0, shape[1], out)
         return out
 
     def uniforms(self, at: Instant, purpose: Purpose, shape: tuple[int, int]) -> Array:
         """Return numbers of (0, 1) (k, N), column i for body i."""
         out = np.empty(shape)
-        self.kernels.uniforms(at.seed, at.step, at.letter * PURPOSES + purpose, 0, shape[1], out)
+        self.kernels.uniforms(at.seed, at.step, at.stream(purpose), 0, shape[1], out)
         return out

@@ -46,7 +46,7 @@ def rescaling(
     Parameters
     ----------
     mass : (N,) array
-    moments : (3, K) or (3, 1) array
+    moments : (3, K) array
         Principal moments: zero along the axis of a linear body.
     kT : float
         Boltzmann's constant times temperature, in the unit of energy.

@@ -8,7 +8,7 @@ import pytest
 from openmm_exactrb.motion.bath import langevin
 from openmm_exactrb.motion.draws import Instant, Purpose
 from openmm_exactrb.motion.metropolis import Tally, accepts, decided
-from thermal_tops import DRAWS, KT, WATER, WATER_MASS, WORDS, Tops, flipped, langevin_function
+from thermal_tops import DRAWS, KT, RELAX, WATER, WATER_MASS, WORDS, Tops, flipped, langevin_function
 
 
 def test_metropolis_takes_what_its_rule_takes():
@@ -65,7 +65,7 @@ def test_an_oscillator_is_exact_where_the_splitting_is_not():
 def ghmc_of_dipoles(n, h, steps):
     """Return the error of U/kT of dipoles that OBABO moves as one system, its width, and the rate of acceptance."""
     tops = Tops(n, WATER, WATER_MASS, KT, axis=1, x=20.0, w=40.0)
-    bath = langevin(tops.masses, WATER[:, None], KT, 5.0, 5.0, DRAWS)
+    bath = langevin(tops.masses, tops.all_moments, KT, 5.0, 5.0, RELAX)
     state, tally, found = tops.canonical(np.random.default_rng(7)), Tally(), np.empty(steps)
     flows, (outer, *inner, _) = tops.flows(), WORDS["OBABO"]
 

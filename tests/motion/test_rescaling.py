@@ -133,7 +133,7 @@ def test_numpy_and_compiled_noise_give_the_same_bits(rng):
 def test_the_effective_energy_is_as_constant_as_the_energy():
     """Dipoles in a field: the total energy wanders by many kT, less the heat it does not."""
     tops, heats, totals = Tops(200, WATER, WATER_MASS, KT, axis=1, x=20.0, w=40.0), [], []
-    rescale = rescaling(tops.masses, WATER[:, None], KT, 0.05, (600, 600), DRAWS)
+    rescale = rescaling(tops.masses, tops.all_moments, KT, 0.05, (600, 600), DRAWS)
 
     def bath(P, m, tau, at):
         P, m, heat = rescale(P, m, tau, at)
