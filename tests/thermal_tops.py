@@ -9,7 +9,7 @@ from openmm_exactrb import bath_compiled, noise_compiled
 from openmm_exactrb.motion.draws import Draws, Instant
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import rotor_of_sums
-from openmm_exactrb.sums import exactly, fastest_advance
+from openmm_exactrb.sums import add, exactly
 
 #: Moments of a water molecule in u nm², its mass in u, kT at 300 K in kJ/mol.
 WATER = np.array([0.00614541, 0.01155054, 0.01769595])
@@ -78,17 +78,17 @@ class Tops:
     def flows(self):
         """Return the flows of the letters A and B."""
         inertia = np.where(self.moments > 0.0, self.moments, self.moments.max())
-        turn, advance = rotor_of_sums("exact", inertia), fastest_advance()
+        turn = rotor_of_sums("exact", inertia)
         arrow = np.eye(3)[:, self.axis, None]
 
         def drift(state, tau):
             q, m = turn(state.q, state.m, tau)
-            return state._replace(R=advance(state.R, state.P[0] / self.mass, tau), q=q, m=m)
+            return state._replace(R=add(state.R, tau * state.P[0] / self.mass), q=q, m=m)
 
         def kick(state, tau):
             torque = self.x * self.kT * np.cross(arrow, matrix(state.q[0])[2], axis=0)
             force = -self.mass * self.w**2 * state.R[0]
-            return state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+            return state._replace(P=add(state.P, tau * force), m=add(state.m, tau * torque))
 
         return {"A": drift, "B": kick}
 

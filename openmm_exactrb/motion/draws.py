@@ -79,3 +79,7 @@ class Draws:
         out = np.empty(shape)
         self.kernels.uniforms(at.seed, at.step, at.stream(purpose), 0, shape[1], out)
         return out
+
+    def uniform(self, at: Instant, purpose: Purpose) -> float:
+        """Return one number of (0, 1) for a decision."""
+        return float(self.uniforms(at, purpose, (1, 1))[0, 0])

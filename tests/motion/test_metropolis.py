@@ -78,7 +78,7 @@ def ghmc_of_dipoles(n, h, steps):
         for letter, part in inner:
             new = flows[letter](new, part * h)
         rise = float((tops.energies(new) - tops.energies(state)).sum())
-        u = float(DRAWS.uniforms(Instant(2, step, 1), Purpose.METROPOLIS, (1, 1))[0, 0])
+        u = DRAWS.uniform(Instant(2, step, 1), Purpose.METROPOLIS)
         state, tally = decided(state, new, rise, KT, u, tally, flipped)
         state = refreshed(state, step, 2)
         found[step] = -20.0 * (tops.cosine(state).mean() - langevin_function(20.0))
