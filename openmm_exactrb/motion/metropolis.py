@@ -42,7 +42,7 @@ def accepts(rise: float, kT: float, u: float) -> bool:
     u : float
         A number of (0, 1).
     """
-    return rise <= 0.0 or u < math.exp(-rise / kT)
+    return bool(rise <= 0.0 or u < math.exp(-rise / kT))
 
 
 def decided(
