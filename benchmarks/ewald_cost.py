@@ -87,10 +87,8 @@ def liquid(n, tolerance):
         dipole=(0.0, 0.0, MU2**0.5),
         inertia=(0.2, 0.2, 0.2),
         attraction=1.0,
-        periodic=True,
+        boundary=rb.Ewald(tolerance=tolerance),
         density=DENSITY,
-        long_range="ewald",
-        ewald_tolerance=tolerance,
     )
     integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="S6_10")
     context = openmm.Context(system, integrator, REFERENCE)

@@ -20,13 +20,13 @@ import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import app, unit
+from openmm_exactrb.bodies import BodyState
+from openmm_exactrb.propagate import compose
+from openmm_exactrb.sums import exactly
 
 import openmm_exactrb as rb
 from openmm_exactrb import problems
-from openmm_exactrb.bodies import BodyState
-from openmm_exactrb.propagate import compose
 from openmm_exactrb.rotors import rotor
-from openmm_exactrb.sums import exactly
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -55,7 +55,7 @@ print("the same bytes:", resumed == undisturbed)
 # %%
 # On the Reference platform the bytes are the same, as here; on others the numbers go on from the same state, and differ
 # as two runs do whose forces are summed in another order. A checkpoint of another run, or a damaged one, is refused in
-# one line and nothing is changed. ``tests/test_runs.py`` kills real runs at twenty random moments.
+# one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at twenty random moments.
 
 
 def potential(table):

@@ -43,6 +43,7 @@ EWALD = {(0.822, 1.15, 3.0): (64.6, 1.8), (0.822, 1.15, 1.0): (7.51, 0.16)}
 # That of WCA spheres, at a volume fraction of 0.0262 and lambda = 3: Z. Wang, C. Holm and H. W. Müller, Phys. Rev. E
 # 66, 021405 (2002), table 1, as ESPResSo's tutorial on ferrofluids quotes it.
 FERROFLUID = {(0.05, 1.0, 3.0): (1.822, 0.017)}
+BOUNDARIES = {"ewald": rb.Ewald(), "reaction field": rb.ReactionField()}
 DRAW = 0.5  # ps between two draws of the momenta
 SAMPLE = 0.05  # ps between two moments
 
@@ -71,7 +72,7 @@ def parse() -> argparse.Namespace:
     add("--temperature", type=positive, default=1.15, metavar="KT", help="kT, kJ/mol (%(default)s)")
     add("--dipole2", type=positive, default=3.0, metavar="MU2", help="square of the dipole, kJ/mol nm^3 (%(default)s)")
     add("--core", choices=("lennard-jones", "soft", "wca"), default="lennard-jones", help="%(default)s")
-    add("--long-range", choices=("ewald", "reaction field"), default="ewald", help="dipoles far away (%(default)s)")
+    add("--long-range", choices=BOUNDARIES, default="ewald", help="dipoles far away (%(default)s)")
     add("--step", type=positive, default=0.0125, metavar="H", help="size of a whole step of S2_2, ps (%(default)s)")
     add("--equilibration", type=float, default=40.0, metavar="T", help="left out at the start, ps (%(default)s)")
     add("--duration", type=positive, default=2000.0, metavar="T", help="length of the run after it, ps (%(default)s)")
@@ -98,9 +99,8 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         inertia=(0.2, 0.2, 0.2),
         attraction=0.0 if args.core == "soft" else 1.0,
         wca=args.core == "wca",
-        periodic=True,
+        boundary=BOUNDARIES[args.long_range],
         density=args.density,
-        long_range=args.long_range,
         # A GPU computes its own forces, if it can.
         kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "openmm",
     )

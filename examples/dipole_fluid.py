@@ -241,8 +241,8 @@ def draw(runs: list[Outcome], file: Path) -> None:
 # The step of the first line is six times as long as that of the second, because its scheme has six stages. The last
 # columns tell where the time went: on a droplet so small the free rotation costs little.
 #
-# ``--paper`` starts from the lattice of the paper, which is compressed and flies apart. With ``periodic=True``
-# :func:`openmm_exactrb.dipole_fluid` makes a liquid in a box.
+# ``--paper`` starts from the lattice of the paper, which is compressed and flies apart. With
+# ``boundary=rb.ReactionField()`` :func:`openmm_exactrb.dipole_fluid` makes a liquid in a box.
 
 if __name__ == "__main__":
     main()

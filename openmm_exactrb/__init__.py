@@ -1,13 +1,16 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
+from openmm_exactrb.baths import CanonicalMomenta
 from openmm_exactrb.dielectric import dielectric_constant
+from openmm_exactrb.files import written_whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.fit import ShapeWarning
 from openmm_exactrb.motion.guard import NonFiniteError
-from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
-from openmm_exactrb.reporters import CanonicalMomenta, EnergyReporter, MomentReporter
+from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
+from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
-from openmm_exactrb.runs import Run, written_whole
+from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 from openmm_exactrb.tuning import tune
@@ -17,11 +20,15 @@ __all__ = [
     "SCHEMES",
     "CanonicalMomenta",
     "EnergyReporter",
+    "Ewald",
     "ExactRigidBodyIntegrator",
     "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",
+    "Open",
+    "ReactionField",
     "Run",
+    "ShapeWarning",
     "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",

@@ -5,7 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from openmm_exactrb import checks
+
 Array = NDArray[np.float64]
+
+
+def reaction(dielectric: float) -> float:
+    """Return the factor 2 (eps - 1)/(2 eps + 1) of the field with which surroundings answer a dipole.
+
+    Parameters
+    ----------
+    dielectric : float
+        Relative permittivity eps of the surroundings: infinity for a conductor, 1 for vacuum.
+
+    Raises
+    ------
+    ValueError
+        If it is less than 1.
+    """
+    if not (dielectric == np.inf or checks.number(dielectric, "dielectric") >= 1.0):
+        raise ValueError(f"dielectric must be at least 1, not {dielectric}")
+    return float(2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric))
 
 
 def dielectric_constant(
@@ -31,7 +51,7 @@ def dielectric_constant(
     kT : float
         In kJ/mol.
     dielectric : float
-        eps' of the surroundings: what `soft_dipole_force` was given, with a reaction field or with an Ewald sum.
+        eps' of the surroundings: that of the `ReactionField` or `Ewald` which the run had.
     blocks : int
         Into which the run is cut for the error. Each of them should be many times as long as the moment remembers.
 
@@ -58,17 +78,13 @@ def dielectric_constant(
         raise ValueError(f"moments must be rows of three finite numbers, not of shape {M.shape}")
     if not 2 <= blocks <= len(M):
         raise ValueError(f"blocks must be at least 2 and at most the number of moments, {len(M)}, not {blocks}")
-    for name, value in (("volume", volume), ("kT", kT)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive, not {value}")
-    if not dielectric >= 1.0:
-        raise ValueError(f"dielectric must be at least 1, not {dielectric}")
+    volume, kT = checks.positive(volume, "volume", "nm³"), checks.positive(kT, "kT", "kJ/mol")
+    Q = reaction(dielectric)
     means = np.array([np.mean(block**2, axis=0) for block in np.array_split(M, blocks)])
     scale = 4.0 * np.pi / (9.0 * volume * kT)
     x = scale * float(np.sum(np.mean(M**2, axis=0)))
     # The sum of three components, each the mean over the blocks.
     spread = scale * 3.0 * float(np.std(means, ddof=1)) / means.size**0.5
-    Q = 2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric)
     left = 1.0 + (Q - 1.0) * x
     if left <= 0.0:
         return np.inf, np.inf

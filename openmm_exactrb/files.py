@@ -10,7 +10,7 @@ from typing import IO, Any
 
 
 @contextlib.contextmanager
-def written_whole(file: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[Any]]:
+def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".part") -> Iterator[IO[Any]]:
     """Open a file that appears, or replaces another, only when all of it is on disk.
 
     Parameters
@@ -18,6 +18,8 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[
     file : str or path
     mode : str, optional
         "w" or "wb".
+    part : str, optional
+        What its name ends with until it is whole. Processes that may write the same file at once need different ones.
 
     Yields
     ------
@@ -29,15 +31,15 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w") -> Iterator[IO[
         If it cannot be written; what was there before is there still.
     """
     path = Path(file)
-    part = path.with_name(path.name + ".part")
+    draft = path.with_name(path.name + part)
     try:
-        with part.open(mode) as out:
+        with draft.open(mode) as out:
             yield out
             out.flush()
             os.fsync(out.fileno())
-        part.replace(path)
+        draft.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
     sync(path.parent)
 
 

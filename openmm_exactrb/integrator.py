@@ -19,7 +19,7 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import gas_constant_times, picoseconds
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
-from openmm_exactrb.motion.state import BodyState
+from openmm_exactrb.motion.state import BodyState, State
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme
@@ -225,6 +225,26 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
         return session.bodies, BodyState(*(a.copy() for a in session.state.rounded))
+
+    def fullState(self) -> tuple[RigidBodies, State]:
+        """Return the bodies and their state in sums high + low of `openmm_exactrb.compensated`: all that is known."""
+        session = self._up_to_date().session
+        return session.bodies, State(*(a.copy() for a in session.state))
+
+    def setBodyState(self, state: BodyState | State) -> None:
+        """Give the bodies a state: places, attitudes and momenta, as `bodyState` or `fullState` returns them.
+
+        Raises
+        ------
+        ValueError
+            If numbers are missing or not finite.
+        """
+        session = self._up_to_date().session
+        full = state if isinstance(state, State) else State.of(state)
+        if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, session.state, strict=True)):
+            raise ValueError("a state of bodies must have finite numbers for all of them: take one of bodyState()")
+        session.state = State(*map(np.ascontiguousarray, full))
+        session.publish()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from openmm import unit
 
+from openmm_exactrb.checks import whole
+
 _COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
 
 
@@ -24,9 +26,7 @@ class _Lines:
         columns: Sequence[str],
         append: bool,
     ) -> None:
-        if reportInterval < 1:
-            raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
-        self._interval = reportInterval
+        self._interval = whole(reportInterval, "reportInterval", of="steps")
         self._owned = isinstance(file, (str, os.PathLike))
         self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
         if not append or (self._owned and self._out.tell() == 0):
@@ -124,49 +124,6 @@ class MomentReporter(_Lines):
         """
         moment = self._charges @ state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
         self._write(simulation, state, moment)
-
-
-class CanonicalMomenta:
-    """Draw all momenta anew at intervals: a run that samples the canonical ensemble.
-
-    Between two draws the run is at constant energy. It is Andersen's thermostat that strikes all bodies at once
-    (J. Chem. Phys. 72, 2380 (1980)): static averages are canonical up to the error of the scheme, time correlations
-    longer than an interval are not those of the free system.
-
-    Parameters
-    ----------
-    temperature : float or Quantity
-        In K if it has no unit.
-    reportInterval : int
-        Steps between two draws.
-    seed : int
-
-    Notes
-    -----
-    It is appended to ``Simulation.reporters``. The momenta after a draw depend on the seed and the number of the step
-    only, so that a run that is resumed ends as one without a break.
-    """
-
-    def __init__(self, temperature: float | unit.Quantity, reportInterval: int, seed: int = 0) -> None:
-        if reportInterval < 1:
-            raise ValueError(f"reportInterval must be at least one step, not {reportInterval}")
-        self._temperature, self._interval, self._seed = temperature, reportInterval, seed
-
-    def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when momenta are due."""
-        steps = self._interval - simulation.currentStep % self._interval
-        return {"steps": steps, "periodic": None, "include": []}
-
-    def report(self, simulation: Any, state: Any) -> None:
-        """Draw momenta.
-
-        Parameters
-        ----------
-        simulation : openmm.app.Simulation
-        state : openmm.State
-        """
-        seed = np.random.SeedSequence([self._seed, simulation.currentStep]).generate_state(1)[0]
-        simulation.integrator.setVelocitiesToTemperature(self._temperature, int(seed))
 
 
 def _open(file: str | os.PathLike[str], append: bool) -> TextIO:

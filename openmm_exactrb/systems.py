@@ -9,8 +9,9 @@ import openmm
 from numpy.typing import ArrayLike, NDArray
 from openmm import app, unit
 
-from openmm_exactrb import quaternions
+from openmm_exactrb import checks, quaternions
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 
 Array = NDArray[np.float64]
 
@@ -47,8 +48,7 @@ def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
         raise ValueError(
             f"inertia must be three positive moments, not {inertia!r}: a linear body cannot carry this dipole"
         )
-    if not (np.isfinite(mass) and mass > 0.0):
-        raise ValueError(f"mass must be positive, not {mass}")
+    mass = checks.positive(mass, "mass", "amu")
     spread = 0.5 * moments.sum() - moments
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
@@ -76,13 +76,8 @@ def dipole_fluid(
     spacing: float = BINDING_DISTANCE,
     perturbation: float = 0.01,
     trap: float = 0.0,
-    periodic: bool = False,
+    boundary: Boundary = OPEN,
     density: float | None = None,
-    cutoff: float | None = None,
-    switch: float | None = None,
-    dielectric: float = np.inf,
-    long_range: str = "reaction field",
-    ewald_tolerance: float = 1e-4,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
@@ -111,12 +106,12 @@ def dipole_fluid(
     trap : float
         Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles
         alone bind to chains, and the chains drift apart: nothing but a trap holds a droplet together.
-    periodic : bool
-        Whether the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
+    boundary : Open, ReactionField or Ewald
+        With one of the last two the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
     density : float, optional
         Spheres per nm³ in the box; 0.8/sigma³, a liquid.
-    cutoff, switch, dielectric, long_range, ewald_tolerance, kernel
-        As `soft_dipole_force` takes them.
+    kernel : {"auto", "openmm", "compiled"}
+        Who computes the forces; see `soft_dipole_force`.
 
     Returns
     -------
@@ -136,21 +131,12 @@ def dipole_fluid(
         If the compiled kernel is asked for and numba is not installed.
     """
     vector = _dipole_vector(dipole)
-    if int(n) != n or n < 1:
-        raise ValueError(f"n must be a positive whole number of spheres, not {n}")
-    for name, value in (("sigma", sigma), ("epsilon", epsilon), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive, not {value}")
-    for name, value in (("perturbation", perturbation), ("trap", trap)):
-        if not (np.isfinite(value) and value >= 0.0):
-            raise ValueError(f"{name} must not be negative, not {value}")
-    n = int(n)
-    edge = next(k for k in range(1, n + 1) if k**3 >= n)
-    box = _box(n, sigma, density, trap) if periodic else None
-    if box is not None:
-        spacing = box / edge
-    elif density is not None or cutoff is not None or switch is not None or long_range == "ewald":
-        raise ValueError("density, cutoff, switch and long_range are for a periodic box: add periodic=True")
+    n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
+    checks.positive(epsilon, "epsilon", "kJ/mol")
+    spacing = checks.positive(spacing, "spacing", "nm")
+    perturbation = checks.not_negative(perturbation, "perturbation")
+    trap = checks.not_negative(trap, "trap")
+    box = _box(n, sigma, density, trap, boundary)
     sites = rigid_sites(mass, inertia)
     strength = float(np.linalg.norm(vector))
     arrow = 0.5 * sigma * (vector / strength)
@@ -168,15 +154,12 @@ def dipole_fluid(
         attraction=attraction,
         wca=wca,
         box=None if box is None else (box, box, box),
-        cutoff=cutoff,
-        switch=switch,
-        dielectric=dielectric,
-        long_range=long_range,
-        ewald_tolerance=ewald_tolerance,
+        boundary=boundary,
         kernel=kernel,
     )
     system.addForce(potential)
     if box is not None:
+        spacing = box / _places_a_side(n)
         vectors = box * np.eye(3)
         system.setDefaultPeriodicBoxVectors(*vectors)
         topology.setPeriodicBoxVectors(vectors * unit.nanometer)
@@ -184,19 +167,35 @@ def dipole_fluid(
         system.addForce(_harmonic_trap([centre for centre, _ in arrows], trap))
 
     rng = np.random.default_rng(seed)
-    lattice = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] - 0.5 * (edge - 1))
+    lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
-    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
-    shape = np.vstack([sites, np.zeros(3), arrow])
+    return topology, system, _turned(rng, centres, np.vstack([sites, np.zeros(3), arrow]))
+
+
+def _places_a_side(n: int) -> int:
+    """Return the places along an edge of the smallest cube that has n."""
+    return next(k for k in range(1, n + 1) if k**3 >= n)
+
+
+def _lattice(n: int) -> Array:
+    """Return the first n places (n, 3) of a cubic lattice of constant 1."""
+    return np.argwhere(np.ones(3 * (_places_a_side(n),)))[:n].astype(np.float64)
+
+
+def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
+    """Return the sites of molecules with this shape (k, 3) at these places, each turned at random."""
+    Q = quaternions.rotation_matrix(quaternions.random(rng, len(centres)))
     positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
-    return topology, system, unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
+    return unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
 
 
-def _box(n: int, sigma: float, density: float | None, trap: float) -> float:
-    """Return the edge of the cubic box of a liquid."""
-    density = 0.8 / sigma**3 if density is None else density
-    if not (np.isfinite(density) and density > 0.0):
-        raise ValueError(f"density must be positive, not {density}")
+def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Boundary) -> float | None:
+    """Return the edge of the cubic box of a liquid (nm), or None for a droplet."""
+    if not checked(boundary).periodic:
+        if density is not None:
+            raise ValueError("density is for a periodic box: add boundary=ReactionField() or boundary=Ewald()")
+        return None
+    density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
     if trap > 0.0:
         raise ValueError("a trap holds a droplet: a periodic liquid needs none")
     return float((n / density) ** (1.0 / 3.0))
@@ -302,11 +301,7 @@ def rigid_water(
     """
     if model not in _WATER_MODELS:
         raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
-    if int(n) != n or n < 1:
-        raise ValueError(f"n must be a positive whole number of molecules, not {n}")
-    if not (np.isfinite(spacing) and spacing > 0.0):
-        raise ValueError(f"spacing must be positive, not {spacing}")
-    n = int(n)
+    n, spacing = checks.whole(n, "n"), checks.positive(spacing, "spacing", "nm")
     file, distance, angle = _WATER_MODELS[model]
     topology = app.Topology()
     chain = topology.addChain()
@@ -315,18 +310,14 @@ def rigid_water(
         oxygen = topology.addAtom("O", app.element.oxygen, residue)
         for name in ("H1", "H2"):
             topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
-    rng = np.random.default_rng(seed)
-    edge = next(k for k in range(1, n + 1) if k**3 >= n)
     if options.get("nonbondedMethod", app.NoCutoff) not in (app.NoCutoff, app.CutoffNonPeriodic):
-        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
+        topology.setUnitCellDimensions(openmm.Vec3(*3 * [_places_a_side(n) * spacing]) * unit.nanometer)
     half = np.radians(angle) / 2.0
     x, z = distance * np.sin(half), distance * np.cos(half)
     shape = np.array([[0.0, 0.0, 0.0], [x, 0.0, z], [-x, 0.0, z]])
-    Q = quaternions.rotation_matrix(quaternions.random(rng, n))
-    centres = spacing * (np.argwhere(np.ones((edge, edge, edge)))[:n] + 0.5)
-    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
+    positions = _turned(np.random.default_rng(seed), spacing * (_lattice(n) + 0.5), shape)
     force_field = app.ForceField(file)
-    modeller = app.Modeller(topology, unit.Quantity(positions.reshape(-1, 3), unit.nanometer))
+    modeller = app.Modeller(topology, positions)
     modeller.addExtraParticles(force_field)
     system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
     placed = np.array(modeller.positions.value_in_unit(unit.nanometer))

@@ -25,17 +25,17 @@ def dielectric_gas(density, kT, mu2, core, closest=0.3, farthest=30.0):
         Between which J is summed: nearer there are no pairs, beyond the integrand falls as r^-7.
     """
     y = 4.0 * np.pi * density * mu2 / (9.0 * kT)
-    x, weights = np.polynomial.legendre.leggauss(400)
+    x, weights = np.polynomial.legendre.leggauss(200)
     log_r = 0.5 * np.log(closest * farthest) + 0.5 * np.log(farthest / closest) * x
     r = np.exp(log_r)
     volumes = 0.5 * np.log(farthest / closest) * weights * 4.0 * np.pi * r**3
-    J = np.sum(volumes * _correlation(mu2 / (kT * r**3), core(r) / kT))
+    J = np.sum(volumes * correlation(mu2 / (kT * r**3), core(r) / kT))
     return 1.0 + 3.0 * y * (1.0 + y + density * J), y
 
 
-def _correlation(a, core):
+def correlation(a, core):
     """Return <cos gamma exp(-core - a (sin sin cos phi - 2 cos cos))> (n,); phi is integrated by hand."""
-    c, w = np.polynomial.legendre.leggauss(60)
+    c, w = np.polynomial.legendre.leggauss(40)
     c1, c2, weight = c[:, None], c[None], 0.25 * w[:, None] * w[None]
     ss, cc = np.sqrt((1.0 - c1**2) * (1.0 - c2**2)), c1 * c2
     a, core = a[:, None, None], core[:, None, None]

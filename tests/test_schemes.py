@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpmath import mp
+from openmm_exactrb.propagate import compose
 
 import charts
 import openmm_exactrb as rb
 from openmm_exactrb import quaternions
 from openmm_exactrb.problems import HeavyTop, energy, integrate
-from openmm_exactrb.propagate import compose
 from openmm_exactrb.schemes import FORCE_GRADIENT, saba, sbab, stability_limit, symmetric
 from openmm_exactrb.schemes import scheme as look_up
 

@@ -31,14 +31,14 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"n": 0}, "positive whole number"),
-        ({"n": 2.5}, "positive whole number"),
-        ({"spacing": -1.0}, "spacing must be positive"),
-        ({"sigma": float("nan")}, "sigma must be positive"),
-        ({"epsilon": 0.0}, "epsilon must be positive"),
-        ({"mass": -1.0}, "mass must be positive"),
-        ({"perturbation": -0.1}, "perturbation must not be negative"),
-        ({"trap": float("inf")}, "trap must not be negative"),
+        ({"n": 0}, "n must be a whole number of at least 1, not 0"),
+        ({"n": 2.5}, "n must be a whole number"),
+        ({"spacing": -1.0}, "spacing must be a positive number of nm"),
+        ({"sigma": float("nan")}, "sigma must be a positive number of nm"),
+        ({"epsilon": 0.0}, "epsilon must be a positive number of kJ/mol"),
+        ({"mass": -1.0}, "mass must be a positive number of amu"),
+        ({"perturbation": -0.1}, "perturbation must be a number of at least 0"),
+        ({"trap": float("inf")}, "trap must be a number of at least 0"),
         ({"dipole": (0.0, 0.0, 0.0)}, "not all zero"),
         ({"dipole": (1.0, 0.0)}, "three finite numbers"),
         ({"dipole": 1.0}, "three finite numbers"),
@@ -46,6 +46,11 @@ def test_sites_have_exactly_the_wanted_inertia(rng, planar):
         ({"inertia": (1.0, 1.0, 3.0)}, "larger than the sum of the others"),
         ({"inertia": (1.0, 1.0, 0.0)}, "three positive moments"),
         ({"inertia": (1.0, 1.0)}, "three positive moments"),
+        ({"density": 0.8}, "density is for a periodic box: add boundary="),
+        ({"boundary": rb.ReactionField(), "density": -1.0}, "density must be a positive number"),
+        ({"boundary": rb.ReactionField(), "trap": 0.5}, "needs none"),
+        ({"boundary": rb.ReactionField(cutoff=10.0)}, "at most half the box"),
+        ({"boundary": "periodic"}, "boundary must be one of"),
     ],
 )
 def test_wrong_input_gets_one_sentence(options, message):
@@ -95,6 +100,14 @@ def test_the_lattice_has_the_wanted_constant():
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2) + 9 * np.eye(27)
     np.testing.assert_allclose(distances.min(axis=1), 1.3, rtol=1e-13)
     np.testing.assert_allclose(centres.mean(axis=0), 0.0, atol=1e-14)
+
+
+def test_the_box_of_a_liquid_has_its_density():
+    topology, system, _ = rb.dipole_fluid(50, boundary=rb.ReactionField(), density=0.4)
+    edges = [vector.value_in_unit(unit.nanometer) for vector in system.getDefaultPeriodicBoxVectors()]
+    assert np.linalg.det(edges) == pytest.approx(50 / 0.4)
+    assert system.usesPeriodicBoundaryConditions()
+    assert topology.getUnitCellDimensions()[0].value_in_unit(unit.nanometer) ** 3 == pytest.approx(50 / 0.4)
 
 
 def test_the_seed_decides():

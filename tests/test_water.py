@@ -70,7 +70,7 @@ def test_water_models_of_openmm_run_and_keep_their_energy_and_shape(model):
 def test_the_wrong_water_is_refused():
     with pytest.raises(ValueError, match="choose one of tip3p, spce"):
         rb.rigid_water(2, model="tip2p")
-    with pytest.raises(ValueError, match="positive whole number"):
+    with pytest.raises(ValueError, match="n must be a whole number of at least 1"):
         rb.rigid_water(0)
 
 

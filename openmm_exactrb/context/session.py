@@ -32,7 +32,7 @@ class Session:
     Parameters
     ----------
     context : openmm.Context
-        With positions.
+        With positions; `take_up` reads them.
     integrator : openmm.CustomIntegrator
         In whose variables the full state is kept.
     named : sequence of sequences of int, optional
@@ -54,7 +54,7 @@ class Session:
         self.bodies = find_bodies(context.getSystem(), x, named)
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
-        self.state = State.of(fit(self.bodies, x, v))
+        self.state: State
         self._outdated = _watched(context)
 
     @property

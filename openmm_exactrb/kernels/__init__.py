@@ -20,16 +20,22 @@ class Twins(NamedTuple):
 
     Attributes
     ----------
+    bath : module
+        Friction and noise on momenta.
     bodies : module
         Particles of rigid bodies: places, forces and torques.
     exact : module
         The free rotation.
+    noise : module
+        Random numbers that are looked up by seed, step and body.
     sums : module
         Unevaluated sums high + low.
     """
 
+    bath: ModuleType
     bodies: ModuleType
     exact: ModuleType
+    noise: ModuleType
     sums: ModuleType
 
 
@@ -48,16 +54,16 @@ def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
 
 @cache
 def _plain() -> Twins:
-    from openmm_exactrb.kernels.plain import bodies, exact, sums
+    from openmm_exactrb.kernels.plain import bath, bodies, exact, noise, sums
 
-    return Twins(bodies, exact, sums)
+    return Twins(bath, bodies, exact, noise, sums)
 
 
 @cache
 def _compiled() -> Twins:
-    from openmm_exactrb.kernels.compiled import bodies, exact, sums
+    from openmm_exactrb.kernels.compiled import bath, bodies, exact, noise, sums
 
-    return Twins(bodies, exact, sums)
+    return Twins(bath, bodies, exact, noise, sums)
 
 
 def available() -> bool:

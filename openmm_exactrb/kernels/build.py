@@ -40,10 +40,11 @@ def compiled(arguments: str) -> Callable[[Function], Function]:
     signature = types.void(*map(type_of, arguments.split()))
 
     def decorate(function: Function) -> Function:
-        dispatcher = _kept(njit(error_model="numpy", nogil=True)(function))
+        dispatcher: Any = _kept(njit(error_model="numpy", nogil=True)(function))
         dispatcher.compile(signature.args)
         dispatcher.disable_compile()
-        return dispatcher
+        ready: Function = dispatcher
+        return ready
 
     return decorate
 
@@ -54,7 +55,8 @@ def reordered(function: Function) -> Function:
     nan and inf stay what they are, no square root or division is approximated.
     """
     flags = {"reassoc", "contract", "arcp", "nsz"}
-    return _kept(njit(error_model="numpy", nogil=True, fastmath=flags)(function))
+    fast: Function = _kept(njit(error_model="numpy", nogil=True, fastmath=flags)(function))
+    return fast
 
 
 def inner(function: Function) -> Function:

@@ -48,7 +48,7 @@ class Kind:
     @property
     def turns(self) -> bool:
         """Whether the bodies have an attitude: all but single particles."""
-        return self.sites.shape[1] > 1
+        return bool(self.sites.shape[1] > 1)
 
     @property
     def linear(self) -> bool:

@@ -37,7 +37,8 @@ class Guard:
         self._bodies, self._potential = bodies, potential
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
         self._good = (0.0, 0.0)
-        self._at, self._before = (0, 0.0), None
+        self._at = (0, 0.0)
+        self._before: State | None = None
 
     def begin(self, state: State, kT: float = 0.0) -> None:
         """Take a state for good; with a bath, momenta may grow to those of kT (kJ/mol) anyway."""
@@ -63,11 +64,11 @@ class Guard:
 
         return guarded
 
-    def leave(self, state: State) -> None:
-        """Raise NonFiniteError where the step that ends with a state was a bad one."""
+    def leave(self, state: State) -> State:
+        """Return the state at the end of a step, or raise NonFiniteError if it was a bad one."""
         _, P, _, m = self._measured(state)
-        if _GROWN * self._good[0] >= P and m <= _GROWN * self._good[1]:
-            return None
+        if max(P - _GROWN * self._good[0], m - _GROWN * self._good[1]) <= 0.0:
+            return state
         assert self._before is not None
         energies = [(sum(self._bodies.kinetic_energies(s.rounded)), self._potential(s)) for s in (self._before, state)]
         (kinetic_before, potential_before), (kinetic, potential) = energies

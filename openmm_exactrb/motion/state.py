@@ -57,5 +57,6 @@ class State(NamedTuple):
         return BodyState(*(x[0] for x in self))
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; low parts stay where the high part is what it was."""
-        return State(*map(renewed, self, rounded))
+        """Return the state with new high parts; low parts, and whole arrays, stay where they are what they were."""
+        pairs = zip(self, rounded, strict=True)
+        return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))

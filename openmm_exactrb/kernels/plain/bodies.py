@@ -50,10 +50,12 @@ def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Arra
 
 def turned(Q: Array, sites: Array) -> Array:
     """Return Q b for attitudes (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
-    n = len(Q)
-    if len(sites) > 1:
-        return np.einsum("nij,nsj->nsi", Q, sites)
-    return (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, sites.shape[1]).swapaxes(1, 2)
+    n, (shapes, k, _) = len(Q), sites.shape
+    if shapes > 1:
+        own: Array = np.einsum("nij,nsj->nsi", Q, sites)
+        return own
+    shared: Array = (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, k).swapaxes(1, 2)
+    return shared
 
 
 def _attitudes(q: Array, bodies: slice) -> Array:

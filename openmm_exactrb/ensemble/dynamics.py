@@ -1,0 +1,86 @@
+"""Rigid-body dynamics as the function of a recipe."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.schemes import Scheme
+
+# What makes the forces of a platform the same numbers at every run.
+_DETERMINISTIC = {"CPU": {"Threads": "1", "DeterministicForces": "true"}}
+
+
+def energies(
+    build: Callable[..., Any],
+    *,
+    step: float,
+    duration: float,
+    scheme: str | Scheme = "SRKN4_6b",
+    rotor: str = "exact",
+    temperature: float | None = None,
+    seed: int = 0,
+    frames: int = 100,
+    platform: str = "Reference",
+    **arguments: Any,
+) -> dict[str, Any]:
+    """Run rigid-body dynamics and return its energies; ready for a `Recipe`.
+
+    Parameters
+    ----------
+    build : callable
+        ``build(**arguments)`` returns (topology, system, positions) or (topology, system, positions, velocities), as
+        `openmm_exactrb.dipole_fluid` and `openmm_exactrb.rigid_water` do. It gets the seed too if it takes one.
+    step, duration : float
+        In ps.
+    scheme, rotor
+        As `ExactRigidBodyIntegrator` takes them.
+    temperature : float, optional
+        In K. Momenta are drawn with the seed; without it they are those of the velocities, or zero.
+    seed : int, optional
+    frames : int, optional
+        Samples after the first one, evenly spread over the steps.
+    platform : str, optional
+        With "CPU", its one thread and its deterministic forces are chosen.
+    **arguments
+        For `build`.
+
+    Returns
+    -------
+    dict
+        "times" in ps and "energies" (total) in kJ/mol, lists of one length; "steps" and "evaluations" (of forces).
+
+    Raises
+    ------
+    NonFiniteError
+        If the run blows up.
+    """
+    seeded = {"seed": seed} if "seed" in inspect.signature(build).parameters else {}
+    _, system, positions, *velocities = build(**arguments, **seeded)
+    integrator = ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor)
+    kind = openmm.Platform.getPlatform(platform)
+    context = openmm.Context(system, integrator, kind, _DETERMINISTIC.get(platform, {}))
+    context.setPositions(positions)
+    if velocities:
+        context.setVelocities(velocities[0])
+    if temperature is not None:
+        integrator.setVelocitiesToTemperature(temperature, seed)
+    steps = max(1, round(duration / step))
+    stops = np.unique(np.linspace(0, steps, min(frames, steps) + 1).round().astype(int))
+    table = [_time_and_energy(context, integrator)]
+    integrator.timings.reset()
+    for stride in np.diff(stops).tolist():
+        integrator.step(stride)
+        table.append(_time_and_energy(context, integrator))
+    times, totals = zip(*table, strict=True)
+    return {"times": times, "energies": totals, "steps": steps, "evaluations": integrator.timings.evaluations}
+
+
+def _time_and_energy(context: openmm.Context, integrator: ExactRigidBodyIntegrator) -> tuple[float, float]:
+    """Return the time in ps and the total energy in kJ/mol."""
+    return context.getTime()._value, integrator.totalEnergy()._value

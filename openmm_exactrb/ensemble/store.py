@@ -1,0 +1,55 @@
+"""Results on disk: a folder with one file for each finished recipe."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import openmm
+
+from openmm_exactrb.ensemble.outcomes import Outcome
+from openmm_exactrb.ensemble.recipes import Recipe, package_version
+from openmm_exactrb.files import written_whole
+
+
+@dataclass(frozen=True)
+class Store:
+    """A folder with one file for each finished recipe.
+
+    Attributes
+    ----------
+    folder : path
+        Made if it is not there.
+    """
+
+    folder: Path
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def read(self, recipe: Recipe) -> Outcome | None:
+        """Return the outcome of a recipe if it is here; what is not readable is not here."""
+        try:
+            record = json.loads(self._file(recipe).read_text("utf-8"))
+            return Outcome(recipe, record["result"], seconds=record["seconds"], kept=True)
+        except (FileNotFoundError, ValueError, KeyError, TypeError):
+            return None
+
+    def write(self, outcome: Outcome) -> None:
+        """Keep an outcome, unless it is a failure."""
+        if outcome.error is not None:
+            return
+        record = {
+            "recipe": repr(outcome.recipe),
+            "versions": {"openmm-exactrb": package_version(), "openmm": openmm.Platform.getOpenMMVersion()},
+            "seconds": outcome.seconds,
+            "result": outcome.result,
+        }
+        # Another process may be finishing the same recipe.
+        with written_whole(self._file(outcome.recipe), part=f".{os.getpid()}.part") as file:
+            file.write(json.dumps(record, indent=1) + "\n")
+
+    def _file(self, recipe: Recipe) -> Path:
+        return self.folder / f"{recipe.key}.json"

@@ -1,0 +1,204 @@
+"""Soft dipolar spheres: the force, and what its PythonForce computes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb import checks
+from openmm_exactrb.context import arrays
+from openmm_exactrb.potentials import compiled
+from openmm_exactrb.potentials.boundaries import OPEN, Boundary, check_cutoff, checked, edges_of
+from openmm_exactrb.potentials.formula import soft_dipole_formula
+
+Array = NDArray[np.float64]
+
+
+def soft_dipole_force(
+    arrows: Sequence[tuple[int, int]],
+    *,
+    strength: float,
+    length: float,
+    sigma: float = 1.0,
+    epsilon: float = 1.0,
+    attraction: float = 0.0,
+    wca: bool = False,
+    box: Sequence[float] | None = None,
+    boundary: Boundary = OPEN,
+    kernel: str = "auto",
+) -> openmm.CustomCompoundBondForce | openmm.PythonForce:
+    """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
+
+    Section 3.4 of the paper; with `attraction` the Stockmayer fluid.
+
+    Parameters
+    ----------
+    arrows : sequence of (centre, tip)
+        Particles or virtual sites of each body: its centre, and a point at `length` from it along its dipole.
+    strength : float
+        Dipole moment in sqrt(kJ/mol nm³).
+    length : float
+        Distance between centre and tip in nm.
+    sigma, epsilon : float
+        In nm and kJ/mol.
+    attraction : float
+        How much of the attraction -4 epsilon (sigma/r)^6 of Lennard-Jones there is: 1 for the Stockmayer fluid.
+    wca : bool
+        Whether the spheres' energy ends at its minimum, raised to be zero there (Weeks, Chandler and Andersen, J. Chem.
+        Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. The second
+        derivative has a step there: take a scheme of order 2, none keeps a higher one.
+    box : sequence of three float, optional
+        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`.
+    boundary : Open, ReactionField or Ewald
+        What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
+    kernel : {"auto", "openmm", "compiled"}
+        Who computes it: OpenMM from a formula, or a compiled kernel in double precision on all cores, which needs
+        numba and is some fifty times faster on a CPU. "auto" takes the compiled one where numba is installed; on a
+        GPU platform ask for "openmm", which stays on the device. `Ewald` needs the compiled one.
+
+    Returns
+    -------
+    openmm.CustomCompoundBondForce or openmm.PythonForce
+        Both have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`, (strength/length)²,
+        and with an attraction `soft_attraction`, 4 epsilon sigma^6 times it. Energies and forces agree to 1e-13.
+
+    Raises
+    ------
+    ValueError
+        If the kernel is unknown, there is no arrow, a number is out of its range, box and boundary do not fit each
+        other, or an Ewald sum has too many waves, or another kernel than the compiled one.
+    ModuleNotFoundError
+        If the compiled kernel is asked for, or an Ewald sum, and numba is not installed.
+
+    Notes
+    -----
+    The box of OpenMM's formula is the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
+    change; the compiled kernel follows the box of the Context.
+
+    XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
+    """
+    if not arrows:
+        raise ValueError("soft dipoles need at least one arrow (centre, tip)")
+    edges = None if box is None else edges_of(box)
+    truncation = checked(boundary).truncation(edges)
+    in_kernel = compiled.chosen(kernel, needed=boundary.needs_kernel)
+    parameters = _parameters(strength, length, sigma, epsilon, attraction)
+    if wca and not attraction > 0.0:
+        raise ValueError("without an attraction there is no minimum: wca needs a positive one, 1 for Lennard-Jones")
+    if in_kernel:
+        force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
+        force.setParticles(list(itertools.chain(*arrows)))
+    else:
+        places = {f"box_{axis}": edge for axis, edge in zip("xyz", edges or (), strict=False)}
+        force = soft_dipole_formula(arrows, parameters | places, truncation, wca=wca)
+    force.setUsesPeriodicBoundaryConditions(boundary.periodic)
+    force.setName("SoftDipoleForce")
+    return force
+
+
+def _parameters(strength: float, length: float, sigma: float, epsilon: float, attraction: float) -> dict[str, float]:
+    """Return the parameters of a Context, which both kernels read."""
+    strength, length = checks.number(strength, "strength"), checks.positive(length, "length", "nm")
+    sigma, epsilon = checks.positive(sigma, "sigma", "nm"), checks.not_negative(epsilon, "epsilon")
+    parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
+    if checks.number(attraction, "attraction"):
+        parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
+    return parameters
+
+
+class SoftDipoles:
+    """What the PythonForce of soft dipoles computes; it can be pickled.
+
+    Parameters
+    ----------
+    truncation : (cutoff, switch, reaction), optional
+        Distances in nm and the strength of the reaction field in 1/nm³; with it the boundaries are periodic.
+    ewald : (alpha, k_max, dielectric), optional
+        An Ewald sum in place of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
+        relative permittivity around all images.
+    wca : bool
+        Whether the spheres' energy ends at its minimum.
+    """
+
+    # System XML has a pickle of it, in which this name and those of the attributes are written.
+    __module__ = "openmm_exactrb.potentials"
+
+    def __init__(
+        self,
+        truncation: tuple[float, float, float] | None = None,
+        ewald: tuple[float, float, float] | None = None,
+        *,
+        wca: bool = False,
+    ) -> None:
+        self.truncation = truncation
+        self.ewald = ewald
+        self.wca = wca
+
+    def __call__(self, state: openmm.State) -> tuple[float, Array]:
+        """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
+        box = self.truncation and state.getPeriodicBoxVectors(asNumpy=True)._value
+        return self.energy_and_forces(arrays.positions(state), dict(state.getParameters()), box)
+
+    def energy_and_forces(
+        self, positions: Array, parameters: Mapping[str, float], box: Array | None = None, threads: int | None = None
+    ) -> tuple[float, Array]:
+        """Return the energy and the forces on centres and tips.
+
+        Parameters
+        ----------
+        positions : (2 n, 3) array
+            In nm: centre and tip of the first arrow, of the second, ...
+        parameters : mapping
+            What a Context has: `soft_repulsion` (kJ/mol nm^12), `dipole_coupling` (kJ/mol nm) and, where there is an
+            attraction, `soft_attraction` (kJ/mol nm^6).
+        box : (3, 3) array, optional
+            Vectors in nm; for a truncation.
+        threads : int, optional
+            As many as the pairs are worth. Any number gives the same bits.
+
+        Returns
+        -------
+        energy : float
+            In kJ/mol.
+        forces : (2 n, 3) array
+            In kJ/mol/nm.
+
+        Raises
+        ------
+        ValueError
+            If the box is not rectangular or too small, or spheres that end at a minimum do not repel.
+        """
+        return compiled.pair_sum().soft_dipoles(  # type: ignore[no-any-return]
+            positions,
+            parameters["soft_repulsion"],
+            parameters["dipole_coupling"],
+            self.truncation and self._in_box(box),
+            threads,
+            attraction=parameters.get("soft_attraction"),
+            minimum=_minimum(parameters) if self.wca else None,
+            ewald=self.ewald,
+        )
+
+    def _in_box(self, box: Array | None) -> tuple[float, float, float, float, float, float]:
+        """Return the truncation as the kernel takes it."""
+        assert self.truncation is not None
+        if box is None or np.count_nonzero(box) != 3:
+            raise ValueError("soft dipoles need a rectangular box")
+        cutoff, switch, reaction = self.truncation
+        a, b, c = map(float, box.diagonal())
+        check_cutoff(cutoff, (a, b, c))
+        return a, b, c, float(cutoff**2), 1.0 / (cutoff**2 - switch**2), reaction
+
+
+def _minimum(parameters: Mapping[str, float]) -> tuple[float, float]:
+    """Return the squared distance (nm²) where the spheres' energy has its minimum, and the depth (kJ/mol)."""
+    repulsion = parameters["soft_repulsion"]
+    if not repulsion > 0.0:
+        raise ValueError(f"spheres with a minimum need a positive soft_repulsion, not {repulsion}")
+    ratio = parameters["soft_attraction"] / repulsion
+    return (2.0 / ratio) ** (1.0 / 3.0) if ratio > 0.0 else math.inf, 0.25 * ratio**2 * repulsion

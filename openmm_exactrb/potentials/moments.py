@@ -1,0 +1,45 @@
+"""Dipole moments and their units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from openmm import unit
+
+# Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
+_COULOMB = 138.93545764438198
+# 1 D = 1e-21/c C m, over the elementary charge.
+_DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
+
+
+def dipole_strength(dipole: unit.Quantity | float) -> float:
+    """Convert a dipole moment to sqrt(kJ/mol nm³), where the energy of two dipoles is mu²/r³ times an angle's factor.
+
+    Parameters
+    ----------
+    dipole : Quantity or float
+        A moment in units of charge times length (e nm, debye), or a number that already is in sqrt(kJ/mol nm³).
+
+    Raises
+    ------
+    ValueError
+        If the unit is not one of a dipole moment.
+
+    Examples
+    --------
+    >>> from openmm import unit
+    >>> round(dipole_strength(2.35 * unit.debye), 4)  # SPC/E water
+    0.5767
+    """
+    quantity: Any = dipole
+    if not unit.is_quantity(quantity):
+        return float(quantity)
+    if quantity.unit == unit.debye:
+        # OpenMM's own factor, 0.0208227 e nm, is off by 1.6e-4.
+        quantity = quantity.value_in_unit(unit.debye) * _DEBYE_IN_E_NM * unit.elementary_charge * unit.nanometer
+    try:
+        return float(quantity.value_in_unit(unit.elementary_charge * unit.nanometer) * _COULOMB**0.5)
+    except TypeError:
+        raise ValueError(
+            f"{dipole} is not a dipole moment: give it in e nm or debye, or as a number in sqrt(kJ/mol nm^3)"
+        ) from None

@@ -1,0 +1,53 @@
+"""What must be the same for a run to be resumed."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import openmm
+from openmm import unit
+
+from openmm_exactrb import kernels
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.version import version
+
+# What an integrator of all forces says: 32 bits.
+_EVERY_GROUP = -1
+
+
+def identity_of(simulation: Any) -> dict[str, str]:
+    """Return what decides the bits of a run, by name.
+
+    Parameters
+    ----------
+    simulation : openmm.app.Simulation
+        At its start, where bodies are named by hand: this fixes their shape, before a checkpoint is loaded.
+    """
+    integrator, system = simulation.integrator, simulation.system
+    identity = {
+        "openmm": openmm.__version__,
+        "openmm-exactrb": version("not installed"),
+        "kernels": "compiled" if kernels.available() else "numpy",  # they round differently
+        "platform": simulation.context.getPlatform().getName(),
+        "System": f"{system.getNumParticles()} particles, {_hash(openmm.XmlSerializer.serialize(system).encode())}",
+        "integrator": _settings(integrator),
+    }
+    if isinstance(integrator, ExactRigidBodyIntegrator) and integrator.hasNamedBodies():
+        bodies, _ = integrator.bodyState()
+        shapes = b"".join(kind.particles.tobytes() + kind.sites.tobytes() for kind in bodies.kinds)
+        identity["bodies"] = f"{len(bodies)}, {_hash(shapes)}"
+    return identity
+
+
+def _settings(integrator: Any) -> str:
+    text = f"{type(integrator).__name__}, step {integrator.getStepSize().value_in_unit(unit.picosecond)!r} ps"
+    if (groups := integrator.getIntegrationForceGroups()) != _EVERY_GROUP:
+        text += f", force groups {groups & 0xFFFFFFFF:#b}"
+    if isinstance(integrator, ExactRigidBodyIntegrator):
+        text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
+    return text
+
+
+def _hash(content: bytes) -> str:
+    return f"hash {hashlib.sha256(content).hexdigest()[:16]}"

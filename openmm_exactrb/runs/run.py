@@ -1,0 +1,277 @@
+"""A Simulation with its files in one folder."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NoReturn
+
+from openmm_exactrb.checks import not_negative, whole
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.guard import NonFiniteError
+from openmm_exactrb.runs import checkpoint, options
+from openmm_exactrb.runs.checkpoint import CHECKPOINT, Checkpoint
+from openmm_exactrb.runs.identity import identity_of
+from openmm_exactrb.runs.lock import only_process
+from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
+from openmm_exactrb.runs.signals import Signals
+
+# Steps between two looks at signals and the clock: as many as Simulation.step takes at once.
+_CHUNK = 10
+
+
+class Run:
+    """A Simulation with its files in one folder, which goes on after any accident as if nothing had happened.
+
+    At intervals the state and the lengths of all output files are saved, whole or not at all. A run that is resumed
+    cuts the files back to these lengths, loads the state and goes on, so that no frame is lost or doubled; on the
+    Reference platform every file ends in the same bits as without the accident.
+
+    Parameters
+    ----------
+    folder : str or path
+        Made when the run begins.
+    resume : bool, optional
+        Go on from the checkpoint in the folder; begin if there is neither a checkpoint nor a file of a run.
+    overwrite : bool, optional
+        Replace the files of an earlier run that is not resumed.
+    every : float, optional
+        Seconds between two checkpoints; infinite for none before the end.
+    settings : mapping, optional
+        What else must be the same for a run to be resumed, beside System, integrator, platform and reporters.
+
+    Raises
+    ------
+    FileExistsError
+        If the folder holds an earlier run that is neither to be resumed nor to be overwritten.
+    ValueError
+        If the checkpoint is damaged or of another version, or `every` is negative or no number.
+
+    Attributes
+    ----------
+    folder : path
+    resuming : bool
+        Whether there is a checkpoint to go on from.
+    wall : float
+        Seconds that the run took up to now, without what an accident lost.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        every: float = 60.0,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        never = every == math.inf
+        self._every = every if never else not_negative(every, "the time between checkpoints", "seconds")
+        self.folder = Path(folder)
+        self._may_replace = overwrite
+        self._settings = {f"setting {name}": str(value) for name, value in (settings or {}).items()}
+        self._outputs = Outputs(self.folder)
+        self._last = checkpoint.read(self._file) if resume and self._file.exists() else None
+        self.resuming = self._last is not None
+        self.wall = self._last.wall if self._last else 0.0
+        for name in (CHECKPOINT, TOPOLOGY):
+            self.path(name)
+
+    @staticmethod
+    def add_options(parser: argparse.ArgumentParser, folder: str = "out") -> None:
+        """Give a command line the options --out, --overwrite, --resume and --checkpoint."""
+        options.add_options(parser, folder)
+
+    @classmethod
+    def from_options(
+        cls,
+        args: argparse.Namespace,
+        subfolder: str = "",
+        *,
+        free: Iterable[str] = (),
+        settings: Mapping[str, Any] | None = None,
+    ) -> Run:
+        """Make a run from the options of `add_options`.
+
+        Parameters
+        ----------
+        args : argparse.Namespace
+            All options beside those of `add_options` must be the same for the run to be resumed.
+        subfolder : str, optional
+            Of --out.
+        free : iterable of str, optional
+            Options that may change.
+        settings : mapping, optional
+            What must be the same beside the options.
+
+        Raises
+        ------
+        FileExistsError, ValueError
+            As the class does.
+        """
+        return cls(**options.arguments_of(args, subfolder, free, settings))
+
+    def path(self, name: str) -> Path:
+        """Return the path of a file in the folder that this run may write.
+
+        Raises
+        ------
+        FileExistsError
+            If it is there, and the run may neither resume nor overwrite.
+        """
+        file = self.folder / name
+        if file.exists() and not (self.resuming or self._may_replace):
+            raise FileExistsError(
+                f"{file} is of an earlier run: choose another folder, add --resume where there is a checkpoint to go "
+                "on from, or add --overwrite"
+            )
+        return file
+
+    def add_reporter(self, reporter: Callable[..., Any], name: str, interval: int) -> None:
+        """Add an output file.
+
+        Parameters
+        ----------
+        reporter : callable
+            Makes the reporter from the path, the interval and ``append=``, as `EnergyReporter` and OpenMM's DCDReporter
+            and StateDataReporter do; with further options as a `functools.partial`.
+        name : str
+            Of the file in the folder.
+        interval : int
+            Steps between two reports; the start is reported too.
+
+        Raises
+        ------
+        FileExistsError
+            As `path` does.
+        ValueError
+            If the interval is no whole number of at least 1.
+        """
+        self.path(name)
+        self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
+
+    def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
+        """Bring a Simulation to a step, from its start or from the checkpoint.
+
+        On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps under way, saves a checkpoint, says how to go on
+        and raises SystemExit with the usual status, 128 + the number of the signal. A second signal acts at once.
+
+        Parameters
+        ----------
+        simulation : openmm.app.Simulation
+            At its start. Where a run is resumed the state does not matter, unless bodies are named by hand: their shape
+            is that of the first positions, which must be the same again.
+        until : int
+            Number of the last step.
+        progress : callable, optional
+            Is told how many steps were made since it was called last; first how many the checkpoint had.
+
+        Raises
+        ------
+        ValueError
+            If the checkpoint is of another System, platform, version, integrator or setting, or a file is shorter than
+            it says: nothing was changed then.
+        BlockingIOError
+            If another process is at work in the folder.
+        NonFiniteError
+            If a force or momentum became infinite or nan: all before it is on disk, with a checkpoint of the last good
+            step.
+        OSError
+            If a file cannot be written, for example on a full disk. What is there can be resumed.
+        SystemExit
+            After a signal.
+        """
+        tell = progress or (lambda steps: None)
+        identity = identity_of(simulation) | self._outputs.kinds() | self._settings
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with only_process(self.folder), Signals() as signals:
+            try:
+                self._begin(simulation, identity)
+                tell(simulation.currentStep)
+                self._step(simulation, until, tell, signals)
+                self._save(simulation)
+            except NonFiniteError as error:
+                self._save(simulation)
+                raise NonFiniteError(f"{error}. All before it is on disk: {self._files()}") from error
+            except OSError as error:
+                self._explain(error)
+            finally:
+                self._outputs.close(simulation)
+        if signals.caught:
+            _leave(simulation.currentStep, until, signals.caught)
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / CHECKPOINT
+
+    def _begin(self, simulation: Any, identity: dict[str, str]) -> None:
+        """Load the checkpoint and cut the files back to it, or save the first one and begin the files."""
+        if self._last is None:
+            self._last = Checkpoint(0, 0.0, {}, {}, identity, b"")
+            self._save(simulation)  # before there is a file: what is found beside a checkpoint is of its run
+        elif self.resuming:
+            self._last.refuse_others(identity, self._file)
+            simulation.context.loadCheckpoint(self._last.state)
+            _set_timings(simulation.integrator, self._last.timings)
+        self.resuming = False
+        self._outputs.open(simulation, self._last.files)
+
+    def _step(self, simulation: Any, until: int, tell: Callable[[int], object], signals: Signals) -> None:
+        now = time.monotonic()
+        due = now + self._every
+        while simulation.currentStep < until and not signals.caught:
+            steps = min(_CHUNK, until - simulation.currentStep)
+            simulation.step(steps)
+            self.wall += time.monotonic() - now
+            now = time.monotonic()
+            tell(steps)
+            if now >= due:
+                self._save(simulation)
+                due = time.monotonic() + self._every
+
+    def _save(self, simulation: Any) -> None:
+        """Write all files through to the disk, then a checkpoint that knows their lengths."""
+        assert self._last is not None
+        present = self._last._replace(
+            step=simulation.currentStep,
+            wall=self.wall,
+            timings=_timings(simulation.integrator),
+            files=self._outputs.secured(),
+            state=simulation.context.createCheckpoint(),
+        )
+        checkpoint.write(self._file, present)
+        self._last = present
+
+    def _files(self) -> str:
+        return f"{self.folder}: " + ", ".join([*self._outputs.kinds(), TOPOLOGY, CHECKPOINT])
+
+    def _explain(self, error: OSError) -> NoReturn:
+        step = self._last.step if self._last else 0
+        self.resuming = True
+        raise OSError(
+            f"{error.strerror or error} (writing to {self.folder}). The run is safe up to step {step}: "
+            "put it right and go on with the same command and --resume"
+        ) from error
+
+
+def _leave(step: int, until: int, number: int) -> NoReturn:
+    name = signal.Signals(number).name
+    print(f"\n{name}: stopped at step {step} of {until}. Go on with the same command and --resume", file=sys.stderr)
+    raise SystemExit(128 + number)
+
+
+def _timings(integrator: Any) -> dict[str, float]:
+    """Return the timings of the integrator by name; none of another one."""
+    return asdict(integrator.timings) if isinstance(integrator, ExactRigidBodyIntegrator) else {}
+
+
+def _set_timings(integrator: Any, timings: Mapping[str, float]) -> None:
+    for name, value in timings.items():
+        setattr(integrator.timings, name, value)

@@ -1,0 +1,43 @@
+"""Signals that ask a process to end."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType
+from typing import Any
+
+#: The signals that ask a process to end and can be caught.
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class Signals:
+    """Note the first signal that asks the process to end, instead of ending it; the second one ends it.
+
+    A signal that the process ignores, as `nohup` has it do, stays ignored.
+
+    Attributes
+    ----------
+    caught : int
+        Its number, or 0.
+    """
+
+    def __init__(self) -> None:
+        self.caught = 0
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Signals:
+        if threading.current_thread() is threading.main_thread():  # no other one may set handlers
+            for number in ENDING:
+                if signal.getsignal(number) != signal.SIG_IGN:
+                    self._before[number] = signal.signal(number, self._catch)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        self._before.clear()
+
+    def _catch(self, number: int, frame: FrameType | None) -> None:
+        self.caught = number
+        self.__exit__()

@@ -1,0 +1,163 @@
+"""Advice for a user's own system: which scheme and step, at which energy error and cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import openmm
+from openmm import app, unit
+
+from openmm_exactrb.checks import positive, whole
+from openmm_exactrb.schemes import CATALOGUE, Scheme
+from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.tuning.bench import Bench
+from openmm_exactrb.tuning.measurements import Measurements
+from openmm_exactrb.tuning.record import Choice
+from openmm_exactrb.tuning.result import Tuning
+from openmm_exactrb.tuning.search import Found, search
+from openmm_exactrb.tuning.start import start_of
+from openmm_exactrb.tuning.thermal import thermalised
+
+#: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
+#: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
+CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "W2_6", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
+
+# Length of the runs of the survey in units of the system's time scale, and of the run for which errors are promised in
+# units of that.
+_SURVEY, _LONGER = 100.0, 10.0
+
+
+def tune(
+    system: openmm.System | app.Simulation,
+    start: Any = None,
+    *,
+    target: float | None = None,
+    schemes: Sequence[str | Scheme] | None = None,
+    velocities: Any = None,
+    temperature: float | unit.Quantity | None = None,
+    platform: str | openmm.Platform | None = None,
+    properties: Mapping[str, str] | None = None,
+    bodies: Sequence[Sequence[int]] | None = None,
+    duration: float | unit.Quantity | None = None,
+    levels: int = 10,
+    seed: int = 0,
+    report: Callable[[str], None] | None = None,
+) -> Tuning:
+    """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
+
+    The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
+    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon: ten times the runs of the
+    survey. These run `duration`; how their variance grows from 1/8 of a run to all of it tells how it goes on, and the
+    recommended setting is run five times longer. A wandering energy is known badly from one run, so that its error is
+    raised by up to a half. Short swings alone would not do: near hard cores the energy of
+    high-order schemes wanders as a random walk does, and their advantage is lost in longer runs.
+
+    Parameters
+    ----------
+    system : openmm.System or openmm.app.Simulation
+        A Simulation gives its state, platform and bodies named by hand too. Thermostats, barostats and motion removers
+        are left out of the measurements.
+    start : openmm.State or (n, 3) array or Quantity, optional
+        A State with positions and velocities, best of an equilibrated run; or positions, in nm if without a unit.
+    target : float, optional
+        Wanted standard deviation of the total energy in kJ/mol a body. Without one all levels are measured, and the
+        result is asked.
+    schemes : sequence of str or Scheme, optional
+        `CANDIDATES` unless given. OpenMM's VerletIntegrator is measured beside them where constraints hold all bodies.
+    velocities : (n, 3) array or Quantity, optional
+        Beside positions, in nm/ps if without a unit.
+    temperature : float or Quantity, optional
+        In K: minimise positions that come without velocities, draw momenta and let them mix with the positions, 20
+        times within some periods. Needed where all velocities are zero.
+    platform : str or openmm.Platform, optional
+        The fastest one here unless given.
+    properties : mapping, optional
+        Of the platform.
+    bodies : sequence of sequences of int, optional
+        As in `ExactRigidBodyIntegrator`; those of the integrator of a Simulation unless given.
+    duration : float or Quantity, optional
+        Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
+        system unless given (1.5 ps for water).
+    levels : int, optional
+        Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
+    seed : int, optional
+        Of the momenta.
+    report : callable, optional
+        Gets a line of text for each run, such as `print`.
+
+    Returns
+    -------
+    Tuning
+
+    Raises
+    ------
+    ValueError
+        If something is missing or does not fit, all velocities are zero without a temperature, or a scheme is unknown
+        or cannot serve.
+    """
+    wanted = None if target is None else positive(target, "target", "kJ/mol a body")
+    chosen = _schemes(schemes)
+    levels = whole(levels, "levels", least=3)
+    length = None if duration is None else positive(_in(unit.picosecond, duration), "duration", "ps")
+    begin, notes = start_of(system, start, velocities, platform, properties, bodies)
+    if temperature is not None:
+        kelvin = positive(_in(unit.kelvin, temperature), "temperature", "K")
+        begin = thermalised(begin, kelvin, seed, minimise=not begin.velocities.any())
+        notes.append(
+            f"the start was brought to {kelvin:g} K in a short run: the State of an equilibrated one is better"
+        )
+    elif not begin.velocities.any():
+        raise ValueError(
+            "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
+            "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
+        )
+    bench = Bench(begin)
+    length = _SURVEY * bench.scales.time if length is None else length
+    measured = Measurements(bench, chosen, length, _LONGER * length, report or (lambda line: None))
+    return _result(measured, search(measured, wanted, levels), wanted, notes)
+
+
+def _result(measured: Measurements, found: Found, target: float | None, notes: list[str]) -> Tuning:
+    start = measured.bench.start
+    own = None if start.bodies is None else [list(map(int, body)) for body in start.bodies]
+    floor, best = found
+    if floor is not None and best is not None and best.error < 1.5 * floor:
+        notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
+    return Tuning(
+        points=tuple(measured.points),
+        seconds=measured.seconds,
+        stages=measured.stages,
+        n_bodies=measured.bench.scales.n_bodies,
+        platform=start.platform,
+        duration=measured.duration,
+        horizon=measured.horizon,
+        target=target,
+        chosen=None if best is None else Choice(best.method, best.step, best.error, best.cost, True, own),
+        floor=floor,
+        notes=tuple(notes),
+        bodies=own,
+    )
+
+
+def _schemes(names: Sequence[str | Scheme] | None) -> list[Scheme]:
+    if isinstance(names, (str, Scheme)):
+        names = [names]
+    schemes = [look_up(name) for name in (CANDIDATES if names is None else names)]
+    if not schemes:
+        raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
+    for scheme in schemes:
+        if scheme.c:
+            raise ValueError(f"scheme {scheme.name} needs force gradients, which OpenMM has not: leave it out")
+        if scheme.processor:
+            raise ValueError(
+                f"scheme {scheme.name} is processed: each look at the energy costs {scheme.processing} forces, and a "
+                "step has no cost of its own: leave it out"
+            )
+    return list({scheme.name: scheme for scheme in schemes}.values())
+
+
+def _in(kind: unit.Unit, value: Any) -> Any:
+    """Return a Quantity as a number in a unit, if that is its kind."""
+    fits = unit.is_quantity(value) and value.unit.is_compatible(kind)
+    return value.value_in_unit(kind) if fits else value

@@ -1,0 +1,111 @@
+"""Points of methods, each run when it is asked for and kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.tuning.bench import Bench
+from openmm_exactrb.tuning.curves import Point, is_flat, slope, stable_curve
+from openmm_exactrb.tuning.error import LOST
+from openmm_exactrb.tuning.movers import VERLET
+
+# An evaluation is the same work in all schemes, one force, drift and kick: what is further above the fastest is noise.
+_SAME_WORK = 1.15
+
+
+class Measurements:
+    """Points of methods, each run when it is asked for and kept.
+
+    Parameters
+    ----------
+    bench : Bench
+    schemes : sequence of Scheme
+        OpenMM's Verlet integrator is measured beside them where it moves the same bodies.
+    duration, horizon : float
+        Length in ps of a run of the survey, and of that for which errors are promised.
+    report : callable
+        Gets a line of text for each run.
+
+    Attributes
+    ----------
+    methods : dict
+        Scheme, or `VERLET`, by name.
+    stages : dict
+        Force evaluations a step by name.
+    seconds : dict
+        Wall time of a force evaluation in s by name, once `time` was called.
+    points : list of Point
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        schemes: Sequence[Scheme],
+        duration: float,
+        horizon: float,
+        report: Callable[[str], None],
+    ) -> None:
+        self.bench, self.duration, self.horizon, self._report = bench, duration, horizon, report
+        self.methods: dict[str, str | Scheme] = {s.name: s for s in schemes}
+        if bench.has_baseline:
+            self.methods[VERLET] = VERLET
+        self.stages = {name: bench.mover(method).stages for name, method in self.methods.items()}
+        self.seconds: dict[str, float] = {}
+        self.points: list[Point] = []
+
+    def at(self, name: str, interval: float, longer: float = 1.0) -> Point:
+        """Return the point of a method at a time a force evaluation in ps, run if it was not yet for as long.
+
+        Parameters
+        ----------
+        name : str
+        interval : float
+        longer : float, optional
+            Length of the run over that of the survey.
+        """
+        step, duration = self.stages[name] * interval, longer * self.duration
+        for known in self.points:
+            if known.method == name and math.isclose(known.step, step, rel_tol=1e-9):
+                if known.duration >= duration or math.isinf(known.error):
+                    return known
+                self.points.remove(known)
+                break
+        error = self.bench.run(self.methods[name], step, duration).error(self.horizon)
+        error = error if error < LOST * self.bench.scales.kinetic else math.inf
+        point = Point(name, step, error, self.seconds.get(name, math.nan) / interval, duration)
+        self.points.append(point)
+        shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol a body"
+        self._report(f"{name}, {1e3 * interval:.3g} fs an evaluation: {shown}")
+        return point
+
+    def time(self, interval: float) -> None:
+        """Time all methods at a time a force evaluation in ps; points learn what they cost."""
+        times = self.bench.seconds_per_evaluation(list(self.methods.values()), interval)
+        ours = [t for name, t in zip(self.methods, times, strict=True) if name != VERLET]
+        limit = {name: math.inf if name == VERLET else _SAME_WORK * min(ours) for name in self.methods}
+        self.seconds = {name: min(t, limit[name]) for name, t in zip(self.methods, times, strict=True)}
+        self.points = [replace(p, cost=self.seconds[p.method] * self.stages[p.method] / p.step) for p in self.points]
+
+    def schemes(self) -> list[str]:
+        """Return the schemes that were stable at some step."""
+        return [name for name in self.methods if name != VERLET and self.curve(name)]
+
+    def curve(self, name: str) -> list[Point]:
+        """Return the stable points of a method, cheapest first."""
+        return stable_curve([p for p in self.points if p.method == name])
+
+    def order(self, name: str) -> int:
+        """Return the order of a method."""
+        return look_up(self.methods[name]).order
+
+    def slope(self, name: str) -> float:
+        """Return the power with which the error of a method falls with the cost; see `curves.slope`."""
+        return slope(self.curve(name), self.order(name))
+
+    def is_flat(self, name: str) -> bool:
+        """Tell whether the error of a method no longer falls; see `curves.is_flat`."""
+        return is_flat(self.curve(name), self.order(name))

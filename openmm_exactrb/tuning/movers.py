@@ -1,0 +1,114 @@
+"""What moves a system: a scheme of ours, or OpenMM's Verlet integrator, which is the baseline."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.fit import fit
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.tuning.start import Start
+
+#: The baseline: OpenMM's own leapfrog with constraints.
+VERLET = "VerletIntegrator"
+
+
+class Mover(Protocol):
+    """What runs one method: a scheme of ours, or OpenMM's Verlet."""
+
+    stages: int
+
+    def begin(self, h: float) -> None:
+        """Go back to the start, and take this step size in ps."""
+
+    def move(self, steps: int) -> None:
+        """Make steps."""
+
+    def energy(self) -> float:
+        """Return the total energy at a full step in kJ/mol."""
+
+    def seconds_per_evaluation(self, steps: int) -> float:
+        """Make steps, and return the wall time that a force evaluation took."""
+
+
+class Ours:
+    """A scheme of the catalogue with the exact rotor."""
+
+    def __init__(self, start: Start, scheme: Scheme) -> None:
+        self._start, self.stages = start, scheme.stages
+        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies)
+        self._context = start.context(self._integrator)
+
+    def begin(self, h: float) -> None:
+        """Go back to the start, and take this step size in ps."""
+        self._integrator.setStepSize(h)
+        self._context.setPositions(self._start.positions)
+        self._context.setVelocities(self._start.velocities)
+
+    def move(self, steps: int) -> None:
+        """Make steps."""
+        self._integrator.step(steps)
+
+    def energy(self) -> float:
+        """Return the total energy in kJ/mol."""
+        return float(self._integrator.totalEnergy()._value)
+
+    def seconds_per_evaluation(self, steps: int) -> float:
+        """Make steps, and return the wall time that a force evaluation took."""
+        self._integrator.timings.reset()
+        self._integrator.step(steps)
+        return self._integrator.timings.total / self._integrator.timings.evaluations
+
+
+class Verlet:
+    """OpenMM's leapfrog, whose velocities are half a step late."""
+
+    stages = 1
+
+    def __init__(self, start: Start) -> None:
+        self._start = start
+        self._integrator = openmm.VerletIntegrator(1e-6)
+        self._integrator.setConstraintTolerance(1e-10)
+        self._context = start.context(self._integrator)
+        masses = [start.system.getParticleMass(i)._value for i in range(start.system.getNumParticles())]
+        self._inverse_masses = np.array([[1.0 / m if m > 0.0 else 0.0] for m in masses])
+        self._bodies = find_bodies(start.system, start.positions)
+        self._h = 0.0
+
+    def begin(self, h: float) -> None:
+        """Go back to the positions of the start, with the velocities of half a step before it."""
+        self._h = h
+        self._integrator.setStepSize(h)
+        self._context.setPositions(self._start.positions)
+        self._context.applyConstraints(1e-10)
+        forces = self._context.getState(forces=True).getForces(asNumpy=True)._value
+        self._context.setVelocities(self._start.velocities - 0.5 * h * forces * self._inverse_masses)
+        self._context.applyVelocityConstraints(1e-10)
+
+    def move(self, steps: int) -> None:
+        """Make steps."""
+        self._integrator.step(steps)
+
+    def energy(self) -> float:
+        """Return the total energy at a full step in kJ/mol.
+
+        Forces move the velocities on by half a step. Constraint forces within a rigid body change neither its momentum
+        nor its angular momentum, so that these give the kinetic energy exactly.
+        """
+        state = self._context.getState(positions=True, velocities=True, forces=True, energy=True)
+        forces = state.getForces(asNumpy=True)._value
+        v = state.getVelocities(asNumpy=True)._value + 0.5 * self._h * forces * self._inverse_masses
+        fitted = fit(self._bodies, state.getPositions(asNumpy=True)._value, v)
+        return float(state.getPotentialEnergy()._value + sum(self._bodies.kinetic_energies(fitted)))
+
+    def seconds_per_evaluation(self, steps: int) -> float:
+        """Make steps, and return the wall time that a force evaluation took."""
+        begun = time.perf_counter()
+        self._integrator.step(steps)
+        self._context.getState(positions=True)  # waits for platforms that work in the background
+        return (time.perf_counter() - begun) / steps

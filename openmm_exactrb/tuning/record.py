@@ -1,0 +1,118 @@
+"""What was measured, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import openmm
+
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.tuning.curves import Point, stable_curve
+from openmm_exactrb.tuning.movers import VERLET
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A scheme and a step.
+
+    Attributes
+    ----------
+    method : str
+        A scheme of the catalogue, or "VerletIntegrator".
+    step : float
+        Size of a whole step in ps.
+    error : float
+        Standard deviation of the total energy in kJ/mol a body to expect over the horizon.
+    cost : float
+        Wall time in s a ps.
+    confirmed : bool
+        Whether this very setting was run; else it lies between two that were.
+    bodies : list of lists of int, optional
+        For the integrator.
+    """
+
+    method: str
+    step: float
+    error: float
+    cost: float
+    confirmed: bool
+    bodies: list[list[int]] | None = None
+
+    def integrator(self) -> openmm.Integrator:
+        """Return a new integrator with this scheme and step."""
+        if self.method == VERLET:
+            return openmm.VerletIntegrator(self.step)
+        return ExactRigidBodyIntegrator(self.step, scheme=self.method, bodies=self.bodies)
+
+    def __str__(self) -> str:
+        return (
+            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol a body, "
+            f"{self.cost:.3g} s a ps ({86.4 / self.cost:.3g} ns a day)"
+        )
+
+
+@dataclass(frozen=True)
+class Record:
+    """What was measured.
+
+    Attributes
+    ----------
+    points : tuple of Point
+    seconds : mapping
+        Wall time of a force evaluation in s by method.
+    stages : mapping
+        Force evaluations a step by method.
+    n_bodies : int
+    platform : str
+    duration, horizon : float
+        Length in ps of the runs of the survey, and of the runs for which errors are promised.
+    target : float, optional
+        In kJ/mol a body.
+    chosen : Choice, optional
+        For the target, where it was reached.
+    floor : float, optional
+        The error below which smaller steps do not bring it, in kJ/mol a body.
+    notes : tuple of str
+    bodies : list of lists of int, optional
+    """
+
+    points: tuple[Point, ...]
+    seconds: Mapping[str, float]
+    stages: Mapping[str, int]
+    n_bodies: int
+    platform: str
+    duration: float
+    horizon: float
+    target: float | None = None
+    chosen: Choice | None = None
+    floor: float | None = None
+    notes: tuple[str, ...] = ()
+    bodies: list[list[int]] | None = field(default=None, repr=False)
+
+    def methods(self, method: str | None = None) -> list[str]:
+        """Return one method, if it was measured, or all schemes.
+
+        Raises
+        ------
+        ValueError
+            If the method was not measured.
+        """
+        if method is None:
+            return [name for name in self.seconds if name != VERLET]
+        if method not in self.seconds:
+            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.seconds)}")
+        return [method]
+
+    def curve(self, method: str) -> list[Point]:
+        """Return the stable points of a method beyond its last unstable one, cheapest first."""
+        return stable_curve([p for p in self.points if p.method == method])
+
+    def interval(self, point: Point) -> float:
+        """Return the time a force evaluation in ps, equal for points of one level."""
+        return float(f"{point.step / self.stages[point.method]:.6g}")
+
+    def choice(self, method: str, cost: float, error: float, measured: bool) -> Choice:
+        """Return the setting of a method that has a cost."""
+        step = self.stages[method] * self.seconds[method] / cost
+        return Choice(method, step, error, cost, measured, self.bodies)

@@ -1,0 +1,130 @@
+"""What a user gets: all that was measured, asked, printed, kept and drawn."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from openmm_exactrb.checks import positive
+from openmm_exactrb.tuning import answers, picture, text
+from openmm_exactrb.tuning.record import Choice, Record
+
+
+@dataclass(frozen=True)
+class Tuning(Record):
+    """What was measured, and the advice that follows; its attributes are those of `Record`."""
+
+    def best(self, target: float | None = None) -> Choice:
+        """Return the cheapest scheme of the catalogue and its step for an energy error.
+
+        Parameters
+        ----------
+        target : float, optional
+            Standard deviation of the total energy in kJ/mol a body within a run as long as the horizon. For the
+            target that was tuned for, and without one, the choice was confirmed by a longer run; others are
+            interpolated with `cheapest`.
+
+        Raises
+        ------
+        UnreachableError
+            With the smallest error that was found.
+        """
+        target = self.target if target is None else positive(target, "target", "kJ/mol a body")
+        if target is None:
+            raise ValueError("give best() a target: tune() was called without one")
+        if self.chosen is not None and target == self.target:
+            return self.chosen
+        return self.cheapest(target)
+
+    def cheapest(self, target: float, method: str | None = None) -> Choice:
+        """Return the cheapest setting for an energy error, between those measured.
+
+        Parameters
+        ----------
+        target : float
+            As for `best`.
+        method : str, optional
+            A scheme, or "VerletIntegrator"; all schemes of the catalogue unless given.
+
+        Raises
+        ------
+        UnreachableError
+            With the smallest error that was found.
+        ValueError
+            If the method was not measured or the target is not positive.
+        """
+        return answers.cheapest(self, positive(target, "target", "kJ/mol a body"), method)
+
+    def error_at(self, cost: float, method: str | None = None) -> Choice:
+        """Return the setting with the least energy error at a cost, and the error with it.
+
+        Parameters
+        ----------
+        cost : float
+            Wall time in s a ps.
+        method : str, optional
+            As for `cheapest`.
+
+        Raises
+        ------
+        UnreachableError
+            If every stable setting costs more.
+        ValueError
+            If the method was not measured or the cost is not positive.
+        """
+        return answers.least_error(self, positive(cost, "cost", "s a ps"), method)
+
+    def largest_stable_step(self, method: str) -> float:
+        """Return the largest step in ps of a scheme that kept its energy to a tenth of the kinetic energy.
+
+        Steps were tried up to the first unstable one, 19 % above it or less.
+
+        Raises
+        ------
+        ValueError
+            If the method was not measured, or no step of it was stable.
+        """
+        (name,) = self.methods(method)
+        steps = [p.step for p in self.curve(name)]
+        if not steps:
+            raise answers.UnreachableError(f"no step of {name} that was tried is stable")
+        return max(steps)
+
+    def __str__(self) -> str:
+        return text.summary(self)
+
+    def table(self) -> str:
+        """Return the errors of all methods over the time a force evaluation, as text."""
+        return text.table(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it as plain numbers, strings and lists; errors of unstable runs are None."""
+        content = asdict(self)
+        for point in content["points"]:
+            point["error"] = point["error"] if math.isfinite(point["error"]) else None
+        steps = {name: [p.step for p in self.curve(name)] for name in self.seconds}
+        content["largest_stable_steps"] = {name: max(s, default=None) for name, s in steps.items()}
+        content["units"] = {"error": "kJ/mol a body", "step": "ps", "cost": "s a ps", "seconds": "s"}
+        return content
+
+    def to_json(self) -> str:
+        """Return all of it as JSON."""
+        return json.dumps(self.as_dict(), indent=1)
+
+    def draw(self, file: str | os.PathLike[str]) -> None:
+        """Draw energy error over cost; needs matplotlib.
+
+        Parameters
+        ----------
+        file : str or path
+            With the ending of a format that matplotlib writes.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            Without matplotlib.
+        """
+        picture.draw(self, file)

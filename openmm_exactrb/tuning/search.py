@@ -1,0 +1,153 @@
+"""The search: level by level of the time a force evaluation, then longer runs near the target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from openmm_exactrb.tuning.curves import Point, cost_at
+from openmm_exactrb.tuning.measurements import Measurements
+from openmm_exactrb.tuning.movers import VERLET
+
+# The time a force evaluation at level 0, and at which evaluations are timed, in units of the system's time scale.
+_COARSE, _TIMED_AT = 0.4, 0.1
+_RATIO = 2.0**0.5  # between two levels
+_SEARCHED = 8  # levels on either side of 0 where a scheme may become unstable
+_UNCERTAIN = 4  # stable points of a method before it may be given up
+#: The recommended setting is run this much longer than those of the survey.
+_CONFIRM = 5.0
+
+
+class Found(NamedTuple):
+    """What a search found.
+
+    Attributes
+    ----------
+    floor : float or None
+        The error below which smaller steps do not bring it, in kJ/mol a body.
+    chosen : Point or None
+        The cheapest that holds the target.
+    """
+
+    floor: float | None = None
+    chosen: Point | None = None
+
+
+def search(measured: Measurements, target: float | None, levels: int) -> Found:
+    """Measure all methods from their largest stable steps on, until the target is held or nothing is gained.
+
+    Parameters
+    ----------
+    measured : Measurements
+    target : float or None
+        Standard deviation of the total energy in kJ/mol a body.
+    levels : int
+        Most levels.
+    """
+    first = {name: level for name in measured.methods if (level := _first_stable(measured, name)) is not None}
+    if not first:
+        return Found()
+    scale = measured.bench.scales.time
+    measured.time(min(_TIMED_AT * scale, _interval(measured, max(first.values()))))
+    live, floor, chosen = set(first), None, None
+    for level in range(min(first.values()), min(first.values()) + levels):
+        for name in measured.methods:
+            if name in live and level >= first[name]:
+                measured.at(name, _interval(measured, level))
+        live = _survivors(measured, live, target)
+        floor = _floor(measured) or floor
+        chosen = None if target is None else _confirmed(measured, target, chosen)
+        if chosen is not None or not live - {VERLET}:
+            break
+    return Found(floor, chosen)
+
+
+def _interval(measured: Measurements, level: float) -> float:
+    """Return the time a force evaluation of a level in ps."""
+    return float(_COARSE * measured.bench.scales.time * _RATIO**-level)
+
+
+# -- where a method is stable -------------------------------------------------------------------------------------
+
+
+def _is_stable(measured: Measurements, name: str, level: float) -> bool:
+    return math.isfinite(measured.at(name, _interval(measured, level)).error)
+
+
+def _first_stable(measured: Measurements, name: str) -> int | None:
+    """Find the first stable level of a method, and try half a level more."""
+    level = 0
+    if _is_stable(measured, name, level):
+        while level > -_SEARCHED and _is_stable(measured, name, level - 1):
+            level -= 1
+    else:
+        while level < _SEARCHED and not _is_stable(measured, name, level + 1):
+            level += 1
+        level += 1
+    if level > _SEARCHED:
+        return None
+    _is_stable(measured, name, level - 0.5)
+    return level
+
+
+# -- which methods are worth smaller steps ------------------------------------------------------------------------
+
+
+def _survivors(measured: Measurements, live: set[str], target: float | None) -> set[str]:
+    """Return the methods that are worth smaller steps."""
+    last = {name: curve[-1] for name in live if len(curve := measured.curve(name)) >= 2}
+    least = min((p.error for p in measured.points if p.method != VERLET), default=math.inf)
+    flat = {name for name in last if name != VERLET and measured.is_flat(name) and last[name].error < 2.0 * least}
+    done = flat | {name for name in last if target is not None and last[name].error <= target}
+    return live - done - _beaten(measured, {name: last[name] for name in last.keys() - done - {VERLET}})
+
+
+def _beaten(measured: Measurements, last: Mapping[str, Point]) -> set[str]:
+    """Return the methods that will not overtake: three times the error of one of their order, falling no faster.
+
+    Next to the largest stable step errors fall much faster than by their order: the first points say nothing.
+    """
+    beaten = set()
+    for name, mine in last.items():
+        for other in last.keys() - {name}:
+            theirs = last[other]
+            worse = mine.error > 3.0 * theirs.error and mine.cost > 0.9 * theirs.cost
+            sure = len(measured.curve(name)) > _UNCERTAIN and measured.slope(name) <= measured.slope(other) + 0.5
+            if worse and sure and measured.order(name) <= measured.order(other):
+                beaten.add(name)
+    return beaten
+
+
+def _floor(measured: Measurements) -> float | None:
+    """Return the least error, if those of two schemes, or of the only one, no longer fall near to it."""
+    names = measured.schemes()
+    least = min((p.error for name in names for p in measured.curve(name)), default=math.inf)
+    at_floor = [name for name in names if measured.is_flat(name) and measured.curve(name)[-1].error < 2.0 * least]
+    return least if len(at_floor) >= min(2, len(names)) else None
+
+
+# -- near the target ----------------------------------------------------------------------------------------------
+
+
+def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> Point | None:
+    """Run the cheapest settings near the target longer, and return the cheapest that holds it."""
+    reached = {name: cost_at(measured.curve(name), target) for name in measured.schemes()}
+    costs = {name: cost for name, cost in reached.items() if cost is not None}
+    for name in sorted(costs, key=costs.__getitem__)[:3]:
+        if chosen is None or costs[name] < min(0.98 * chosen.cost, 1.3 * min(costs.values())):
+            chosen = _approached(measured, name, 1.02 * costs[name], target, chosen) or chosen
+    return chosen
+
+
+def _approached(measured: Measurements, name: str, cost: float, target: float, chosen: Point | None) -> Point | None:
+    """Run a method longer at a cost, and at higher ones until it holds the target or is no longer the best."""
+    slope = max(measured.slope(name), float(measured.order(name)))
+    for _ in range(5):
+        if chosen is not None and cost > 0.98 * chosen.cost:
+            return None
+        point = measured.at(name, measured.seconds[name] / cost, _CONFIRM)
+        if point.error <= target:
+            return point
+        cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)
+    return None

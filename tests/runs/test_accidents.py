@@ -1,0 +1,169 @@
+"""Runs end in the same bytes after any accident, and nothing half-written is ever read."""
+
+import contextlib
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import mdtraj
+import numpy as np
+import pytest
+from droplets import COMMAND, STEPS, check_joined, one_line, same_bytes
+from processes import EXAMPLES, SETTINGS, finish, launch
+
+from openmm_exactrb.runs import checkpoint
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The droplet without an accident."""
+    folder = tmp_path_factory.mktemp("whole")
+    finished(folder / "errors", "--out", folder / "out")
+    return folder / "out"
+
+
+def finished(errors_file, *arguments):
+    """Run the droplet to its end."""
+    status, errors = finish(errors_file, *COMMAND, *arguments)
+    assert status == 0, errors
+
+
+def wait_until_running(process, folder):
+    """Wait until a process has changed its folder."""
+
+    def look():
+        with contextlib.suppress(FileNotFoundError):
+            return [(file.name, file.stat().st_size, file.stat().st_mtime_ns) for file in sorted(folder.iterdir())]
+
+    before = look()
+    while look() == before and process.running:
+        time.sleep(0.002)
+
+
+def wait_until_stepping(process, folder):
+    """Wait until a process has written some frames beside the first: it loads libraries before its first step."""
+    wait_until_running(process, folder)
+    trajectory = folder / "trajectory.dcd"
+
+    def size():
+        return trajectory.stat().st_size if trajectory.exists() else 0
+
+    before = size()
+    while size() < before + 1500 and process.running:
+        time.sleep(0.002)
+
+
+def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytestconfig):
+    folder, kills = tmp_path / "out", 0
+    dice = random.Random(os.environ.get("KILL_SEED", 8))
+    wanted = 40 if pytestconfig.getoption("--validate") else 20
+    places = set()
+    while kills < wanted:
+        often = dice.choice((0.0, 0.01, 60.0))
+        process = launch(tmp_path / "errors", *COMMAND, "--out", folder, "--resume", "--checkpoint", often)
+        if dice.random() < 0.8:  # else while it starts
+            wait_until_stepping(process, folder)
+            time.sleep(dice.uniform(0.0, 0.8 / wanted))
+        else:
+            time.sleep(dice.uniform(0.0, 0.4))
+        process.send(signal.SIGKILL)
+        assert process.status() == -signal.SIGKILL, f"the run was over before all kills: {process.errors}"
+        kills += 1
+        if (folder / "energies.csv").exists():
+            places.add((folder / "energies.csv").stat().st_size)
+    assert len(places) > 3  # they did not all hit the same place
+    finished(tmp_path / "errors", "--out", folder, "--resume")
+    check_joined(folder, whole)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGHUP, 129)])
+def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path, whole, number, status):
+    for attempt in range(5):  # on a busy machine a run may be over before the signal is sent
+        out = tmp_path / f"out{attempt}"
+        process = launch(tmp_path / "errors", *COMMAND, "--out", out)
+        wait_until_stepping(process, out)
+        process.send(number)
+        if process.status(60) != 0:
+            break
+    assert process.status() == status
+    assert "Traceback" not in process.errors
+    message = process.errors.strip().splitlines()[-1]
+    assert f"{number.name}: stopped at step " in message
+    assert "--resume" in message
+    step = int(message.split("stopped at step ")[1].split()[0])
+    assert 0 < step < STEPS
+    assert checkpoint.read(out / "checkpoint").step == step
+    finished(tmp_path / "errors", "--out", out, "--resume")
+    check_joined(out, whole)
+
+
+@pytest.mark.parametrize("kilobytes", [20, 100])
+def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path, whole, kilobytes):
+    """On a file system that is really full, in a mount namespace that goes with the shell."""
+    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("no rights to mount a small file system")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    script = f"""
+        mount -t tmpfs -o size={kilobytes}k tmpfs {disk}
+        "$@" 2> {tmp_path}/full; echo $? > {tmp_path}/status
+        "$@" --resume 2>> {tmp_path}/again
+        mount -o remount,size=10m {disk}
+        "$@" --resume --checkpoint 60 || exit 1
+        cp -r {disk}/out {tmp_path}/out
+    """
+    command = [sys.executable, EXAMPLES / COMMAND[0], *COMMAND[1:], "--out", disk / "out", "--checkpoint", 0.02]
+    shell = ["unshare", "-rm", "sh", "-c", script, "sh", *map(str, command)]
+    done = subprocess.run(shell, capture_output=True, text=True, env=os.environ | SETTINGS)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "status").read_text() == "1\n"
+    assert "No space left on device" in one_line((tmp_path / "full").read_text())
+    assert "No space left on device" in one_line((tmp_path / "again").read_text())
+    check_joined(tmp_path / "out", whole)
+
+
+def limit_size_of_files():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_001, 50_001))
+
+
+def test_a_file_size_limit_is_one_line_and_the_run_goes_on(tmp_path, whole):
+    options = "--out", tmp_path / "out", "--checkpoint", 0.05
+    status, errors = finish(tmp_path / "errors", *COMMAND, *options, before=limit_size_of_files)
+    assert status == 1
+    assert "File too large" in one_line(errors)
+    assert f"safe up to step {checkpoint.read(tmp_path / 'out' / 'checkpoint').step}: " in errors
+    assert "--resume" in errors
+    finished(tmp_path / "errors", "--out", tmp_path / "out", "--resume")
+    check_joined(tmp_path / "out", whole)
+
+
+def test_a_run_that_blows_up_has_all_before_it_on_disk(tmp_path):
+    """A step far too large: the error grows until spheres overlap and fly apart."""
+    options = "-n", 8, "--step", 7, "--duration", 7000, "--frames", 500, "--out", tmp_path / "out"
+    status, errors = finish(tmp_path / "errors", "dipole_fluid.py", *options)
+    assert status == 1
+    error = one_line(errors)
+    assert "ps: not finite or faster than light: body" in error
+    assert "nm apart" in error
+    assert "All before it is on disk" in error
+    bad = int(error.split("step ")[1].split(",")[0])
+    assert 2 < bad < 1000
+    out = tmp_path / "out"
+    steps = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1)[:, 0]
+    np.testing.assert_array_equal(steps, np.arange(0, bad, 2))
+    assert len(mdtraj.load(str(out / "trajectory.dcd"), top=str(out / "topology.pdb"))) == len(steps)
+    assert checkpoint.read(out / "checkpoint").step == bad - 1
+
+
+def test_bodies_named_by_hand_keep_their_shape_to_the_bit(tmp_path):
+    for arguments in ([30], [13], [30, "--resume"]):
+        folder = tmp_path / ("whole" if arguments == [30] else "parts")
+        options = "-n", 4, "--steps", *arguments, "--out", folder
+        status, errors = finish(tmp_path / "errors", "rigid_benzene.py", *options)
+        assert status == 0, errors
+    same_bytes(tmp_path / "parts", tmp_path / "whole")

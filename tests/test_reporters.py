@@ -1,0 +1,35 @@
+"""Reporters."""
+
+import openmm
+import pytest
+from openmm import app
+
+import openmm_exactrb as rb
+
+
+def simulation_of_two_dipoles():
+    topology, system, positions = rb.dipole_fluid(2)
+    platform = openmm.Platform.getPlatform("Reference")
+    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.005), platform)
+    simulation.context.setPositions(positions)
+    return simulation
+
+
+@pytest.mark.parametrize("make", [lambda n: rb.EnergyReporter("x", n), lambda n: rb.MomentReporter("x", n, [])])
+@pytest.mark.parametrize("interval", [0, -1, 2.5, None])
+def test_intervals_are_at_least_one_step(make, interval, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match="reportInterval must be a whole number of steps of at least 1"):
+        make(interval)
+    assert not list(tmp_path.iterdir())
+
+
+def test_energy_reporter_appends(tmp_path):
+    simulation = simulation_of_two_dipoles()
+    for append in (False, True):
+        reporter = rb.EnergyReporter(tmp_path / "energies.csv", 1, append=append)
+        simulation.reporters = [reporter]
+        simulation.step(2)
+        reporter.close()
+    lines = (tmp_path / "energies.csv").read_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == ["step", "1", "2", "3", "4"]

@@ -1,0 +1,36 @@
+"""Starts in equilibrium, and long runs from them."""
+
+import numpy as np
+import openmm
+
+
+def equilibrated(system, positions, platform="Reference", temperature=300.0, picoseconds=2.0):
+    """Return a State at a temperature."""
+    langevin = openmm.LangevinMiddleIntegrator(temperature, 5.0, 0.002)
+    langevin.setRandomNumberSeed(1)
+    context = openmm.Context(system, langevin, openmm.Platform.getPlatform(platform))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    context.setVelocitiesToTemperature(temperature, 1)
+    langevin.step(round(picoseconds / 0.002))
+    return context.getState(positions=True, velocities=True)
+
+
+def arrays(state):
+    return state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+
+
+def long_run(choice, result, system, state, platform):
+    """Return the standard deviation of the energy a body over the horizon, from the start of the survey."""
+    integrator = choice.integrator()
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    context.setPositions(state.getPositions())
+    context.setVelocities(state.getVelocities())
+    every = max(1, round(result.horizon / 2000.0 / choice.step))
+    energies = []
+    for _ in range(int(result.horizon / (every * choice.step))):
+        integrator.step(every)
+        kinetic = sum(part._value for part in integrator.kineticEnergies())
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value + kinetic)
+    return np.std(energies) / result.n_bodies

@@ -1,0 +1,155 @@
+"""Advice that holds: a run ten times longer than those of the survey stays within a factor 2 of the promised error."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import openmm
+import pytest
+from equilibrium import equilibrated, long_run
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb import tuning
+from openmm_exactrb.tuning.movers import VERLET
+
+FEW = ("V2", "S2_2", "SRKN4_6b")
+
+
+@pytest.fixture(scope="module")
+def lines():
+    return []
+
+
+@pytest.fixture(scope="module")
+def tuned(droplet, lines):
+    return rb.tune(*droplet, target=1e-3, schemes=FEW, platform="Reference", report=lines.append)
+
+
+def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
+    choice = tuned.best()
+    assert choice.confirmed
+    assert choice.error <= 1e-3
+    assert tuned.horizon == pytest.approx(10.0 * tuned.duration)
+    # An energy that wanders does so differently in every run: one of twelve was beyond twice the promise.
+    runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
+    assert np.median([long_run(run, tuned, *droplet, "Reference") for run in runs]) < 2.0 * choice.error
+
+
+def test_a_choice_builds_its_integrator(tuned):
+    choice = tuned.best(1e-3)
+    integrator = choice.integrator()
+    assert isinstance(integrator, rb.ExactRigidBodyIntegrator)
+    assert integrator.getScheme().name == choice.method
+    assert integrator.getStepSize()._value == choice.step
+    assert isinstance(tuned.cheapest(1e-2, VERLET).integrator(), openmm.VerletIntegrator)
+
+
+def test_smaller_errors_cost_more_and_more_cost_gives_smaller_errors(tuned):
+    loose, tight = tuned.cheapest(1e-2), tuned.cheapest(1.5e-3)
+    assert loose.cost < tight.cost
+    assert loose.error <= 1e-2
+    least = tuned.error_at(0.9 * loose.cost), tuned.error_at(tight.cost)
+    assert least[0].error > least[1].error
+    assert least[1].cost <= tight.cost * (1.0 + 1e-12)
+    assert least[1].error <= 1.5e-3 * (1.0 + 1e-9)
+
+
+def test_the_largest_stable_step_lies_below_an_unstable_one(tuned):
+    for name in FEW:
+        largest = tuned.largest_stable_step(name)
+        unstable = [p.step for p in tuned.points if p.method == name and math.isinf(p.error)]
+        assert largest < min(unstable) < 1.2 * largest
+    # Rigid water: 7 to 10 fs with Verlet.
+    assert 0.004 < tuned.largest_stable_step("V2") < 0.015
+
+
+def test_it_prints_well(tuned, lines):
+    text = str(tuned)
+    for part in ("kJ/mol a body", "fs an evaluation", "largest step, fs", "target 0.001:", VERLET, *FEW):
+        assert part in text
+    assert tuned.best().method in text
+    assert max(map(len, text.splitlines())) < 130
+    assert len(lines) == len({*lines})
+    assert all("fs an evaluation" in line for line in lines)
+
+
+def test_it_goes_into_json_and_a_picture(tuned, tmp_path):
+    content = json.loads(tuned.to_json())
+    assert content["chosen"]["method"] == tuned.best().method
+    assert content["largest_stable_steps"]["V2"] == tuned.largest_stable_step("V2")
+    assert len(content["points"]) == len(tuned.points)
+    tuned.draw(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 10_000
+
+
+def test_an_error_out_of_reach_is_said_with_the_smallest_found(tuned):
+    smallest = min(p.error for p in tuned.points)
+    with pytest.raises(tuning.UnreachableError) as error:
+        tuned.best(1e-9)
+    assert f"the smallest found is {smallest:.2g}" in str(error.value)
+    with pytest.raises(ValueError, match="no stable setting costs"):
+        tuned.error_at(1e-9)
+
+
+def test_the_floor_of_single_precision_is_named(droplet):
+    system, state = droplet
+    result = rb.tune(system, state, target=1e-9, schemes=("SRKN4_6b", "SRKN6_11b"), platform="CPU", duration=0.2)
+    assert result.chosen is None
+    assert 1e-7 < result.floor < 1e-3
+    assert "comes from the forces (single precision" in " ".join(str(result).split())
+    finest = min(p.step / rb.SCHEMES[p.method].stages for p in result.points if p.method in rb.SCHEMES)
+    assert finest > 5e-5  # it did not go on to tiny steps
+    with pytest.raises(ValueError, match=r"Below .* smaller steps do not lower the error"):
+        result.best()
+
+
+def test_a_loose_target_gets_the_largest_steps(droplet):
+    result = rb.tune(*droplet, target=0.5, schemes=["V2", "S2_3"], platform="Reference", duration=0.2)
+    choice = result.best()
+    assert choice.error <= 0.5
+    assert choice.step > 0.7 * result.largest_stable_step(choice.method)
+
+
+def test_the_default_schemes_are_of_the_catalogue():
+    assert set(tuning.CANDIDATES) <= set(rb.SCHEMES)
+
+
+# -- long ones --------------------------------------------------------------------------------------------------
+
+
+def tip3p_droplet():
+    _, system, positions = rb.rigid_water(64)
+    return system, equilibrated(system, positions, picoseconds=20.0), "Reference"
+
+
+def pme_box():
+    _, system, positions = rb.rigid_water(
+        216, nonbondedMethod=app.PME, nonbondedCutoff=0.8, switchDistance=0.7, ewaldErrorTolerance=1e-5
+    )
+    return system, equilibrated(system, positions, "CPU", picoseconds=20.0), "CPU"
+
+
+def dipoles():
+    _, system, positions = rb.dipole_fluid(n=125, seed=0, trap=0.5)
+    integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="S2_2")
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    for seed in range(10):
+        integrator.setVelocitiesToTemperature(120.0, seed)
+        integrator.step(50)
+    return system, context.getState(positions=True, velocities=True), "Reference"
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("target", [1e-3, 1e-4])
+@pytest.mark.parametrize("make", [tip3p_droplet, pme_box, dipoles])
+def test_the_advice_holds(make, target):
+    system, state, platform = make()
+    result = rb.tune(system, state, target=target, platform=platform)
+    choice = result.best()
+    assert choice.error <= target
+    actual = long_run(choice, result, system, state, platform)
+    print(f"\n{result}\npromised {choice.error:.2e}, ten times longer {actual:.2e}")
+    assert actual < 2.0 * choice.error

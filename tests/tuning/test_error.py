@@ -1,0 +1,30 @@
+"""What an error is: a swing does not grow with the run, a walk and a drift do."""
+
+import math
+
+import numpy as np
+import pytest
+
+from openmm_exactrb.tuning.error import Series, expected_error
+
+
+def test_the_error_of_a_swing_does_not_grow_with_the_run(rng):
+    energies = rng.standard_normal(4000)
+    assert expected_error(energies, 0.1, 4000.0) == pytest.approx(1.0, rel=0.1)
+
+
+def test_the_error_of_a_random_walk_grows_with_the_root_of_the_run(rng):
+    walks = np.cumsum(rng.standard_normal((200, 4000)), axis=1)
+    actual = np.sqrt(walks.var(axis=1).mean())
+    guesses = [expected_error(walk[:400], 1.0, 4000.0) for walk in walks]
+    assert 0.7 < np.median(guesses) / actual < 1.6
+    longer = np.array([expected_error(walk[:2000], 1.0, 4000.0) for walk in walks])
+    assert (walks.std(axis=1) > 2.0 * longer).mean() < 0.04
+
+
+def test_a_drift_counts():
+    assert expected_error(np.linspace(0.0, 1.0, 800), 1.0, 800.0) == pytest.approx(1.0 / math.sqrt(12.0), rel=0.6)
+
+
+def test_an_unstable_run_has_no_error():
+    assert math.isinf(Series(np.array([]), 0.1, False).error(1.0))
