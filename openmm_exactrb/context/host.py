@@ -72,7 +72,7 @@ class Host:
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 for word, whole in steps(scheme, n, alone=couplings.act):
-                    guard.enter(clock.number + 1, clock.time, state)
+                    guard.enter(clock.number + 1, clock.time, state, anew=couplings.act)
                     state = guard.leave(run(word, moves, state, h))
                     clock.next()
                     if whole:
