@@ -12,7 +12,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 import three_masses
-from dipoles import KT, REFERENCE, energies, simulation_of, snapshot
+from few_dipoles import KT, REFERENCE, energies, simulation_of, snapshot
 
 SHIFT = np.array([0.5, 0.0, 0.0])
 

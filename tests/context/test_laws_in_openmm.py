@@ -7,7 +7,7 @@ from openmm import app
 
 import charts
 import openmm_exactrb as rb
-from dipoles import REFERENCE, energies, simulation_of, snapshot
+from few_dipoles import REFERENCE, energies, simulation_of, snapshot
 from openmm_exactrb.motion.state import BodyState
 from orders import slope
 

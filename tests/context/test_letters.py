@@ -11,7 +11,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 import three_masses
-from dipoles import KT, REFERENCE, simulation_of, snapshot
+from few_dipoles import KT, REFERENCE, simulation_of, snapshot
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.rotors.flow import ascending
 from openmm_exactrb.schemes import Scheme
@@ -41,7 +41,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(a, b)
 
 
-# -- rotors and schemes -------------------------------------------------------------------------------------------------
+# -- rotors and schemes -----------------------------------------------------------------------------------------------
 
 
 def test_a_rotor_needs_no_entry():
@@ -88,13 +88,13 @@ def test_a_scheme_needs_no_entry():
 
 def test_what_is_neither_a_name_nor_an_object_is_refused():
     for scheme in (3, ("A", 1.0)):
-        with pytest.raises(ValueError, match="a scheme is one of V2.* or a Scheme"):
+        with pytest.raises(ValueError, match=r"a scheme is one of V2.* or a Scheme"):
             rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
     with pytest.raises(ValueError, match="hand over a Rotor"):
         rb.ExactRigidBodyIntegrator(0.01, rotor=turning_about_fixed_axes)
 
 
-# -- force gradients ----------------------------------------------------------------------------------------------------
+# -- force gradients --------------------------------------------------------------------------------------------------
 
 
 def chin_4a(strength):
@@ -129,7 +129,7 @@ def test_a_processed_scheme_with_force_gradients_has_order_four():
     assert abs(slope(positions, (60, 78, 102)) - 4.0) < 0.35
 
 
-# -- groups and nested words --------------------------------------------------------------------------------------------
+# -- groups and nested words ------------------------------------------------------------------------------------------
 
 
 def in_two_groups(simulation):
@@ -169,7 +169,7 @@ def test_nested_steps_in_openmm_have_order_two_and_few_evaluations_of_the_slow_f
     assert integrator.timings.evaluations == (5 + 1) + (4 * 5 + 1)
 
 
-# -- letters from outside -----------------------------------------------------------------------------------------------
+# -- letters from outside ---------------------------------------------------------------------------------------------
 
 
 def friction(rate):

@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from dipoles import REFERENCE, simulation_of, snapshot
+from few_dipoles import REFERENCE, simulation_of, snapshot
 from openmm_exactrb.context import arrays
 from openmm_exactrb.motion.engine import run
 from openmm_exactrb.motion.kick import kick

@@ -140,8 +140,8 @@ def test_positions_that_are_not_rigid_are_put_on_the_shape_or_refused_by_name(mi
 
 def test_the_best_fit_of_distorted_positions_keeps_the_centre_and_is_the_nearest_attitude(mixture, rng):
     system, x, bodies = mixture
+    y = x + 5.0 * RIGIDITY * rng.standard_normal(x.shape)
     with pytest.warns(ShapeWarning):
-        y = x + 5.0 * RIGIDITY * rng.standard_normal(x.shape)
         state = fit(bodies, y, np.zeros_like(x))
     mass = masses_of(system)
 
