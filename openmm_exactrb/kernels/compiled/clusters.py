@@ -135,7 +135,9 @@ def _factorise(r, weights, rows, columns, starts, left, right, A):
         for e in range(rows[c], rows[c + 1]):
             d = columns[e]
             for l in range(L):
-                A[e, l] = weights[e] * (r[c, l] * r[d, l] + r[c, L + l] * r[d, L + l] + r[c, 2 * L + l] * r[d, 2 * L + l])
+                A[e, l] = weights[e] * (
+                    r[c, l] * r[d, l] + r[c, L + l] * r[d, L + l] + r[c, 2 * L + l] * r[d, 2 * L + l]
+                )
             for k in range(starts[e], starts[e + 1]):
                 i, j = left[k], right[k]
                 for l in range(L):
@@ -281,25 +283,26 @@ def _step(X, P, t, graph, work):
     _start(X, P, graph, work)
     _of_each_component(slip, push[0])
     _of_each_component(defect, shift[0])
-    push[0][:] = -t * push[0] * r[0]
-    shift[0][:] = shift[0] * r[0] + push[0]
+    push[0][:] = -push[0] * r[0]
+    shift[0][:] = shift[0] * r[0] + t * push[0]
     _on_atoms(push[0], pairs, inverse, a)
     _differences(a, pairs, r[1])
-    r[1] += t * u[0]
+    r[1] += u[0]
+    r[1] *= t
     _bounds(r[1], bound[0])
-    small, k = 0, 0
+    small, k, by_time = 0, 0, 1.0 / t if t != 0.0 else 0.0
     while small < 2:
         if k == ORDERS:
             return False
         _next_order(flat_r, multipliers, k, A, graph, a, u, q, F, slip)
         k += 1
-        _add_terms(F[1], 1.0 / k, 1.0 / (k * (k + 1)), push[1], shift[1])
+        _add_terms(F[1], by_time / k, 1.0 / (k * (k + 1)), push[1], shift[1])
         small = 0 if _still_large(flat_r[k + 1], k + 1, bound[1]) else small + 1
     _on_atoms(shift[0], pairs, inverse, a)
     v *= t
     v += a
     _add(X, v)
-    _on_atoms(push[0], pairs, np.full(len(inverse), 1.0 / t if t != 0.0 else 0.0), a)
+    _on_atoms(push[0], pairs, np.ones(len(inverse)), a)
     _add(P, a)
     return True
 

@@ -164,9 +164,10 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
     r0, defect = _vectors(graph, x)
     A = _factor(graph, r0)
     v = inverse * p[0]
-    push = -t * _slip(graph, A, r0, p) * r0
-    shift = _solve(graph, A, defect) * r0 + push
-    r = [r0, t * _differences(graph, v) + _response(graph, push)]
+    by_time = 1.0 / t if t else 0.0
+    push = -_slip(graph, A, r0, p) * r0
+    shift = _solve(graph, A, defect) * r0 + t * push
+    r = [r0, t * (_differences(graph, v) + _response(graph, push))]
     bound = SETTLED * np.abs(r[1]).max(axis=(0, 1))
     multipliers: list[Array] = []
     small = np.zeros((ORDERS + 1, x.shape[-1]), dtype=bool)
@@ -179,14 +180,13 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
         F += multipliers[k] * r0
         r.append(_response(graph, F) / w)
         # A series that has settled goes on with the others; its terms are below a rounding.
-        push += F / (k + 1)
+        push += by_time / (k + 1) * F
         shift += F / w
         small[k + 1] = ~((k + 2) * np.abs(r[k + 2]).max(axis=(0, 1)) > bound)  # so that nan is settled
         settled = settled | (small[k] & small[k + 1])
         if settled.all():
             break
-    by_time = 1.0 / t if t else 0.0
-    return t * v + inverse * _on_atoms(graph, shift), by_time * _on_atoms(graph, push), settled
+    return t * v + inverse * _on_atoms(graph, shift), _on_atoms(graph, push), settled
 
 
 def _vectors(graph: Graph, x: Array) -> tuple[Array, Array]:
@@ -259,9 +259,9 @@ def _differences(graph: Graph, a: Array) -> Array:
 def _on_atoms(graph: Graph, F: Array) -> Array:
     """Return the sums of s_ca F_c on the atoms (3, n, N)."""
     total = np.zeros((3, len(graph.inverse), F.shape[2]))
-    i, j = graph.pairs.T
-    np.add.at(total, (slice(None), i), F)
-    np.subtract.at(total, (slice(None), j), F)
+    for c, (i, j) in enumerate(graph.pairs):
+        total[:, i] += F[:, c]
+        total[:, j] -= F[:, c]
     return total
 
 
@@ -274,7 +274,7 @@ def _dot(a: Array, b: Array) -> Array:
 def _add(x: Array, step: Array) -> Array:
     """Return the sum high + low x + step, or the plain number as (1, ...), rounded."""
     if len(x) == 1:
-        return (x[0] + step)[None]
+        return np.array([x[0] + step])
     step = step + x[1]
     total = x[0] + step
     shadow = total - x[0]
