@@ -90,9 +90,7 @@ def _product(a, b, k):
 
 
 def _fastest(pairs, x, v):
-    return max(
-        mp.norm(_minus(v[i], v[j])) / mp.norm(_minus(x[i], x[j])) for i, j in pairs
-    )
+    return max(mp.norm(_minus(v[i], v[j])) / mp.norm(_minus(x[i], x[j])) for i, j in pairs)
 
 
 def _minus(a, b):
@@ -127,7 +125,11 @@ _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3*
 
 def star(rays, mass=C, length=0.109):
     """Return masses, pairs and places of a star XHn."""
-    return [mass] + rays * [H], [(0, k + 1) for k in range(rays)], np.vstack([np.zeros(3), length * _TETRAHEDRON[:rays]])
+    return (
+        [mass] + rays * [H],
+        [(0, k + 1) for k in range(rays)],
+        np.vstack([np.zeros(3), length * _TETRAHEDRON[:rays]]),
+    )
 
 
 def water():
