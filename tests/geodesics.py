@@ -81,8 +81,9 @@ def _step(masses, pairs, x, v, t):
             for e in range(3):
                 X[a][e].append(force[a][e] / masses[a] / ((k + 1) * (k + 2)))
     assert max(abs(a[-1] * t ** (ORDER + 1)) for row in X for a in row) < mp.mpf(10) ** -DIGITS, "the step is too long"
-    at = [[mp.polyval(a[::-1], t) for a in row] for row in X]
-    return at, [[mp.polyval([k * c for k, c in enumerate(a)][:0:-1], t) for a in row] for row in X]
+    powers = [t**k for k in range(ORDER + 2)]
+    rates = [k * power for k, power in enumerate([mp.mpf(0), *powers[:-1]])]
+    return [[mp.fdot(a, powers) for a in row] for row in X], [[mp.fdot(a, rates) for a in row] for row in X]
 
 
 def _product(a, b, k):
@@ -107,7 +108,8 @@ def _coupling(masses, a, b):
 
 
 def _matrix(masses, pairs, r):
-    return mp.matrix([[_coupling(masses, a, b) * mp.fdot(p, q) for b, q in zip(pairs, r)] for a, p in zip(pairs, r)])
+    each = list(zip(pairs, r, strict=True))
+    return mp.matrix([[_coupling(masses, a, b) * mp.fdot(p, q) for b, q in each] for a, p in each])
 
 
 def _push(a, masses, pairs, r, multipliers):
@@ -153,7 +155,7 @@ def ring():
 
 def peptide():
     """All bonds of alanine dipeptide, ACE-ALA-NME, at places with bonds of about the right lengths."""
-    elements = "H C H H C O N H C H C H H H C O N H C H H H".split()
+    elements = "HCHHCONHCHCHHHCONHCHHH"
     bonds = [(1, 0), (1, 2), (1, 3), (1, 4), (4, 5), (4, 6), (6, 7), (6, 8), (8, 9), (8, 10), (10, 11), (10, 12)]
     bonds += [(10, 13), (8, 14), (14, 15), (14, 16), (16, 17), (16, 18), (18, 19), (18, 20), (18, 21)]
     rng = np.random.default_rng(8)

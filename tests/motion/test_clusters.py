@@ -39,7 +39,7 @@ def many(name, kernel, copies=1, seed=1, kT=2.494, away=0.0):
 def in_mpf(clusters, state):
     """Return places and velocities of all particles, exactly."""
     with mp.workdps(50):
-        x, p = ([[mp.mpf(h) + mp.mpf(l) for h, l in zip(*row, strict=True)] for row in a.transpose(2, 0, 1).swapaxes(1, 2).tolist()] for a in state)  # fmt: skip
+        x, p = ([[mp.mpf(a[0, e, k]) + mp.mpf(a[1, e, k]) for e in range(3)] for k in range(a.shape[2])] for a in state)
         order = np.argsort(clusters.particles)
         return [x[k] for k in order], [[c / mp.mpf(clusters.mass[k]) for c in p[k]] for k in order]
 
@@ -64,19 +64,19 @@ def momenta(clusters, state):
 
 
 @pytest.mark.parametrize("t", [0.0005, -0.002, 0.02])
-def test_a_drift_errs_by_a_rounding_of_what_it_changes(name, t, pytestconfig):
+def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, pytestconfig):
     if name == "peptide" and t == 0.02 and not pytestconfig.getoption("--validate"):
         pytest.skip("half a minute of mpmath: run with --validate")
     masses, pairs, _ = geodesics.CLUSTERS[name]
     clusters, state = many(name, "plain")
     x, v = in_mpf(clusters, state)
     x1, v1 = geodesics.flow(masses, pairs, x, v, t)
-    speed, turned = largest_difference(v, np.zeros((len(v), 3)).tolist()), largest_difference(v, v1)
+    speed = float(max(abs(c) for row in v for c in row))
     for kernel in KERNELS:
         clusters, _ = many(name, kernel)
         X, V = in_mpf(clusters, clusters.drift(state, t))
-        assert largest_difference(X, x1) < 4.0 * EPS * abs(t) * speed
-        assert largest_difference(V, v1) < 4.0 * EPS * (speed + turned)
+        assert largest_difference(X, x1) < 3.0 * EPS * abs(t) * speed
+        assert largest_difference(V, v1) < 3.0 * EPS * speed
 
 
 def test_a_triangle_with_all_its_distances_is_the_free_rigid_body(kernel):
@@ -119,14 +119,15 @@ def test_the_oracle_itself_keeps_energy_and_constraints_to_its_digits():
 # -- laws -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("t", [0.0005, 0.004, 0.02])
-def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t):
+@pytest.mark.parametrize(("t", "rounding"), [(0.0005, 1e-15), (0.004, 1e-15), (0.02, 0.5 * EPS * 500**0.5)])
+def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t, rounding):
+    """In a step of 20 fs hydrogens turn by half a radian, and the energy walks with half a rounding a step."""
     clusters, start = many(name, "compiled", away=10.0)
     state = start
     for _ in range(500):
         state = clusters.drift(state, t)
         assert np.abs(relative_misfits(clusters, state)).max() < 1e-15
-        assert abs(clusters.kinetic_energy(state) / clusters.kinetic_energy(start) - 1.0) < 1e-15
+        assert abs(clusters.kinetic_energy(state) / clusters.kinetic_energy(start) - 1.0) < rounding
     assert np.abs(state.high.x - start.high.x).max() > 0.05
 
 
@@ -302,7 +303,7 @@ def test_kinds_stand_side_by_side_and_the_twins_agree():
 
 
 def test_stars_are_of_one_kind_in_whatever_order_their_particles_stand():
-    masses = [12.0, 1.0, 1.0, 2.0] + [1.0, 2.0, 12.0, 1.0]
+    masses = [12.0, 1.0, 1.0, 2.0, 1.0, 2.0, 12.0, 1.0]
     clusters = find_clusters(masses, [(0, 1), (2, 0), (0, 3), (6, 5), (4, 6), (7, 6)], [0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     assert [kind.particles.tolist() for kind in clusters.kinds] == [[[0, 1, 2, 3], [6, 4, 7, 5]]]
     assert clusters.kinds[0].shape == "star"
@@ -423,7 +424,7 @@ def test_a_triangle_on_a_line_is_a_singular_place(kernel):
 def test_places_that_miss_the_constraints_are_refused(kernel):
     masses, pairs, x = geodesics.CLUSTERS["XH3"]
     clusters = find_clusters(masses, pairs, geodesics.lengths_of(pairs, x), kernel)
-    with pytest.raises(ValueError, match=r"missed by 0\.0109 nm, .* call context.applyConstraints"):
+    with pytest.raises(ValueError, match=r"missed by 0\.011 nm, .* call context.applyConstraints"):
         clusters.fit(1.1 * x, np.zeros(x.shape))
     with pytest.raises(ValueError, match="not finite"):
         clusters.fit(np.where(x == x[1], np.nan, x), np.zeros(x.shape))

@@ -264,7 +264,7 @@ def _bounds(r, bound):
 def _start(X, P, graph, work):
     """Write r_0, the factor of A, velocities, and the multipliers that put place and momentum right."""
     inverse, pairs, lengths, weights, rows, columns, starts, left, right = graph
-    (r, _), _, (v, _), (u, _), (q, _), _, _, _, _, defect, slip, A = work
+    (r, _), _, (v, _, _), (u, _), (q, _), _, _, _, _, defect, slip, A = work
     _defects(X, pairs, lengths, r[0], defect)
     _factorise(r[0], weights, rows, columns, starts, left, right, A)
     _times(P[0], inverse, v)
@@ -275,18 +275,45 @@ def _start(X, P, graph, work):
     _solve(A, rows, columns, defect)
 
 
+@reordered
+def _keep_the_energy(p, change, inverse):
+    """Take the little from a change of momenta by which rounding has it change the energy; p is overwritten."""
+    L, mass = p.shape[1] // 3, (1.0 / inverse).sum()
+    total, gained, energy = np.zeros(3 * L), np.zeros(3 * L), np.zeros(3 * L)
+    for k in range(len(inverse)):
+        for i in range(3 * L):
+            total[i] += p[k, i]
+    for k in range(len(inverse)):
+        part = 1.0 / (inverse[k] * mass)
+        for i in range(3 * L):
+            about_centre = p[k, i] - part * total[i]
+            after = about_centre + change[k, i]
+            gained[i] += inverse[k] * change[k, i] * (about_centre + after)
+            energy[i] += inverse[k] * after * after
+            p[k, i] = after
+    for l in range(L):
+        twice = energy[l] + energy[L + l] + energy[2 * L + l]
+        too_much = 0.5 * (gained[l] + gained[L + l] + gained[2 * L + l]) / twice if twice > 0.0 else 0.0
+        total[l] = total[L + l] = total[2 * L + l] = too_much
+    for k in range(len(inverse)):
+        for i in range(3 * L):
+            change[k, i] -= total[i] * p[k, i]
+
+
 @inner
 def _step(X, P, t, graph, work):
     """Advance a block by t; or change nothing and tell that the series does not settle."""
-    inverse, pairs = graph[0], graph[1]
-    (r, flat_r), multipliers, (v, a), u, q, F, shift, push, bound, defect, slip, A = work
+    inverse, pairs, ones = graph[0], graph[1], np.ones(len(graph[0]))
+    (r, flat_r), multipliers, (v, a, projection), u, q, F, shift, push, bound, defect, slip, A = work
     _start(X, P, graph, work)
     _of_each_component(slip, push[0])
     _of_each_component(defect, shift[0])
     push[0][:] = -push[0] * r[0]
     shift[0][:] = shift[0] * r[0] + t * push[0]
-    _on_atoms(push[0], pairs, inverse, a)
+    _on_atoms(push[0], pairs, ones, projection)
+    _times(projection, inverse, a)
     _differences(a, pairs, r[1])
+    push[0][:] = 0.0
     r[1] += u[0]
     r[1] *= t
     _bounds(r[1], bound[0])
@@ -302,7 +329,10 @@ def _step(X, P, t, graph, work):
     v *= t
     v += a
     _add(X, v)
-    _on_atoms(push[0], pairs, np.ones(len(inverse)), a)
+    _on_atoms(push[0], pairs, ones, a)
+    v[:] = P[0] + projection
+    _keep_the_energy(v, a, inverse)
+    a += projection
     _add(P, a)
     return True
 
@@ -334,7 +364,7 @@ def _workspace(graph, L, orders):
     return (
         (r, r.reshape(orders + 2, -1)),
         (multipliers, multipliers.reshape(orders, -1)),
-        (np.empty((n, 3 * L)), np.empty((n, 3 * L))),
+        (np.empty((n, 3 * L)), np.empty((n, 3 * L)), np.empty((n, 3 * L))),
         _rows(m, L),
         _rows(m, L),
         _rows(m, L),
@@ -377,7 +407,7 @@ def project(x, p, first, count, inverse, pairs, lengths, weights, rows, columns,
     L = min(count, LANES)
     X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
     work = _workspace(graph, L, 0)
-    (r, _), _, (_, a), _, _, F, _, _, _, _, slip, _ = work
+    (r, _), _, (_, a, _), _, _, F, _, _, _, _, slip, _ = work
     for start in range(0, count, L):
         _gather(x, first, count, start, X)
         _gather(p, first, count, start, P)
