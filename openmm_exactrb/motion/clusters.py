@@ -29,7 +29,7 @@ Indices = NDArray[np.int64]
 MISFIT = 1e-4
 #: Constraints that a cluster may have.
 LARGEST = 1000
-#: The smallest eigenvalue of r_c.r_d B_cd, scaled to a diagonal of ones, where constraints still are independent.
+#: Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
 INDEPENDENT = 1e-9
 #: Newton's steps onto the constraints: each squares what is left of `MISFIT`.
 _NEWTON = 6
@@ -157,15 +157,19 @@ class ClusterKind:
         Returns
         -------
         independence : (N,) array
-            The smallest eigenvalue of B_cd r_c.r_d, scaled to a diagonal of ones; 0 where a constraint follows from
-            others.
+            The smallest part of a constraint's gradient, squared, in the mass metric, that those before it in
+            `graph` do not have; 0 where it follows from them.
         constraint : (N,) array
+            Its number in `graph`.
         """
-        r = x[:, self.pairs[:, 0]] - x[:, self.pairs[:, 1]]
-        r /= np.maximum(np.linalg.norm(r, axis=2, keepdims=True), np.finfo(float).tiny)
-        root = np.sqrt(np.diag(self.coupling))
-        values, vectors = np.linalg.eigh(self.coupling / (root[:, None] * root) * (r @ r.swapaxes(1, 2)))
-        return values[:, 0], np.abs(vectors[:, :, 0]).argmax(axis=1)
+        r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
+        r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)
+        diagonal = self.graph.rows[1:] - 1
+        with np.errstate(all="ignore"):
+            inverse_roots = np.array(plain.factor(self.graph, r))[diagonal]
+            rest = 1.0 / (inverse_roots * inverse_roots * self.graph.weights[diagonal, None])
+        rest = np.where(np.isfinite(rest), rest, 0.0)
+        return rest.min(axis=0), rest.argmin(axis=0)
 
     def _refuse_numbers(self) -> None:
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
@@ -188,7 +192,7 @@ class ClusterKind:
         places = np.random.default_rng(0).standard_normal((3, len(self.masses), 3))
         independence, constraint = self.most_dependent(places)
         if independence.max() < INDEPENDENT:
-            i, j = self.particles[0, self.pairs[constraint[np.argmax(independence)]]]
+            i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
             raise ValueError(
                 f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove it"
             )
@@ -393,7 +397,7 @@ def _check_places(kind: ClusterKind, x: Array, v: Array) -> None:
     independence, constraint = kind.most_dependent(x)
     if (independence < INDEPENDENT).any():
         worst = int(np.argmin(independence))
-        i, j = kind.particles[worst, kind.pairs[constraint[worst]]]
+        i, j = kind.particles[worst, kind.graph.pairs[constraint[worst]]]
         raise ValueError(
             f"{kind.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and {j} "
             "follows from the others, as for three particles of a triangle on a line: move them, or remove it"

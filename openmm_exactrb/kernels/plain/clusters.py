@@ -133,7 +133,7 @@ def project(
     P = _of_kind(p, first, count, graph)
     with np.errstate(all="ignore"):
         r, _ = _vectors(graph, _of_kind(x, first, count, graph))
-        slip = _slip(graph, _factor(graph, r), r, P)
+        slip = _slip(graph, factor(graph, r), r, P)
         _of_kind(p1, first, count, graph)[:] = _add(P, _on_atoms(graph, -slip * r))
 
 
@@ -162,7 +162,7 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
     """Return the changes of places and momenta (3, n, N) in the time t, and for which clusters they hold."""
     inverse = graph.inverse[:, None]
     r0, defect = _vectors(graph, x)
-    A = _factor(graph, r0)
+    A = factor(graph, r0)
     v = inverse * p[0]
     by_time = 1.0 / t if t else 0.0
     slip = -_slip(graph, A, r0, p) * r0
@@ -232,7 +232,7 @@ def _slip(graph: Graph, A: list[Array], r: Array, p: Array) -> Array:
     return _solve(graph, A, _dot(r, _differences(graph, graph.inverse[:, None] * p[0])))
 
 
-def _factor(graph: Graph, r: Array) -> list[Array]:
+def factor(graph: Graph, r: Array) -> list[Array]:
     """Return the Cholesky factor of A, entry by entry (N,), with the inverse of its diagonal in the place of it."""
     A: list[Array] = []
     for c in range(len(graph.pairs)):
