@@ -11,19 +11,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from types import ModuleType
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb.kernels import build
+from openmm_exactrb import kernels
 from openmm_exactrb.kernels.plain import clusters as plain
 from openmm_exactrb.kernels.plain.clusters import Graph
 from openmm_exactrb.motion.elimination import eliminated
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Which = Literal["fastest", "numpy", "numba"]
 
 #: Constraints further than this from their lengths, in nm, are refused.
 MISFIT = 1e-4
@@ -207,23 +207,23 @@ class Clusters:
     Parameters
     ----------
     kinds : sequence of ClusterKind
-    kernel : str, optional
-        "plain" for numpy, "compiled" for numba, "auto" for the faster one that is there.
+    kernel : {"fastest", "numpy", "numba"}, optional
+        See `openmm_exactrb.kernels.twins`.
 
     Raises
     ------
     ModuleNotFoundError
-        If "compiled" is asked for and numba is not installed.
+        If "numba" is asked for and not installed.
     """
 
-    def __init__(self, kinds: Sequence[ClusterKind], kernel: str = "auto") -> None:
+    def __init__(self, kinds: Sequence[ClusterKind], kernel: Which = "fastest") -> None:
         self.kinds = tuple(kinds)
         sizes = [kind.particles.size for kind in self.kinds]
         self.first = np.cumsum([0, *sizes], dtype=np.int64)
         #: Particles (M,) and masses (M,) of the columns of a state.
         self.particles: Indices = np.concatenate([np.empty(0, np.int64), *(k.particles.T.ravel() for k in self.kinds)])
         self.mass: Array = np.concatenate([np.empty(0), *(np.repeat(k.masses, len(k.particles)) for k in self.kinds)])
-        self._kernel = _twin(kernel)
+        self._kernel = kernels.twins(kernel).clusters
 
     def __len__(self) -> int:
         """Return the number of clusters."""
@@ -312,7 +312,7 @@ class Clusters:
         return np.asarray(~finite.all(axis=0))
 
 
-def find_clusters(masses: ArrayLike, pairs: ArrayLike, lengths: ArrayLike, kernel: str = "auto") -> Clusters:
+def find_clusters(masses: ArrayLike, pairs: ArrayLike, lengths: ArrayLike, kernel: Which = "fastest") -> Clusters:
     """Sort constraints into clusters, and clusters into kinds.
 
     Parameters
@@ -323,8 +323,7 @@ def find_clusters(masses: ArrayLike, pairs: ArrayLike, lengths: ArrayLike, kerne
         Particles of each constraint.
     lengths : (n_constraints,) array_like
         In nm.
-    kernel : str, optional
-        See `Clusters`.
+    kernel : {"fastest", "numpy", "numba"}, optional
 
     Raises
     ------
@@ -402,11 +401,3 @@ def _check_places(kind: ClusterKind, x: Array, v: Array) -> None:
             f"{kind.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and {j} "
             "follows from the others, as for three particles of a triangle on a line: move them, or remove it"
         )
-
-
-def _twin(kernel: str) -> ModuleType:
-    if kernel not in ("auto", "plain", "compiled"):
-        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, plain, compiled")
-    if kernel == "plain" or (kernel == "auto" and not build.available()):
-        return plain
-    return build.load("kernels.compiled.clusters")

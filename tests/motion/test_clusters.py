@@ -6,10 +6,10 @@ import pytest
 
 import geodesics
 import openmm_exactrb as rb
-from openmm_exactrb.motion.clusters import LARGEST, ClusterKind, Clusters, ClusterState, find_clusters
+from openmm_exactrb.motion.clusters import LARGEST, ClusterKind, ClusterState, find_clusters
 from openmm_exactrb.quaternions import from_matrix, rotation_matrix
 
-KERNELS = ["plain", "compiled"]
+KERNELS = ["numpy", "numba"]
 STARS = ["XH", "XH2", "XH3", "XH4"]
 EPS = 2.0**-52
 
@@ -68,7 +68,7 @@ def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, p
     if name == "peptide" and t == 0.02 and not pytestconfig.getoption("--validate"):
         pytest.skip("half a minute of mpmath: run with --validate")
     masses, pairs, _ = geodesics.CLUSTERS[name]
-    clusters, state = many(name, "plain")
+    clusters, state = many(name, "numpy")
     x, v = in_mpf(clusters, state)
     x1, v1 = geodesics.flow(masses, pairs, x, v, t)
     speed = float(max(abs(c) for row in v for c in row))
@@ -122,7 +122,7 @@ def test_the_oracle_itself_keeps_energy_and_constraints_to_its_digits():
 @pytest.mark.parametrize(("t", "rounding"), [(0.0005, 1e-15), (0.004, 1e-15), (0.02, 0.5 * EPS * 500**0.5)])
 def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t, rounding):
     """In a step of 20 fs hydrogens turn by half a radian, and the energy walks with half a rounding a step."""
-    clusters, start = many(name, "compiled", away=10.0)
+    clusters, start = many(name, "numba", away=10.0)
     state = start
     for _ in range(500):
         state = clusters.drift(state, t)
@@ -135,7 +135,7 @@ def test_five_hundred_steps_keep_energy_and_constraints_to_1e_15(name, t, roundi
 def test_the_energy_walks_without_a_direction(which):
     """Also where hydrogens turn by half a radian a step and every step rounds the same lengths again."""
     copies = 256
-    clusters, state = many(which, "compiled", copies)
+    clusters, state = many(which, "numba", copies)
 
     def energies(state):
         p, low = state.p
@@ -150,7 +150,7 @@ def test_the_energy_walks_without_a_direction(which):
 
 
 def test_five_hundred_steps_and_back_return_to_1e_14_nm(name):
-    clusters, start = many(name, "compiled", away=10.0)
+    clusters, start = many(name, "numba", away=10.0)
     state = start
     for _ in range(500):
         state = clusters.drift(state, 0.002)
@@ -161,7 +161,7 @@ def test_five_hundred_steps_and_back_return_to_1e_14_nm(name):
 
 
 def test_fifty_steps_of_the_plain_twin_keep_what_the_others_keep(name):
-    clusters, start = many(name, "plain", away=10.0)
+    clusters, start = many(name, "numpy", away=10.0)
     state = start
     for _ in range(50):
         state = clusters.drift(state, 0.002)
@@ -390,7 +390,7 @@ def test_a_chain_of_a_thousand_constraints_moves_as_well(rng):
     steps = rng.standard_normal((n, 3))
     x = np.cumsum(0.15 * steps / np.linalg.norm(steps, axis=1, keepdims=True), axis=0)
     pairs = np.column_stack([np.arange(n - 1), np.arange(1, n)])
-    clusters = find_clusters(np.full(n, 12.0), pairs, np.full(n - 1, 0.15), "compiled")
+    clusters = find_clusters(np.full(n, 12.0), pairs, np.full(n - 1, 0.15), "numba")
     assert len(clusters.kinds[0].graph.columns) == 2 * (n - 1) - 1
     start = clusters.fit(x, 0.3 * rng.standard_normal((n, 3)))
     state = start
@@ -446,8 +446,3 @@ def test_places_that_miss_the_constraints_are_refused(kernel):
         clusters.fit(1.1 * x, np.zeros(x.shape))
     with pytest.raises(ValueError, match="not finite"):
         clusters.fit(np.where(x == x[1], np.nan, x), np.zeros(x.shape))
-
-
-def test_an_unknown_kernel_is_refused():
-    with pytest.raises(ValueError, match="unknown kernel 'fast': choose one of auto, plain, compiled"):
-        Clusters([], "fast")

@@ -28,6 +28,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.compensated import add
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -134,7 +136,7 @@ def project(
     with np.errstate(all="ignore"):
         r, _ = _vectors(graph, _of_kind(x, first, count, graph))
         slip = _slip(graph, factor(graph, r), r, P)
-        _of_kind(p1, first, count, graph)[:] = _add(P, _on_atoms(graph, -slip * r))
+        _of_kind(p1, first, count, graph)[:] = add(P, _on_atoms(graph, -slip * r))
 
 
 def _of_kind(x: Array, first: int, count: int, graph: Graph) -> Array:
@@ -148,7 +150,7 @@ def _of_kind(x: Array, first: int, count: int, graph: Graph) -> Array:
 def _moved(graph: Graph, x: Array, p: Array, t: float, halvings: int) -> tuple[Array, Array]:
     """Return places and momenta (., 3, n, N) after the time t, in as many parts as each cluster needs."""
     shift, push, settled = _change(graph, x, p, t)
-    x1, p1 = _add(x, shift), _add(p, push)
+    x1, p1 = add(x, shift), add(p, push)
     late = ~settled
     if late.any() and halvings:
         half = _moved(graph, x[..., late], p[..., late], 0.5 * t, halvings - 1)
@@ -286,13 +288,3 @@ def _dot(a: Array, b: Array) -> Array:
     """Return the scalar products of vectors, component-first."""
     product: Array = np.einsum("i...,i...->...", a, b)
     return product
-
-
-def _add(x: Array, step: Array) -> Array:
-    """Return the sum high + low x + step, or the plain number as (1, ...), rounded."""
-    if len(x) == 1:
-        return np.array([x[0] + step])
-    step = step + x[1]
-    total = x[0] + step
-    shadow = total - x[0]
-    return np.array([total, (x[0] - (total - shadow)) + (step - shadow)])
