@@ -1,203 +1,145 @@
 """The free flow of clusters with distance constraints, compiled: the twin of `kernels.plain.clusters`.
 
-Clusters of one kind are advanced in blocks of L. A block keeps a vector of each atom, or of each constraint, as a row
-of 3 L numbers, component by component, and a number of each constraint as a row of L. Innermost loops run along such
-rows or along many of them at once, so that the compiler advances as many clusters as a vector register holds.
-
-Formulas, names and arguments are explained in the twin.
+Clusters of one kind are advanced in blocks, see `cluster_rows`. Formulas, names and arguments are explained in the
+twin.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inner, reordered
-from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED, TO_GRID
+from openmm_exactrb.kernels.compiled.cluster_rows import (
+    add_products,
+    add_scaled,
+    add_to_sums,
+    differences,
+    dots,
+    factorise,
+    fill,
+    gather,
+    multiples,
+    of_each_component,
+    on_atoms,
+    over_components,
+    scatter,
+    solve,
+    vectors,
+)
+from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED, Graph
 
 # Clusters in a block.
 LANES = 32
 
 
-@inner
-def _gather(x, first, count, start, block):
-    """Copy clusters `start` and on into a block (sums, n, 3 L); the last one fills lanes to spare."""
-    sums, atoms, width = block.shape
-    L = width // 3
-    used = min(L, count - start)
-    for s in range(sums):
-        for a in range(atoms):
-            for e in range(3):
-                row, lanes = x[s, e, first + a * count + start :], block[s, a, e * L :]
-                for l in range(used):
-                    lanes[l] = row[l]
-                for l in range(used, L):
-                    lanes[l] = row[used - 1]
+class Work(NamedTuple):
+    """Rows of a block; those of a name with `flat_` are the same numbers as one row.
+
+    Series r and multipliers; terms F, q and g, their sums push and shift, and the bound of a term, of constraints;
+    numbers defect and b of constraints; velocities v, a response a, and the projection of the momentum, of atoms; the
+    factor A; ones.
+    """
+
+    r: Any
+    flat_r: Any
+    multipliers: Any
+    flat_multipliers: Any
+    F: Any
+    flat_F: Any
+    q: Any
+    flat_q: Any
+    g: Any
+    flat_g: Any
+    push: Any
+    flat_push: Any
+    shift: Any
+    flat_shift: Any
+    bound: Any
+    flat_bound: Any
+    defect: Any
+    b: Any
+    v: Any
+    a: Any
+    projection: Any
+    A: Any
+    ones: Any
 
 
 @inner
-def _scatter(block, first, count, start, x):
-    sums, atoms, width = block.shape
-    L = width // 3
-    for s in range(sums):
-        for a in range(atoms):
-            for e in range(3):
-                row, lanes = x[s, e, first + a * count + start :], block[s, a, e * L :]
-                for l in range(min(L, count - start)):
-                    row[l] = lanes[l]
+def _workspace(graph, L, orders):
+    n, m = len(graph.inverse), len(graph.pairs)
+    series, terms = np.empty((2 * orders + 2, m, 3 * L)), np.empty((6, m, 3 * L))
+    flat, flat_terms = series.reshape(2 * orders + 2, -1), terms.reshape(6, -1)
+    numbers, atoms = np.empty((2, m, L)), np.empty((3, n, 3 * L))
+    return Work(
+        series[orders:],
+        flat[orders:],
+        series[:orders],
+        flat[:orders],
+        terms[0],
+        flat_terms[0],
+        terms[1],
+        flat_terms[1],
+        terms[2],
+        flat_terms[2],
+        terms[3],
+        flat_terms[3],
+        terms[4],
+        flat_terms[4],
+        terms[5],
+        flat_terms[5],
+        numbers[0],
+        numbers[1],
+        atoms[0],
+        atoms[1],
+        atoms[2],
+        np.empty((len(graph.weights), L)),
+        np.ones(n),
+    )
 
 
 @inner
-def _add(x, step):
-    """Add a step (n, 3 L) to sums (2, n, 3 L) in place, or to plain numbers (1, n, 3 L)."""
-    high, change, low = x[0].reshape(-1), step.reshape(-1), x[-1].reshape(-1)
-    if len(x) == 1:
-        for i in range(len(high)):
-            high[i] += change[i]
-    else:
-        for i in range(len(high)):
-            part = change[i] + low[i]
-            total = high[i] + part
-            shadow = total - high[i]
-            low[i] = (high[i] - (total - shadow)) + (part - shadow)
-            high[i] = total
-
-
-@inner
-def _defects(x, pairs, lengths, r, defect):
-    """Write the vectors r_c (m, 3 L), and (d_c² - r_c.r_c)/2 (m, L) with an error of 1e-8 of a rounding of d_c²."""
-    L, weight = defect.shape[1], float(len(x) - 1)
-    for c in range(len(pairs)):
-        i, j, d = pairs[c, 0], pairs[c, 1], lengths[c]
-        to_grid = math.ldexp(TO_GRID, math.frexp(d)[1])
-        coarse_d = (d + to_grid) - to_grid
-        for l in range(L):
-            defect[c, l] = coarse_d * coarse_d
-        for e in range(3):  # first what is exact
-            a, b, out = x[0, i, e * L :], x[0, j, e * L :], r[c, e * L :]
-            a_low, b_low = x[-1, i, e * L :], x[-1, j, e * L :]
-            for l in range(L):
-                high = a[l] - b[l]
-                shadow = high - a[l]
-                out[l] = high + (((a[l] - (high - shadow)) - (b[l] + shadow)) + weight * (a_low[l] - b_low[l]))
-            for l in range(L):
-                near = (out[l] + to_grid) - to_grid
-                defect[c, l] -= near * near
-        for e in range(3):
-            a, b, out = x[0, i, e * L :], x[0, j, e * L :], r[c, e * L :]
-            a_low, b_low = x[-1, i, e * L :], x[-1, j, e * L :]
-            for l in range(L):
-                high = a[l] - b[l]
-                shadow = high - a[l]
-                low = ((a[l] - (high - shadow)) - (b[l] + shadow)) + weight * (a_low[l] - b_low[l])
-                near = (out[l] + to_grid) - to_grid
-                low -= out[l] - high
-                defect[c, l] -= (out[l] - near) * (out[l] + near) + 2.0 * out[l] * low
-        for l in range(L):
-            defect[c, l] = 0.5 * (defect[c, l] + (d - coarse_d) * (d + coarse_d))
+def _project(X, P, graph, work):
+    """Write r_0, the factor of A, what is missing of the lengths, the projection and the velocities after it."""
+    vectors(X, graph.pairs, graph.lengths, work.r[0], work.defect)
+    factorise(work.r[0], graph, work.A)
+    fill(work.v, 0.0)
+    add_scaled(P[0], 1.0, graph.inverse, work.v)
+    differences(work.v, graph.pairs, -1.0, work.g)
+    dots(work.r[0], work.g, work.b)
+    solve(work.A, graph.rows, graph.columns, work.b)
+    multiples(work.b, work.r[0], work.F)
+    on_atoms(work.F, graph.pairs, work.ones, work.projection)
+    add_scaled(work.projection, 1.0, graph.inverse, work.v)
 
 
 @reordered
-def _times(p, factor, v):
-    """Write the rows of atoms times their factors."""
-    for a in range(len(factor)):
-        for i in range(v.shape[1]):
-            v[a, i] = p[a, i] * factor[a]
-
-
-@reordered
-def _differences(a, pairs, u):
-    """Write a_i - a_j of every pair of atoms."""
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        for l in range(u.shape[1]):
-            u[c, l] = a[i, l] - a[j, l]
-
-
-@reordered
-def _on_atoms(F, pairs, factor, a):
-    """Write the sums of F_c over the pairs of an atom, with their signs, times its factor."""
-    a[:] = 0.0
-    for c in range(len(pairs)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        for l in range(F.shape[1]):
-            a[i, l] += factor[i] * F[c, l]
-        for l in range(F.shape[1]):
-            a[j, l] -= factor[j] * F[c, l]
-
-
-@reordered
-def _factorise(r, weights, rows, columns, starts, left, right, A):
-    """Write the Cholesky factor of B_cd r_c.r_d, with the inverse of its diagonal in the place of it."""
-    L = A.shape[1]
-    for c in range(len(rows) - 1):
-        for e in range(rows[c], rows[c + 1]):
-            d = columns[e]
-            for l in range(L):
-                A[e, l] = weights[e] * (
-                    r[c, l] * r[d, l] + r[c, L + l] * r[d, L + l] + r[c, 2 * L + l] * r[d, 2 * L + l]
-                )
-            for k in range(starts[e], starts[e + 1]):
-                i, j = left[k], right[k]
-                for l in range(L):
-                    A[e, l] -= A[i, l] * A[j, l]
-            if d == c:
-                for l in range(L):
-                    A[e, l] = 1.0 / math.sqrt(A[e, l])
-            else:
-                i = rows[d + 1] - 1
-                for l in range(L):
-                    A[e, l] *= A[i, l]
-
-
-@reordered
-def _solve(A, rows, columns, b):
-    """Solve for b (m, L) in place."""
-    L = A.shape[1]
-    for c in range(len(rows) - 1):
-        last = rows[c + 1] - 1
-        for e in range(rows[c], last):
-            d = columns[e]
-            for l in range(L):
-                b[c, l] -= A[e, l] * b[d, l]
-        for l in range(L):
-            b[c, l] *= A[last, l]
-    for c in range(len(rows) - 2, -1, -1):
-        last = rows[c + 1] - 1
-        for l in range(L):
-            b[c, l] *= A[last, l]
-        for e in range(rows[c], last):
-            d = columns[e]
-            for l in range(L):
-                b[d, l] -= A[e, l] * b[c, l]
-
-
-@reordered
-def _add_products(a, b, out):
-    """Add a b of rows of equal length."""
-    for i in range(len(out)):
-        out[i] += a[i] * b[i]
-
-
-@reordered
-def _over_components(a, b):
-    """Write the sums over the components of a (m, 3 L)."""
-    L = b.shape[1]
-    for c in range(len(b)):
-        for l in range(L):
-            b[c, l] = a[c, l] + a[c, L + l] + a[c, 2 * L + l]
-
-
-@reordered
-def _of_each_component(b, a):
-    """Write numbers (m, L) to each of the components (m, 3 L)."""
-    L = b.shape[1]
-    for c in range(len(b)):
-        for l in range(L):
-            a[c, l] = b[c, l]
-            a[c, L + l] = b[c, l]
-            a[c, 2 * L + l] = b[c, l]
+def _next_order(k, graph, work):
+    """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
+    r, multipliers, F, q, g = work.flat_r, work.flat_multipliers, work.flat_F, work.flat_q, work.flat_g
+    r0, middle, new, order = r[0], r[k // 2 + 1], r[k + 2], float((k + 1) * (k + 2))
+    for i in range(len(q)):
+        F[i] = 0.0
+        q[i] = 0.5 * middle[i] * middle[i] if k % 2 == 0 else 0.0
+    for j in range(1, (k + 3) // 2):
+        add_products(r[j], r[k + 2 - j], q)
+    for j in range(k):
+        add_products(multipliers[j], r[k - j], F)
+    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    differences(work.a, graph.pairs, 1.0, work.g)
+    for i in range(len(q)):
+        q[i] = -order * q[i] - r0[i] * g[i]
+    over_components(work.q, work.b)
+    solve(work.A, graph.rows, graph.columns, work.b)
+    of_each_component(work.b, work.multipliers[k])
+    add_products(multipliers[k], r0, F)
+    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    differences(work.a, graph.pairs, 1.0, work.g)
+    for i in range(len(new)):
+        new[i] = g[i] / order
 
 
 @reordered
@@ -206,35 +148,6 @@ def _add_terms(F, of_push, of_shift, push, shift):
     for i in range(len(F)):
         push[i] += of_push * F[i]
         shift[i] += of_shift * F[i]
-
-
-@reordered
-def _next_order(r, multipliers, k, A, graph, a, g, q, F, b):
-    """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
-    inverse, pairs, _, _, rows, columns, _, _, _ = graph
-    (in_rows, factors), (g, g_flat), (q, q_flat), (F, F_flat) = multipliers, g, q, F
-    r0, new, order = r[0], r[k + 2], float((k + 1) * (k + 2))
-    q_flat[:], F_flat[:] = 0.0, 0.0
-    for j in range(1, (k + 3) // 2):
-        _add_products(r[j], r[k + 2 - j], q_flat)
-    if k % 2 == 0:
-        middle = r[k // 2 + 1]
-        for i in range(len(q_flat)):
-            q_flat[i] += 0.5 * middle[i] * middle[i]
-    for j in range(k):
-        _add_products(factors[j], r[k - j], F_flat)
-    _on_atoms(F, pairs, inverse, a)
-    _differences(a, pairs, g)
-    for i in range(len(q_flat)):
-        q_flat[i] = -order * q_flat[i] - r0[i] * g_flat[i]
-    _over_components(q, b)
-    _solve(A, rows, columns, b)
-    _of_each_component(b, in_rows[k])
-    _add_products(factors[k], r0, F_flat)
-    _on_atoms(F, pairs, inverse, a)
-    _differences(a, pairs, g)
-    for i in range(len(new)):
-        new[i] = g_flat[i] / order
 
 
 @reordered
@@ -260,133 +173,87 @@ def _bounds(r, bound):
                 bound[c, e * L + l] = SETTLED * largest
 
 
-@inner
-def _start(X, P, graph, work):
-    """Write r_0, the factor of A, velocities, and the multipliers that put place and momentum right."""
-    inverse, pairs, lengths, weights, rows, columns, starts, left, right = graph
-    (r, _), _, (v, _, _), (u, _), (q, _), _, _, _, _, defect, slip, A = work
-    _defects(X, pairs, lengths, r[0], defect)
-    _factorise(r[0], weights, rows, columns, starts, left, right, A)
-    _times(P[0], inverse, v)
-    _differences(v, pairs, u)
-    q[:] = r[0] * u
-    _over_components(q, slip)
-    _solve(A, rows, columns, slip)
-    _solve(A, rows, columns, defect)
-
-
 @reordered
-def _keep_the_energy(p, change, inverse):
-    """Take the little from a change of momenta by which rounding has it change the energy; p is overwritten."""
-    L, mass = p.shape[1] // 3, (1.0 / inverse).sum()
-    total, gained, energy = np.zeros(3 * L), np.zeros(3 * L), np.zeros(3 * L)
-    for k in range(len(inverse)):
-        for i in range(3 * L):
-            total[i] += p[k, i]
-    for k in range(len(inverse)):
+def _keep_the_energy(v, change, inverse):
+    """Take the little from a change of momenta by which rounding has it change the energy; v is overwritten."""
+    n, width = v.shape
+    L, mass = width // 3, 0.0
+    centre, gained, energy = np.zeros(width), np.zeros(width), np.zeros(width)
+    for k in range(n):
+        mass += 1.0 / inverse[k]
+    for k in range(n):
         part = 1.0 / (inverse[k] * mass)
-        for i in range(3 * L):
-            about_centre = p[k, i] - part * total[i]
-            after = about_centre + change[k, i]
-            gained[i] += inverse[k] * change[k, i] * (about_centre + after)
-            energy[i] += inverse[k] * after * after
-            p[k, i] = after
+        for i in range(width):
+            centre[i] += part * v[k, i]
+    for k in range(n):
+        m = 1.0 / inverse[k]
+        for i in range(width):
+            before = v[k, i] - centre[i]
+            after = before + inverse[k] * change[k, i]
+            gained[i] += change[k, i] * (before + after)
+            energy[i] += m * after * after
+            v[k, i] = after
     for l in range(L):
         twice = energy[l] + energy[L + l] + energy[2 * L + l]
         too_much = 0.5 * (gained[l] + gained[L + l] + gained[2 * L + l]) / twice if twice > 0.0 else 0.0
-        total[l] = total[L + l] = total[2 * L + l] = too_much
-    for k in range(len(inverse)):
-        for i in range(3 * L):
-            change[k, i] -= total[i] * p[k, i]
+        centre[l] = centre[L + l] = centre[2 * L + l] = too_much
+    for k in range(n):
+        m = 1.0 / inverse[k]
+        for i in range(width):
+            change[k, i] -= centre[i] * m * v[k, i]
 
 
 @inner
 def _step(X, P, t, graph, work):
     """Advance a block by t; or change nothing and tell that the series does not settle."""
-    inverse, pairs, ones = graph[0], graph[1], np.ones(len(graph[0]))
-    (r, flat_r), multipliers, (v, a, projection), u, q, F, shift, push, bound, defect, slip, A = work
-    _start(X, P, graph, work)
-    _of_each_component(slip, push[0])
-    _of_each_component(defect, shift[0])
-    push[0][:] = -push[0] * r[0]
-    shift[0][:] = shift[0] * r[0] + t * push[0]
-    _on_atoms(push[0], pairs, ones, projection)
-    _times(projection, inverse, a)
-    _differences(a, pairs, r[1])
-    push[0][:] = 0.0
-    r[1] += u[0]
-    r[1] *= t
-    _bounds(r[1], bound[0])
+    _project(X, P, graph, work)
+    solve(work.A, graph.rows, graph.columns, work.defect)
+    multiples(work.defect, work.r[0], work.shift)
+    fill(work.push, 0.0)
+    differences(work.v, graph.pairs, t, work.r[1])
+    _bounds(work.r[1], work.bound)
     small, k, by_time = 0, 0, 1.0 / t if t != 0.0 else 0.0
     while small < 2:
         if k == ORDERS:
             return False
-        _next_order(flat_r, multipliers, k, A, graph, a, u, q, F, slip)
+        _next_order(k, graph, work)
         k += 1
-        _add_terms(F[1], by_time / k, 1.0 / (k * (k + 1)), push[1], shift[1])
-        small = 0 if _still_large(flat_r[k + 1], k + 1, bound[1]) else small + 1
-    _on_atoms(shift[0], pairs, inverse, a)
-    v *= t
-    v += a
-    _add(X, v)
-    _on_atoms(push[0], pairs, ones, a)
-    v[:] = P[0] + projection
-    _keep_the_energy(v, a, inverse)
-    a += projection
-    _add(P, a)
+        _add_terms(work.flat_F, by_time / k, 1.0 / (k * (k + 1)), work.flat_push, work.flat_shift)
+        small = 0 if _still_large(work.flat_r[k + 1], k + 1, work.flat_bound) else small + 1
+    on_atoms(work.shift, graph.pairs, graph.inverse, work.a)
+    add_scaled(work.v, t, work.ones, work.a)
+    add_to_sums(X, work.a)
+    on_atoms(work.push, graph.pairs, work.ones, work.a)
+    _keep_the_energy(work.v, work.a, graph.inverse)
+    add_scaled(work.projection, 1.0, work.ones, work.a)
+    add_to_sums(P, work.a)
     return True
 
 
 @inner
 def _give_up(X, P, work):
     """Make those clusters nan whose series has not settled."""
-    (r, _), bound = work[0], work[8][0]
+    r, bound = work.r, work.bound
     L = bound.shape[1] // 3
     for c in range(len(bound)):
         for i in range(3 * L):
             if (ORDERS + 1) * max(abs(r[ORDERS + 1, c, i]), abs(r[ORDERS, c, i])) > bound[c, i]:
-                for e in range(3):
-                    X[:, :, e * L + i % L] = math.nan
-                    P[:, :, e * L + i % L] = math.nan
-
-
-@inner
-def _rows(n, L):
-    """Return rows of n vectors, and the same numbers in one row."""
-    rows = np.empty((n, 3 * L))
-    return rows, rows.reshape(-1)
-
-
-@inner
-def _workspace(graph, L, orders):
-    n, m, entries = len(graph[0]), len(graph[1]), len(graph[3])
-    r, multipliers = np.empty((orders + 2, m, 3 * L)), np.empty((orders, m, 3 * L))
-    return (
-        (r, r.reshape(orders + 2, -1)),
-        (multipliers, multipliers.reshape(orders, -1)),
-        (np.empty((n, 3 * L)), np.empty((n, 3 * L)), np.empty((n, 3 * L))),
-        _rows(m, L),
-        _rows(m, L),
-        _rows(m, L),
-        _rows(m, L),
-        _rows(m, L),
-        _rows(m, L),
-        np.empty((m, L)),
-        np.empty((m, L)),
-        np.empty((entries, L)),
-    )
+                for s in range(len(X)):
+                    for a in range(X.shape[1]):
+                        for e in range(3):
+                            X[s, a, e * L + i % L] = P[s, a, e * L + i % L] = math.nan
 
 
 @compiled("f3 f3 f i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
 def drift(x, p, t, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
     """Write where the clusters of a kind are after the time t, and their momenta."""
-    graph = (inverse, pairs, lengths, weights, rows, columns, starts, left, right)
+    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
     X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
     work = _workspace(graph, L, ORDERS)
     for start in range(0, count, L):
-        _gather(x, first, count, start, X)
-        _gather(p, first, count, start, P)
+        gather(x, first, count, start, X)
+        gather(p, first, count, start, P)
         part, remaining = 1.0, 1.0
         while remaining > 0.0:
             if _step(X, P, part * t, graph, work):
@@ -396,24 +263,20 @@ def drift(x, p, t, first, count, inverse, pairs, lengths, weights, rows, columns
             else:
                 _give_up(X, P, work)
                 remaining = 0.0
-        _scatter(X, first, count, start, x1)
-        _scatter(P, first, count, start, p1)
+        scatter(X, first, count, start, x1)
+        scatter(P, first, count, start, p1)
 
 
 @compiled("f3 f3 i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3")
 def project(x, p, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, p1):
     """Write the momenta without their parts along the constraints."""
-    graph = (inverse, pairs, lengths, weights, rows, columns, starts, left, right)
+    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
     X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
     work = _workspace(graph, L, 0)
-    (r, _), _, (_, a, _), _, _, F, _, _, _, _, slip, _ = work
     for start in range(0, count, L):
-        _gather(x, first, count, start, X)
-        _gather(p, first, count, start, P)
-        _start(X, P, graph, work)
-        _of_each_component(slip, F[0])
-        F[0][:] = -F[0] * r[0]
-        _on_atoms(F[0], pairs, np.ones(len(inverse)), a)
-        _add(P, a)
-        _scatter(P, first, count, start, p1)
+        gather(x, first, count, start, X)
+        gather(p, first, count, start, P)
+        _project(X, P, graph, work)
+        add_to_sums(P, work.projection)
+        scatter(P, first, count, start, p1)

@@ -165,12 +165,11 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
     inverse = graph.inverse[:, None]
     r0, defect = _vectors(graph, x)
     A = factor(graph, r0)
-    v = inverse * p[0]
+    projection = _on_atoms(graph, -_slip(graph, A, r0, p) * r0)
+    v = inverse * (p[0] + projection)
+    shift, push = _solve(graph, A, defect) * r0, np.zeros(r0.shape)
     by_time = 1.0 / t if t else 0.0
-    slip = -_slip(graph, A, r0, p) * r0
-    shift = _solve(graph, A, defect) * r0 + t * slip
-    r = [r0, t * (_differences(graph, v) + _response(graph, slip))]
-    push = np.zeros(r0.shape)
+    r = [r0, t * _differences(graph, v)]
     bound = SETTLED * np.abs(r[1]).max(axis=(0, 1))
     multipliers: list[Array] = []
     small = np.zeros((ORDERS + 1, x.shape[-1]), dtype=bool)
@@ -189,23 +188,22 @@ def _change(graph: Graph, x: Array, p: Array, t: float) -> tuple[Array, Array, N
         settled = settled | (small[k] & small[k + 1])
         if settled.all():
             break
-    projection = _on_atoms(graph, slip)
-    change = _keeping_the_energy(graph, p[0] + projection, _on_atoms(graph, push))
+    change = _keeping_the_energy(graph, v, _on_atoms(graph, push))
     return t * v + inverse * _on_atoms(graph, shift), projection + change, settled
 
 
-def _keeping_the_energy(graph: Graph, p: Array, change: Array) -> Array:
-    """Return a change of momenta without the little by which rounding has it change the energy; p is the start.
+def _keeping_the_energy(graph: Graph, v: Array, change: Array) -> Array:
+    """Return a change of momenta without the little by which rounding has it change the energy; v are the velocities.
 
     The rounding of A is nearly the same in every step, since r_c.r_c is, and without this the energy drifts. Momenta
     about the centre of mass are scaled, so that their sum stays.
     """
     inverse, mass = graph.inverse[:, None], 1.0 / graph.inverse[:, None]
-    inner = p - mass * (p.sum(axis=1, keepdims=True) / mass.sum())
-    after = inner + change
-    gained = (inverse * change * (inner + after)).sum(axis=(0, 1))
-    energy = (inverse * after * after).sum(axis=(0, 1))
-    return change - np.where(energy > 0.0, 0.5 * gained / energy, 0.0) * after
+    before = v - (mass * v).sum(axis=1, keepdims=True) / mass.sum()
+    after = before + inverse * change
+    gained, energy = (change * (before + after)).sum(axis=(0, 1)), (mass * after * after).sum(axis=(0, 1))
+    kept: Array = change - np.where(energy > 0.0, 0.5 * gained / energy, 0.0) * mass * after
+    return kept
 
 
 def _vectors(graph: Graph, x: Array) -> tuple[Array, Array]:
