@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import geodesics
+import constrained_clusters
 from openmm_exactrb.motion.cluster_kind import LARGEST, ClusterKind
 from openmm_exactrb.motion.clusters import find_clusters
 
@@ -22,8 +22,8 @@ def test_stars_are_of_one_kind_in_whatever_order_their_particles_stand():
 
 @pytest.mark.parametrize(("name", "shape"), [("XH", "pair"), ("XH3", "star"), ("chain", "tree"), ("ring", "general")])
 def test_the_graph_has_a_name_and_its_freedom(name, shape):
-    masses, pairs, x = geodesics.CLUSTERS[name]
-    clusters = find_clusters(masses, pairs, geodesics.lengths_of(pairs, x))
+    masses, pairs, x = constrained_clusters.CLUSTERS[name]
+    clusters = find_clusters(masses, pairs, constrained_clusters.lengths_of(pairs, x))
     assert clusters.kinds[0].shape == shape
     assert clusters.degrees_of_freedom == clusters.kinds[0].freedom == 3 * len(masses) - len(pairs)
 
@@ -65,8 +65,8 @@ def test_a_triangle_on_a_line_is_a_singular_place(kernel):
 
 
 def test_places_that_miss_the_constraints_are_refused(kernel):
-    masses, pairs, x = geodesics.CLUSTERS["XH3"]
-    clusters = find_clusters(masses, pairs, geodesics.lengths_of(pairs, x), kernel)
+    masses, pairs, x = constrained_clusters.CLUSTERS["XH3"]
+    clusters = find_clusters(masses, pairs, constrained_clusters.lengths_of(pairs, x), kernel)
     with pytest.raises(ValueError, match=r"missed by 0\.011 nm, .* call context.applyConstraints"):
         clusters.fit(1.1 * x, np.zeros(x.shape))
     with pytest.raises(ValueError, match="not finite"):

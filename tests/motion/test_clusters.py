@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+import constrained_clusters
 import geodesics
 import openmm_exactrb as rb
 from openmm_exactrb.motion.cluster_kind import LARGEST
@@ -20,21 +21,21 @@ def kernel(request):
     return request.param
 
 
-@pytest.fixture(params=list(geodesics.CLUSTERS))
+@pytest.fixture(params=list(constrained_clusters.CLUSTERS))
 def name(request):
     return request.param
 
 
 def many(name, kernel, copies=1, seed=1, kT=2.494, away=0.0):
     """Return clusters, and a state of them with velocities at 300 K."""
-    masses, pairs, x = geodesics.CLUSTERS[name]
+    masses, pairs, x = constrained_clusters.CLUSTERS[name]
     n, rng = len(masses), np.random.default_rng(seed)
     all_pairs = (np.array(pairs) + n * np.arange(copies)[:, None, None]).reshape(-1, 2)
     clusters = find_clusters(
-        np.tile(masses, copies), all_pairs, np.tile(geodesics.lengths_of(pairs, x), copies), kernel
+        np.tile(masses, copies), all_pairs, np.tile(constrained_clusters.lengths_of(pairs, x), copies), kernel
     )
     places = np.tile(x, (copies, 1)) + away * np.array([0.31, -0.42, 0.57])
-    return clusters, clusters.fit(places, geodesics.velocities(np.tile(masses, copies), rng, kT))
+    return clusters, clusters.fit(places, constrained_clusters.velocities(np.tile(masses, copies), rng, kT))
 
 
 def in_mpf(clusters, state):
@@ -68,7 +69,7 @@ def momenta(clusters, state):
 def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, pytestconfig):
     if name == "peptide" and t == 0.02 and not pytestconfig.getoption("--validate"):
         pytest.skip("half a minute of mpmath: run with --validate")
-    masses, pairs, _ = geodesics.CLUSTERS[name]
+    masses, pairs, _ = constrained_clusters.CLUSTERS[name]
     clusters, state = many(name, "numpy")
     x, v = in_mpf(clusters, state)
     x1, v1 = geodesics.flow(masses, pairs, x, v, t)
@@ -82,7 +83,7 @@ def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, p
 
 def test_a_triangle_with_all_its_distances_is_the_free_rigid_body(kernel):
     """Two formulations without a formula in common: multipliers here, elliptic functions there."""
-    masses, _, _ = geodesics.CLUSTERS["water"]
+    masses, _, _ = constrained_clusters.CLUSTERS["water"]
     m = np.array(masses)
     clusters, state = many("water", kernel)
     order = np.argsort(clusters.particles)
@@ -105,9 +106,9 @@ def test_a_triangle_with_all_its_distances_is_the_free_rigid_body(kernel):
 
 
 def test_the_oracle_itself_keeps_energy_and_constraints_to_its_digits():
-    masses, pairs, x = geodesics.CLUSTERS["ring"]
-    lengths = geodesics.lengths_of(pairs, x)
-    v = geodesics.velocities(masses, np.random.default_rng(4))
+    masses, pairs, x = constrained_clusters.CLUSTERS["ring"]
+    lengths = constrained_clusters.lengths_of(pairs, x)
+    v = constrained_clusters.velocities(masses, np.random.default_rng(4))
     x0, v0 = geodesics.put_on(masses, pairs, lengths, x, v)
     x1, v1 = geodesics.flow(masses, pairs, x0, v0, 0.01)
     with mp.workdps(40):
@@ -302,12 +303,12 @@ def test_clusters_do_not_feel_their_neighbours(copies, kernel):
 
 def test_kinds_stand_side_by_side_and_the_twins_agree():
     masses, pairs, x, lengths = [], [], [], []
-    for k, (m, links, places) in enumerate(3 * [*geodesics.CLUSTERS.values()]):
+    for k, (m, links, places) in enumerate(3 * [*constrained_clusters.CLUSTERS.values()]):
         pairs += [(i + len(masses), j + len(masses)) for i, j in links]
-        lengths += list(geodesics.lengths_of(links, places))
+        lengths += list(constrained_clusters.lengths_of(links, places))
         masses += m
         x.append(places + 0.4 * k)
-    x, v = np.concatenate(x), geodesics.velocities(masses, np.random.default_rng(3))
+    x, v = np.concatenate(x), constrained_clusters.velocities(masses, np.random.default_rng(3))
     states = []
     for kernel in KERNELS:
         clusters = find_clusters(masses, pairs, lengths, kernel)
@@ -367,13 +368,13 @@ def test_a_cluster_without_an_answer_becomes_nan_alone(bad, kernel):
 @pytest.mark.parametrize("which", STARS)
 def test_a_star_on_a_line_is_no_singular_place(which, kernel):
     """An atom that one constraint holds always leaves that constraint independent, so trees have no singular place."""
-    masses, pairs, x = geodesics.CLUSTERS[which]
-    lengths = geodesics.lengths_of(pairs, x)
+    masses, pairs, x = constrained_clusters.CLUSTERS[which]
+    lengths = constrained_clusters.lengths_of(pairs, x)
     rays = np.arange(1.0, len(masses))
     line = np.zeros((len(masses), 3))
     line[1:, 0] = lengths * (-1.0) ** rays
     clusters = find_clusters(masses, pairs, lengths, kernel)
-    state = clusters.fit(line, geodesics.velocities(masses, np.random.default_rng(2)))
+    state = clusters.fit(line, constrained_clusters.velocities(masses, np.random.default_rng(2)))
     x1, _ = geodesics.flow(masses, pairs, *in_mpf(clusters, state), 0.002)
     assert largest_difference(in_mpf(clusters, clusters.drift(state, 0.002))[0], x1) < 1e-17
 
