@@ -9,48 +9,10 @@ import os
 from functools import cached_property
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Literal, Protocol
+from typing import Literal
 
 #: With this environment variable set to 0 everything runs in numpy.
 SWITCH = "OPENMM_EXACTRB_COMPILED"
-
-
-class Twins(Protocol):
-    """The modules that are written twice, all of them in numpy or all compiled; each is imported when it is needed.
-
-    Attributes
-    ----------
-    bath : module
-        Friction and noise on momenta.
-    bodies : module
-        Particles of rigid bodies: places, forces and torques.
-    clusters : module
-        The free flow of clusters that distance constraints hold.
-    exact : module
-        The free rotation.
-    noise : module
-        Random numbers that are looked up by seed, step and body.
-    sums : module
-        Unevaluated sums high + low.
-    """
-
-    @property
-    def bath(self) -> ModuleType: ...
-
-    @property
-    def bodies(self) -> ModuleType: ...
-
-    @property
-    def clusters(self) -> ModuleType: ...
-
-    @property
-    def exact(self) -> ModuleType: ...
-
-    @property
-    def noise(self) -> ModuleType: ...
-
-    @property
-    def sums(self) -> ModuleType: ...
 
 
 class _Plain:
@@ -128,6 +90,12 @@ class _Compiled:
 
         return sums
 
+
+#: The modules that are written twice, all of them in numpy or all compiled, each imported when it is needed: `bath`
+#: (friction and noise on momenta), `bodies` (particles of rigid bodies: places, forces and torques), `clusters` (the free
+#: flow of clusters that distance constraints hold), `exact` (the free rotation), `noise` (random numbers that are looked
+#: up by seed, step and body) and `sums` (unevaluated sums high + low).
+Twins = _Plain | _Compiled
 
 _PLAIN, _COMPILED = _Plain(), _Compiled()
 
