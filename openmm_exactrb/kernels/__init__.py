@@ -92,9 +92,9 @@ class _Compiled:
 
 
 #: The modules that are written twice, all of them in numpy or all compiled, each imported when it is needed: `bath`
-#: (friction and noise on momenta), `bodies` (particles of rigid bodies: places, forces and torques), `clusters` (the free
-#: flow of clusters that distance constraints hold), `exact` (the free rotation), `noise` (random numbers that are looked
-#: up by seed, step and body) and `sums` (unevaluated sums high + low).
+#: (friction and noise on momenta), `bodies` (particles of rigid bodies: places, forces and torques), `clusters` (the
+#: free flow of clusters that distance constraints hold), `exact` (the free rotation), `noise` (random numbers that are
+#: looked up by seed, step and body) and `sums` (unevaluated sums high + low).
 Twins = _Plain | _Compiled
 
 _PLAIN, _COMPILED = _Plain(), _Compiled()
