@@ -27,7 +27,12 @@ def solvent(model="tip3p", forcefield=None):
 
 def water_system(topology, forcefield="tip3p.xml", **options):
     """Return a System with PME whose pair forces go smoothly to zero."""
-    settings = {"nonbondedMethod": app.PME, "nonbondedCutoff": CUTOFF, "ewaldErrorTolerance": 1e-4, "removeCMMotion": False} | options
+    settings = {
+        "nonbondedMethod": app.PME,
+        "nonbondedCutoff": CUTOFF,
+        "ewaldErrorTolerance": 1e-4,
+        "removeCMMotion": False,
+    } | options
     return smooth(app.ForceField(forcefield).createSystem(topology, **settings))
 
 
