@@ -234,12 +234,12 @@ def scheme(name: str | Scheme) -> Scheme:
     """
     if isinstance(name, Scheme):
         return name
+    known = {**CATALOGUE, **FORCE_GRADIENT}
     if not isinstance(name, str):
-        raise ValueError(f"a scheme is one of {', '.join(CATALOGUE)}, or a Scheme, not {name!r}")
+        raise ValueError(f"a scheme is one of {', '.join(known)}, or a Scheme, not {name!r}")
     generated = re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name)
     if generated and name not in CATALOGUE:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
-    known = {**CATALOGUE, **FORCE_GRADIENT}
     if name not in known:
         raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(known)}")
     return known[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -28,6 +29,11 @@ CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "W2_6", "W4_5", "SRKN4_6b", "SRKN6_1
 _SURVEY, _LONGER = 100.0, 10.0
 
 
+def progress(line: str) -> None:
+    """Write a line to stderr."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def tune(
     system: openmm.System | app.Simulation,
     start: Any = None,
@@ -42,7 +48,7 @@ def tune(
     duration: float | unit.Quantity | None = None,
     levels: int = 10,
     seed: int = 0,
-    report: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = progress,
 ) -> Tuning:
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
@@ -84,7 +90,7 @@ def tune(
     seed : int, optional
         Of the momenta.
     report : callable, optional
-        Gets a line of text for each run, such as `print`.
+        Gets a line of text for each run, which goes to stderr if nothing is given; None for silence.
 
     Returns
     -------
