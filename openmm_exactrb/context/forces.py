@@ -84,6 +84,13 @@ class Forces:
         """Return those of some of the groups, given by their bits."""
         return Forces(self._places, self._groups & groups, self._timings)
 
+    def landscape(self, state: State) -> tuple[float, Array, Array]:
+        """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
+        self._places.write(state)
+        found = self._places.context.getState(energy=True, forces=True, groups=self._groups)
+        force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
+        return float(found.getPotentialEnergy()._value), force, torque
+
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""
         self._places.write(state)

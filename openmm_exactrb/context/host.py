@@ -18,6 +18,8 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
 from openmm_exactrb.motion.guard import Guard
 from openmm_exactrb.motion.kinetic import Kinetic, rigid
+from openmm_exactrb.motion.minimise import minimised
+from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import OPENMM, Word
@@ -72,7 +74,7 @@ class Host:
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 for word, whole in steps(scheme, n, alone=couplings.act):
-                    guard.enter(clock.number + 1, clock.time, state)
+                    guard.enter(clock.number + 1, clock.time, state, anew=couplings.act)
                     state = guard.leave(run(word, moves, state, h))
                     clock.next()
                     if whole:
@@ -82,6 +84,20 @@ class Host:
             clock.reset(*kept)
             clock.stop()
             session.publish()
+
+    def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
+        """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""
+        session = self.session
+        forces = Forces(Places(session.context, session.bodies, session.particles), groups, self.timings)
+        session.replace(
+            minimised(
+                session.bodies,
+                session.state.rounded,
+                lambda state: forces.landscape(State.of(state)),
+                tolerance,
+                iterations,
+            )
+        )
 
 
 def host(
