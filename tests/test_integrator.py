@@ -213,8 +213,8 @@ def test_momenta_of_an_isolated_droplet_are_kept(pairing):
 def test_no_force_is_evaluated_twice(scheme):
     simulation = simulation_of(scheme=scheme.name)
     simulation.integrator.step(7)
-    assert simulation.integrator.forceEvaluationsPerStep == scheme.stages
-    assert simulation.integrator.timings.evaluations == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
+    assert simulation.integrator.forceEvaluationsPerStep == scheme.forces
+    assert simulation.integrator.timings.evaluations == 7 * scheme.forces + (scheme.first == "kick") + scheme.processing
 
 
 def test_higher_orders_keep_the_energy_better():

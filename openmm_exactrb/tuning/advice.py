@@ -147,8 +147,6 @@ def _schemes(names: Sequence[str | Scheme] | None) -> list[Scheme]:
     if not schemes:
         raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
     for scheme in schemes:
-        if scheme.c:
-            raise ValueError(f"scheme {scheme.name} needs force gradients, which OpenMM has not: leave it out")
         if scheme.processor:
             raise ValueError(
                 f"scheme {scheme.name} is processed: each look at the energy costs {scheme.processing} forces, and a "
