@@ -8,11 +8,11 @@ last one stopped:
    What alpha and beta differ by over the frequencies of water is the energy error of small vibrations: their ratio
    swings within a period, their product is slow, and wanders as oscillators exchange energy. The best points of a
    family are where the next stage begins.
-2. `improve`: Nelder and Mead on the standard deviation of the energy of droplets of four water models in windows of
-   10 ps, in units of Verlet's, over training starts.
+2. `screened` and `improve`: those points, and Nelder and Mead from the best of them, on the standard deviation of the
+   energy of droplets of four water models in windows of 10 ps, in units of Verlet's, over training starts.
 3. `judge`: 30 ps from starts that nothing else has seen, of other sizes.
 
-    python search.py --rates 500 1000 --families BACAB BABABAB --starts 2 --budget 120 --folder out/search
+    python search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120 --folder out/search
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from scipy.optimize import minimize
 
 import droplets
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes import force_gradient
 from openmm_exactrb.schemes import scheme as look_up
 
 MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
-TRAINING, TEST = {"n": 24, "seeds": (11,)}, {"n": 48, "seeds": (101, 102, 103, 104, 105, 106)}
+TRAINING, TEST = {"n": 24, "seeds": (11,)}, {"n": 32, "seeds": (101, 102, 103, 104, 105, 106)}
 FAMILIES = (
     # without force gradients, 3 to 8 forces a step
     *("BABABAB", "BABABABAB", "ABABABABA", "BABABABABAB", "ABABABABABA", "BABABABABABAB", "ABABABABABABA"),
@@ -47,47 +47,29 @@ LOST = 50.0  # the objective of what is unstable
 
 
 def slots(family, kinds):
-    """Return the places of the left half of a palindrome, its middle included, that have one of these letters."""
-    half = family[: (len(family) + 1) // 2]
-    return [i for i, letter in enumerate(half) if letter in kinds]
+    """Return how many places of the left half of a palindrome, its middle included, have one of these letters."""
+    return sum(letter in kinds for letter in family[: (len(family) + 1) // 2])
 
 
 def dimension(family):
-    """Return how many numbers a family leaves free."""
-    return len(slots(family, "A")) - 1 + len(slots(family, "BC")) - 1 + len(slots(family, "C"))
+    """Return how many numbers a family leaves free: of drifts, of kicks, and displacements of force gradients."""
+    return slots(family, "A") - 1 + slots(family, "BC") - 1 + slots(family, "C")
 
 
-def member(family, free, name="candidate", order=2):
-    """Return the scheme of free coefficients: of drifts, of kicks, and displacements e of the gradients over h².
-
-    The coefficient that closes the sum of drifts, and that of kicks, is the one nearest to the middle.
-    """
-    free, parts = list(free), dict.fromkeys(range(len(family)), 0.0)
-    middle = len(family) // 2
-    for kinds in ("A", "BC"):
-        places = slots(family, kinds)
-        weights = {i: 1.0 if i == middle else 2.0 for i in places}
-        for i in places[:-1]:
-            parts[i] = free.pop(0)
-        last = places[-1]
-        parts[last] = (1.0 - sum(weights[i] * parts[i] for i in places[:-1])) / weights[last]
-    word, strengths = [], {}
-    for i, letter in enumerate(family):
-        i = min(i, len(family) - 1 - i)
-        if letter == "C":
-            letter = f"C{i}"
-        word.append((letter, parts[i]))
-    for i in slots(family, "C"):
-        strengths[f"C{i}"] = free.pop(0) / parts[i] ** 2
-    return Scheme(name, order, tuple(word), gradients=tuple(strengths.items()))
+def member(family, free):
+    """Return the scheme of the free coefficients of a family: those of drifts, those of kicks, displacements."""
+    drifts = slots(family, "A") - 1
+    kicks = drifts + slots(family, "BC") - 1
+    a, b, e = free[:drifts], free[drifts:kicks], free[kicks:]
+    return force_gradient(family, family, order=2, a=a, b=b, e=e)
 
 
 def free_of(family, scheme):
     """Return the free coefficients of a scheme of a family."""
-    strengths, parts = dict(scheme.gradients), [part for _, part in scheme.word]
-    letters = [letter for letter, _ in scheme.word]
-    kicks = [parts[i] for kinds in ("A", "BC") for i in slots(family, kinds)[:-1]]
-    return [*kicks, *(strengths.get(letters[i], 0.0) * parts[i] ** 2 for i in slots(family, "C"))]
+    half, strengths = scheme.word[: (len(family) + 1) // 2], dict(scheme.gradients)
+    drifts = [part for letter, part in half if letter == "A"]
+    kicks = [part for letter, part in half if letter != "A"]
+    return [*drifts[:-1], *kicks[:-1], *(strengths[letter] * part**2 for letter, part in half if letter in strengths)]
 
 
 # -- stage 1: oscillators ------------------------------------------------------------------------------------------
@@ -147,7 +129,7 @@ def linear_optima(family, rate, tries=40, seed=0):
     From a row of Verlet steps, disturbed, at four times as many forces a ps, down to the rate that is asked for.
     """
     rng, found = np.random.default_rng([seed, *family.encode()]), []
-    even, gradients, weights = np.array(free_of(family, _even(family))), len(slots(family, "C")), spectrum()
+    even, gradients, weights = np.array(_even(family)), slots(family, "C"), spectrum()
 
     def objective(free, rate):
         scheme = member(family, free)
@@ -169,13 +151,14 @@ def linear_optima(family, rate, tries=40, seed=0):
 
 
 def _even(family):
-    """Return the member that is a row of equal Verlet steps, as nearly as its letters allow."""
-    sums = {kinds: sum(family.count(letter) for letter in kinds) - (family[0] in kinds) for kinds in ("A", "BC")}
-    parts = [1.0 / sums["A" if letter == "A" else "BC"] for letter in family]
-    parts[0] = parts[-1] = 0.5 * parts[0]
-    names = [f"C{min(i, len(family) - 1 - i)}" if letter == "C" else letter for i, letter in enumerate(family)]
-    gradients = [(f"C{i}", 0.2 / sums["A"] ** 2 / parts[i] ** 2) for i in slots(family, "C")]
-    return Scheme("even", 2, tuple(zip(names, parts, strict=True)), gradients=tuple(gradients))
+    """Return the coefficients of equal Verlet steps, as nearly as the letters of a family allow."""
+    inner = {kinds: sum(letter in kinds for letter in family) - (family[0] in kinds) for kinds in ("A", "BC")}
+    free = []
+    for kinds in ("A", "BC"):
+        parts = [1.0 / inner[kinds]] * slots(family, kinds)
+        parts[0] *= 0.5 if family[0] in kinds else 1.0
+        free += parts[:-1]
+    return [*free, *[0.2 / inner["A"] ** 2] * slots(family, "C")]
 
 
 # -- stage 2: droplets ---------------------------------------------------------------------------------------------
@@ -210,6 +193,25 @@ def gains(scheme, rate, n, seeds, models, window, duration):
         / error(scheme, rate, n, model, seed, window, duration)
         for model, seed in itertools.product(models, seeds)
     }
+
+
+def screened(family, rate, n, seeds, models, factors=(1.0, 1.3, 1.7, 2.4), tries=12, window=10.0, duration=10.0):
+    """Try the best points for oscillators, found for somewhat more forces a ps too, on droplets; a recipe.
+
+    Forces that are not linear often do better with coefficients of a shorter step.
+
+    Returns
+    -------
+    list
+        For each point the mean logarithm of the error over Verlet's and the coefficients, best first.
+    """
+    found = []
+    for factor in factors:
+        for free in linear_optima(family, factor * rate, tries)[:2]:
+            below = gains(member(family, free), rate, n, seeds, models, window, duration)
+            with np.errstate(divide="ignore"):
+                found.append([float(min(-np.log(list(below.values())).mean(), LOST)), free])
+    return sorted(found)
 
 
 class _Spent(Exception):
@@ -289,41 +291,41 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
         print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}", flush=True)
 
 
-def searched(families, rates, starts, budget, folder, workers):
-    """Carry out stages 1 and 2 and return their outcomes, best first."""
-    recipes = []
-    for rate, family in itertools.product(rates, families):
-        for first in linear_optima(family, rate)[:starts]:
-            recipes.append(
-                rb.ensemble.Recipe(
-                    improve, family=family, rate=rate, first=first, budget=budget, models=list(MODELS), **TRAINING
-                )
-            )
-    done = []
-    for outcome in rb.ensemble.as_completed(recipes, folder, workers=workers):
-        print(outcome.error or (outcome.recipe.arguments["family"], outcome.recipe.arguments["rate"]), flush=True)
+def searched(families, rates, best, budget, folder, workers):
+    """Carry out stages 1 and 2 and return pairs of a family and coefficients by rate, best first."""
+    chosen = {"models": list(MODELS), **TRAINING}
+    recipes = rb.ensemble.sweep(screened, {"rate": rates, "family": families}, **chosen)
+    points = {rate: [] for rate in rates}
+    for outcome in rb.ensemble.as_completed(recipes, folder, workers=workers, progress=False):
+        family, rate = outcome.recipe.arguments["family"], outcome.recipe.arguments["rate"]
+        print(rate, family, outcome.error or outcome.result[:3], flush=True)
+        points[rate] += [(value, family, free) for value, free in outcome.result or [] if value < LOST]
+    recipes = [
+        rb.ensemble.Recipe(improve, family=family, rate=rate, first=free, budget=budget, **chosen)
+        for rate in rates
+        for _, family, free in sorted(points[rate])[:best]
+    ]
+    improved = {rate: [] for rate in rates}
+    for outcome in rb.ensemble.as_completed(recipes, folder, workers=workers, progress=False) if budget else ():
+        family, rate = outcome.recipe.arguments["family"], outcome.recipe.arguments["rate"]
+        print(rate, family, outcome.error or (outcome.result["objective"], outcome.result["free"]), flush=True)
         if outcome.error is None:
-            print(f"   {outcome.result['objective']:.3f} {outcome.result['free']}", flush=True)
-            done.append(outcome)
-    return sorted(done, key=lambda outcome: outcome.result["objective"])
+            improved[rate].append((outcome.result["objective"], family, outcome.result["free"]))
+    return {rate: [(f, free) for _, f, free in sorted(improved[rate] + points[rate])] for rate in rates}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rates", nargs="+", type=int, default=[250, 500, 1000, 2000], help="forces a ps")
     parser.add_argument("--families", nargs="+", default=list(FAMILIES))
-    parser.add_argument("--starts", type=int, default=2, help="points of the first stage that the second one improves")
-    parser.add_argument("--budget", type=float, default=120.0, help="seconds for each of them")
-    parser.add_argument("--best", type=int, default=4, help="how many of a rate are judged")
+    parser.add_argument("--best", type=int, default=4, help="how many of a rate are improved, and judged")
+    parser.add_argument("--budget", type=float, default=120.0, help="seconds to improve each of them; 0 leaves it out")
     parser.add_argument("--folder", default="out/search", help="where results are kept")
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
-    done = searched(args.families, args.rates, args.starts, args.budget, args.folder, args.workers)
+    found = searched(args.families, args.rates, args.best, args.budget, args.folder, args.workers)
     for rate in args.rates:
-        best = [o for o in done if o.recipe.arguments["rate"] == rate][: args.best]
-        judged(
-            [(o.recipe.arguments["family"], o.result["free"]) for o in best], rate, args.folder, workers=args.workers
-        )
+        judged(found[rate][: args.best], rate, args.folder, workers=args.workers)
 
 
 if __name__ == "__main__":
