@@ -57,6 +57,8 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"target": 0.0}, "target must be a positive number"),
         ({"target": "small"}, "target must be a positive number"),
         ({"duration": -1.0}, "duration must be a positive number"),
+        ({"horizon": 0.0}, "horizon must be a positive number"),
+        ({"horizon": 30.0 * unit.kelvin}, "horizon must be a positive number"),
         ({"temperature": math.inf}, "temperature must be a positive number"),
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
