@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import openmm_exactrb as rb
 from openmm_exactrb import schemes
-from openmm_exactrb.schemes import FORCE_GRADIENT, Scheme, saba, sbab, symmetric
+from openmm_exactrb.schemes import Scheme, force_gradient, saba, sbab, symmetric
 from openmm_exactrb.schemes import scheme as look_up
 from words import advanced
 
@@ -16,7 +16,7 @@ def test_coefficients_sum_to_one_and_are_palindromes(scheme):
     for table in (scheme.a, scheme.b):
         assert table == table[::-1]
         assert abs(sum(table) - 1.0) < 1e-15
-    kicks = sum(flow == "kick" for flow, _ in scheme.sequence)
+    kicks = sum(letter != "A" for letter, _ in scheme.word)
     assert scheme.stages == kicks - (scheme.first == "kick")
 
 
@@ -97,7 +97,7 @@ def test_nodes_are_generated_for_any_number():
 
 @given(name=st.text(max_size=8))
 def test_unknown_schemes_are_refused(name):
-    assume(name not in {**rb.SCHEMES, **FORCE_GRADIENT})
+    assume(name not in rb.SCHEMES)
     assume(not name.startswith("S"))
     with pytest.raises(ValueError, match="choose one of"):
         look_up(name)
@@ -109,6 +109,21 @@ def test_stages_and_forces_of_words_with_more_letters():
     assert (bath.stages, bath.first) == (1, "kick")
     groups = Scheme("groups", 2, (("B0", 0.5), ("B1", 0.5), ("A", 1.0), ("B1", 0.5), ("B0", 0.5)))
     assert groups.stages == 1
-    takahashi = FORCE_GRADIENT["V2_gradient_C17"]
+    takahashi = rb.SCHEMES["TI2"]
     assert (takahashi.stages, takahashi.forces) == (1, 2)
     assert takahashi.c == (-1.0 / 24.0,)
+    assert (rb.SCHEMES["Chin4A"].stages, rb.SCHEMES["Chin4A"].forces) == (2, 3)
+    assert rb.SCHEMES["G4_7"].forces == 7
+
+
+def test_force_gradients_are_built_from_the_letters():
+    twice = force_gradient("twice", "CABACABAC", order=2, a=(0.2,), b=(0.1, 0.3), e=(0.02, 0.03))
+    assert [letter for letter, _ in twice.word] == ["C1", "A", "B", "A", "C2", "A", "B", "A", "C1"]
+    assert twice.a == pytest.approx((0.2, 0.3, 0.3, 0.2))
+    assert twice.b == pytest.approx((0.1, 0.3, 0.2, 0.3, 0.1))
+    assert dict(twice.gradients) == pytest.approx({"C1": 0.02 / 0.1**2, "C2": 0.03 / 0.2**2})
+    for letters in ("BACA", "BBACABB", "A", "BAXAB"):
+        with pytest.raises(ValueError, match=f"'{letters}' is no palindrome in which drifts A and kicks B or C take"):
+            force_gradient("wrong", letters, order=2)
+    with pytest.raises(ValueError, match="give e for each C of the first half of 'BACAB', not 2 numbers"):
+        force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))

@@ -8,12 +8,12 @@ from mpmath import mp
 
 import openmm_exactrb as rb
 from openmm_exactrb.problems import HeavyTop, energy, integrate
-from openmm_exactrb.schemes import FORCE_GRADIENT, Scheme
+from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from orders import slope
 
 
-@pytest.fixture(params=[name for name, scheme in [*rb.SCHEMES.items(), *FORCE_GRADIENT.items()] if scheme.generalised])
+@pytest.fixture(params=[name for name, scheme in rb.SCHEMES.items() if scheme.generalised])
 def nearly_integrable(request):
     return look_up(request.param)
 

@@ -25,6 +25,8 @@ def step_of_an_oscillator(scheme, h):
         lambda s, tau: np.array([s[0], s[1] - tau * s[0]]),
         np.eye(2),
         h,
+        # V - (strength/2) tau² f² of f = -x
+        gradient_kick=lambda c: lambda s, tau: np.array([s[0], s[1] - tau * (1.0 - c * tau * tau) * s[0]]),
     )
 
 
