@@ -26,6 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             schemes=args.schemes,
             temperature=args.temperature,
             platform=args.platform,
+            horizon=args.horizon,
             duration=args.duration,
             report=None if args.quiet else progress,
         )
@@ -50,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--schemes", nargs="+", metavar="NAME", help=f"of {', '.join(CATALOGUE)} ({' '.join(CANDIDATES)})")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
     add("--temperature", type=float, metavar="K", help="draw velocities; needed where those of the State are zero")
+    add("--horizon", type=float, metavar="PS", help="length of the runs for which errors are promised, ps")
     add("--duration", type=float, metavar="PS", help="length of the runs of the survey, ps (from the forces)")
     add("--output", type=Path, metavar="FILE", help="a picture of error over cost; needs matplotlib")
     add("--json", action="store_true", help="print JSON instead of text")
