@@ -41,16 +41,10 @@ def amber(folder, x, side):
         ("AMBER_ATOM_TYPE", "20a4", KINDS * n),
         ("BOX_DIMENSIONS", "5E16.8", (90.0, side, side, side)),
     ]
-    empty = ["ANGLE_FORCE_CONSTANT", "ANGLE_EQUIL_VALUE", "DIHEDRAL_FORCE_CONSTANT", "DIHEDRAL_PERIODICITY"]
-    empty += [
-        "HBOND_ACOEF",
-        "HBOND_BCOEF",
-        "DIHEDRAL_PHASE",
-        "BONDS_WITHOUT_HYDROGEN",
-        "ANGLES_INC_HYDROGEN",
-        "ANGLES_WITHOUT_HYDROGEN",
-    ]
-    sections += [(name, "5E16.8", ()) for name in [*empty, "DIHEDRALS_INC_HYDROGEN", "DIHEDRALS_WITHOUT_HYDROGEN"]]
+    empty = """ANGLE_FORCE_CONSTANT ANGLE_EQUIL_VALUE DIHEDRAL_FORCE_CONSTANT DIHEDRAL_PERIODICITY DIHEDRAL_PHASE
+        HBOND_ACOEF HBOND_BCOEF BONDS_WITHOUT_HYDROGEN ANGLES_INC_HYDROGEN ANGLES_WITHOUT_HYDROGEN
+        DIHEDRALS_INC_HYDROGEN DIHEDRALS_WITHOUT_HYDROGEN"""
+    sections += [(name, "5E16.8", ()) for name in empty.split()]
     prmtop, inpcrd = folder / "water.prmtop", folder / "water.inpcrd"
     head = "%VERSION  VERSION_STAMP = V0001.000  DATE = 01/01/26  00:00:00\n"
     prmtop.write_text(head + "".join(f"%FLAG {name}\n%FORMAT({form})\n{_rows(form, v)}" for name, form, v in sections))

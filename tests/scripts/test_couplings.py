@@ -65,7 +65,7 @@ def test_without_motion_of_the_centre():
     simulation = simulation_of(topology, water_system(topology, removeCMMotion=True), positions)
     masses = np.array([simulation.system.getParticleMass(i)._value for i in range(simulation.system.getNumParticles())])
     v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
-    simulation.context.setVelocities(v + (1.0, -2.0, 3.0))
+    simulation.context.setVelocities(v + np.array([1.0, -2.0, 3.0]))
     quietly(simulation.step, 3)
     v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
     assert np.abs(masses @ v).max() < 1e-2 * masses.sum()
