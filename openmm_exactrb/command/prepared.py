@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
 from openmm_exactrb.states import loadState, read_xml
-from openmm_exactrb.tuning import tune
+from openmm_exactrb.tuning.advice import progress, tune
 
 #: Files in the folder of a run.
 START, STEP = "start.xml", "step.json"
@@ -60,7 +59,7 @@ def step_of(
         target=args.target,
         schemes=None if args.scheme is None else [args.scheme],
         platform=platform,
-        report=_line(args.quiet),
+        report=None if args.quiet else progress,
     )
     if result.chosen is None:
         raise ValueError(f"{str(result).splitlines()[-1]} Give a larger --target, or a --step.")
@@ -100,10 +99,6 @@ def _advance(simulation: Any, args: argparse.Namespace) -> None:
         simulation.step(min(_CHUNK, left))
         tell(min(_CHUNK, left))
     tell.close()
-
-
-def _line(quiet: bool) -> Callable[[str], None] | None:
-    return None if quiet else lambda line: print(line, file=sys.stderr, flush=True)
 
 
 def _keep(job: Run, name: str, text: str) -> None:

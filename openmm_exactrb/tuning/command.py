@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import openmm
 
 from openmm_exactrb.schemes import CATALOGUE
 from openmm_exactrb.states import read_xml
-from openmm_exactrb.tuning.advice import CANDIDATES, tune
+from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 
 #: What it is for, in one sentence.
 PURPOSE = "Find the cheapest scheme and step for a wanted energy error."
@@ -27,6 +26,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--schemes", nargs="+", metavar="NAME", help=f"of {', '.join(CATALOGUE)} ({' '.join(CANDIDATES)})")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
     add("--temperature", type=float, metavar="K", help="draw velocities; needed where those of the State are zero")
+    add("--horizon", type=float, metavar="PS", help="length of the runs for which errors are promised, ps")
     add("--duration", type=float, metavar="PS", help="length of the runs of the survey, ps (from the forces)")
     add("--output", type=Path, metavar="FILE", help="a picture of error over cost; needs matplotlib")
     add("--json", action="store_true", help="print JSON instead of text")
@@ -58,8 +58,9 @@ def carry_out(args: argparse.Namespace) -> int:
         schemes=args.schemes,
         temperature=args.temperature,
         platform=args.platform,
+        horizon=args.horizon,
         duration=args.duration,
-        report=None if args.quiet else lambda line: print(line, file=sys.stderr, flush=True),
+        report=None if args.quiet else progress,
     )
     if args.output is not None:
         result.draw(args.output)
