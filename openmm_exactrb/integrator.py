@@ -269,6 +269,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         session.state = State(*map(np.ascontiguousarray, full))
         session.publish()
 
+    def __repr__(self) -> str:
+        """Return scheme, rotor and step."""
+        step = self.getStepSize().value_in_unit(unit.picosecond)
+        return f"{type(self).__name__}({step:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
