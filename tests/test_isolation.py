@@ -82,7 +82,9 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
 def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
     contexts = [context_of(KINDS[0], seed) for seed in range(6)]
     found = {}
-    together(*(lambda k=k, c=context: found.update({k: c.getIntegrator().bodyState()}) for k, context in enumerate(contexts)))
+    together(
+        *(lambda k=k, c=context: found.update({k: c.getIntegrator().bodyState()}) for k, context in enumerate(contexts))
+    )
     for k, context in enumerate(contexts):
         bodies, state = found[k]
         x = result(context)[0]
