@@ -13,11 +13,13 @@ last one stopped:
 3. `judge`: 30 ps from starts that nothing else has seen, of other sizes.
 
     python search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120 --folder out/search
+    python search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import time
 from functools import cache
@@ -214,7 +216,7 @@ def screened(family, rate, n, seeds, models, factors=(1.0, 1.3, 1.7, 2.4), tries
     return sorted(found)
 
 
-class _Spent(Exception):
+class _TimeIsUpError(Exception):
     """The time for a search is over."""
 
 
@@ -241,14 +243,12 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
         value = float(total / number) if np.isfinite(total) else LOST
         trace.append((value, list(map(float, free))))
         if time.perf_counter() - begun > budget:
-            raise _Spent
+            raise _TimeIsUpError
         return value
 
     simplex = np.array([first] + [np.array(first) + 0.015 * row for row in np.eye(len(first))])
-    try:
+    with contextlib.suppress(_TimeIsUpError):
         minimize(objective, first, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-5})
-    except _Spent:
-        pass
     value, free = min(trace, default=(LOST, list(first)))
     return {"free": free, "objective": value, "trace": trace}
 
@@ -320,10 +320,18 @@ def main():
     parser.add_argument("--budget", type=float, default=120.0, help="seconds to improve each of them; 0 leaves it out")
     parser.add_argument("--folder", default="out/search", help="where results are kept")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--judge", nargs="+", metavar="NAME", help="judge schemes of the catalogue, without any search")
+    parser.add_argument("--molecules", type=int, default=TEST["n"], help="of the droplets that judge")
+    parser.add_argument("--models", nargs="+", default=list(MODELS), help="water models that judge")
     args = parser.parse_args()
+    if args.judge:
+        for rate in args.rates:
+            candidates = [(name, None) for name in args.judge if name != "V2"]
+            judged(candidates, rate, args.folder, args.models, args.molecules, workers=args.workers)
+        return
     found = searched(args.families, args.rates, args.best, args.budget, args.folder, args.workers)
     for rate in args.rates:
-        judged(found[rate][: args.best], rate, args.folder, workers=args.workers)
+        judged(found[rate][: args.best], rate, args.folder, args.models, args.molecules, workers=args.workers)
 
 
 if __name__ == "__main__":

@@ -13,8 +13,8 @@ from openmm_exactrb.schemes.scheme import Scheme, symmetric
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
-# Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used for
-# nothing else: benchmarks/search.py.
+# Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
+# for nothing else: benchmarks/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs a force evaluation"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
