@@ -110,6 +110,23 @@ def oscillator(scheme, x):
     return ratio * angle / x, angle / (ratio * x)
 
 
+def of_order_four(family, free, x=0.05):
+    """Return the point of a family nearest to one, by Newton's method, whose oscillators are right up to order four.
+
+    The two conditions of order four are alpha = beta = 1 up to x².
+    """
+    free = np.array(free)
+
+    def conditions(free):
+        return np.ravel(oscillator(member(family, free), np.array([x]))) - 1.0
+
+    for _ in range(6):
+        defect = conditions(free)
+        slopes = np.array([(conditions(free + 1e-6 * row) - defect) / 1e-6 for row in np.eye(len(free))]).T
+        free = free - np.linalg.lstsq(slopes, defect)[0]
+    return free.tolist()
+
+
 def linear(scheme, rate, weights=None):
     """Return the energy error that vibrations of water leave, in kJ/mol a molecule and root of their number.
 
@@ -220,8 +237,8 @@ class _TimeIsUpError(Exception):
     """The time for a search is over."""
 
 
-def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0):
-    """Improve a member of a family by Nelder and Mead on droplets; a recipe.
+def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0, order=2):
+    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a recipe.
 
     Returns
     -------
@@ -231,6 +248,7 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
     trace, begun, starts = [], time.perf_counter(), list(itertools.product(models, seeds))
 
     def objective(free):
+        free = of_order_four(family, free) if order == 4 else free
         scheme, total = member(family, free), 0.0
         if sum(abs(part) for _, part in scheme.word) > 6.0 or not np.isfinite(linear(scheme, rate)):
             return LOST
