@@ -161,7 +161,7 @@ def in_long_double(context, integrator):
     R, P, q, m = (x.astype(np.longdouble).sum(axis=0) for x in full)
     Q = attitude(q)
     first = kind.particles[0]
-    sites = dict(zip(first, kind.sites.astype(np.longdouble), strict=True))
+    sites = dict(zip(first, kind.sites[0].astype(np.longdouble), strict=True))
     centre, tip = (virtual_site(system.getVirtualSite(int(first[-1]) + k), sites) for k in (1, 2))
     places = R + np.einsum("ijn,j->in", Q, centre)
     arrows = np.einsum("ijn,j->in", Q, tip - centre)

@@ -12,7 +12,7 @@ from openmm import unit
 from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
-from openmm_exactrb.context.letters import Maker, Parts, flows
+from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
@@ -61,7 +61,8 @@ class Host:
         session, couplings = self.session, self.couplings
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
-        forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings)
+        steady = not couplings.act and makers.items() <= LETTERS.items()
+        forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
         moves = flows(

@@ -120,8 +120,8 @@ class Guard:
 
 
 def _squares(state: State) -> tuple[float, float, float, float]:
-    R, P, q, m = (float(np.vdot(x[0], x[0])) for x in state)
-    return R, P, q, m
+    R, P, q, m = state.rounded
+    return float(np.vdot(R, R)), float(np.vdot(P, P)), float(np.vdot(q, q)), float(np.vdot(m, m))
 
 
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:

@@ -12,6 +12,7 @@ import openmm
 
 from openmm_exactrb.schemes import CATALOGUE
 from openmm_exactrb.tuning import CANDIDATES, tune
+from openmm_exactrb.tuning.advice import progress
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             platform=args.platform,
             horizon=args.horizon,
             duration=args.duration,
-            report=None if args.quiet else lambda line: print(line, file=sys.stderr, flush=True),
+            report=None if args.quiet else progress,
         )
         if args.output is not None:
             result.draw(args.output)

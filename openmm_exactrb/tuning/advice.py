@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -30,6 +31,11 @@ _SURVEY, _CONFIRM, _LONGER = 100.0, 5.0, 10.0
 _LONGEST = 4.0
 
 
+def progress(line: str) -> None:
+    """Write a line to stderr."""
+    print(line, file=sys.stderr, flush=True)
+
+
 def tune(
     system: openmm.System | app.Simulation,
     start: Any = None,
@@ -45,7 +51,7 @@ def tune(
     duration: float | unit.Quantity | None = None,
     levels: int = 10,
     seed: int = 0,
-    report: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = progress,
 ) -> Tuning:
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
@@ -91,7 +97,7 @@ def tune(
     seed : int, optional
         Of the momenta.
     report : callable, optional
-        Gets a line of text for each run, such as `print`.
+        Gets a line of text for each run, which goes to stderr if nothing is given; None for silence.
 
     Returns
     -------

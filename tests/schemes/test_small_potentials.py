@@ -88,7 +88,7 @@ def test_a_processor_and_its_inverse_leave_nothing(name):
     np.testing.assert_allclose(np.abs((q1 * q).sum(axis=0)), 1.0, rtol=0.0, atol=1e-13)
 
 
-# -- force gradients ----------------------------------------------------------------------------------------------------
+# -- force gradients --------------------------------------------------------------------------------------------------
 
 
 def chin_4a(strength):

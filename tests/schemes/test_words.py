@@ -1,5 +1,7 @@
 """Words: what inverting, merging, repeating, nesting and spelling make of them, and the loop that carries them out."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -46,7 +48,7 @@ def test_merged_words_have_the_same_times_and_no_neighbours_that_could_be_one(wo
     short = merged(word)
     for letter, time in times(word).items():
         assert times(short)[letter] == pytest.approx(time, abs=1e-14)
-    for (one, _), (other, _) in zip(short, short[1:], strict=False):
+    for (one, _), (other, _) in pairwise(short):
         assert one != other or one[0] not in "ABO"
     assert merged(short) == short
 
