@@ -300,11 +300,12 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
         return np.sqrt(np.mean(np.square(rows), axis=1))
 
     for family, free in wanted:
-        key = family, str(free)
+        key, scheme = (family, str(free)), look_up(family) if free is None else member(family, free)
         windows = {window: over_models(key, window) for window in ("2.0", "10.0", str(duration))}
         below = over_models(("V2", "None"), str(duration)) / windows[str(duration)]
         rows = " ".join(f"{w}: " + " ".join(f"{e:.2e}" for e in errors) for w, errors in windows.items())
-        print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}", flush=True)
+        print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}")
+        print(f"   of oscillators alone {linear(scheme, rate) / np.sqrt(n):.2e}", flush=True)
 
 
 def searched(families, rates, best, budget, folder, workers):
