@@ -8,6 +8,7 @@ from typing import TypeVar
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import Word
 
+#: What flows move: a state of any kind.
 S = TypeVar("S")
 
 #: flow(state, tau) moves a state by the time tau; it may return the state itself, and does not change what it is given.

@@ -104,7 +104,8 @@ def test_a_step_misses_being_symplectic_by_the_fifth_power_of_its_size():
         end, _ = moved(problem, (q, m), h, 1)
 
         def step(x, h=h, end=end):
-            return charts.coordinates_of(end, *moved(problem, charts.state_at(q, x), h, 1))
+            ends = (moved(problem, charts.state_at(q, column), h, 1) for column in x.T)
+            return np.stack([charts.coordinates_of(end, *state) for state in ends], axis=1)
 
         defects.append(charts.symplectic_defect(charts.jacobian(step, np.concatenate([np.zeros(3), m[:, 0]]))))
     assert abs(np.polyfit(np.log(sizes), np.log(defects), 1)[0] - 5.0) < 0.5
