@@ -164,7 +164,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             does after any other error in a force.
         """
         with self.timings.measuring():
-            self._up_to_date().advance(self, self._scheme, self._makers, steps)
+            present = self._up_to_date()
+            present.advance(self, self._plan(present.session.context), steps)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -249,9 +250,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, rotor, self._bodies)
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return _restored, (type(self), arguments | self._arguments(), settings, own)
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -263,6 +270,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
 
+    def _arguments(self) -> dict[str, Any]:
+        """Return what a copy is made with, beside the arguments of this class."""
+        return {}
+
+    def _plan(self, context: openmm.Context) -> host.Plan:
+        """Return what the next steps are."""
+        return host.Plan(self._scheme, self._makers)
+
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
         if self._host is None or self._host.session.outdated:
@@ -273,17 +288,20 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         return self._host
 
 
+# What OpenMM's integrators are told by methods: getX and setX.
+_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+
+
 def _restored(
     kind: type[ExactRigidBodyIntegrator],
-    arguments: tuple[Any, ...],
-    groups: int,
-    tolerance: float,
+    arguments: dict[str, Any],
+    settings: dict[str, Any],
     makers: dict[str, Maker],
 ) -> Any:
     """Return an integrator with the settings of another one."""
-    integrator = kind(*arguments)
-    integrator.setIntegrationForceGroups(groups)
-    integrator.setConstraintTolerance(tolerance)
+    integrator = kind(**arguments)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
     for letter, maker in makers.items():
         integrator.addLetter(letter, maker)
     return integrator

@@ -55,10 +55,12 @@ class Forces:
     groups : int
         Bits of the force groups that act.
     timings : Timings
+    energies : bool, optional
+        Whether the potential energy is asked for with every force, because it will be needed.
     """
 
-    def __init__(self, places: Places, groups: int, timings: Timings) -> None:
-        self._places, self._groups, self._timings = places, groups, timings
+    def __init__(self, places: Places, groups: int, timings: Timings, energies: bool = False) -> None:
+        self._places, self._groups, self._timings, self._energies = places, groups, timings, energies
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
         self._value = (np.zeros(0), np.zeros(0))
@@ -68,7 +70,9 @@ class Forces:
         if not self._known(state):
             start = time.perf_counter()
             self._places.write(state)
-            self._seen = self._places.context.getState(forces=True, parameters=True, groups=self._groups)
+            self._seen = self._places.context.getState(
+                forces=True, energy=self._energies, parameters=True, groups=self._groups
+            )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
             self._timings.evaluations += 1
@@ -84,8 +88,15 @@ class Forces:
         """Return those of some of the groups, given by their bits."""
         return Forces(self._places, self._groups & groups, self._timings)
 
+    def with_energies(self) -> Forces:
+        """Return the same forces, with a memory of the potential energy too."""
+        return Forces(self._places, self._groups, self._timings, energies=True)
+
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""
+        if self._energies:
+            self(state)
+            return float(self._seen.getPotentialEnergy()._value)
         self._places.write(state)
         energy = self._places.context.getState(energy=True, groups=self._groups).getPotentialEnergy()
         return float(energy._value)
