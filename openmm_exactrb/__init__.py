@@ -17,6 +17,7 @@ from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
+from openmm_exactrb.states import loadState
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 from openmm_exactrb.tuning import tune
 
@@ -42,6 +43,7 @@ __all__ = [
     "dipole_strength",
     "ensemble",
     "free_rotor",
+    "loadState",
     "rigid_water",
     "soft_dipole_force",
     "tune",

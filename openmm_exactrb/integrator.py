@@ -12,11 +12,12 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
+from openmm_exactrb import checks
 from openmm_exactrb.context import host, ledger
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.units import gas_constant_times, picoseconds
+from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
 from openmm_exactrb.motion.state import BodyState, State
@@ -221,6 +222,27 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         session, rng = parts.session, np.random.default_rng(randomSeed)
         at_rest = parts.couplings.removes_motion
         session.replace(canonical(session.bodies, session.state.rounded, kT, rng, at_rest))
+
+    def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
+        """Bring the bodies to a minimum of the potential energy.
+
+        Bodies stay rigid, those named by hand too, which OpenMM's own minimiser bends.
+
+        Parameters
+        ----------
+        tolerance : float or Quantity
+            The largest component of a force that may be left, in kJ/mol/nm if it has no unit.
+        maxIterations : int, optional
+            0 for as many as it takes.
+
+        Raises
+        ------
+        ValueError
+            If the tolerance is not a positive force, or the number of iterations no whole number.
+        """
+        force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
+        iterations = checks.whole(maxIterations, "maxIterations", least=0)
+        self._up_to_date().minimise(self.getIntegrationForceGroups(), force, iterations)
 
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""

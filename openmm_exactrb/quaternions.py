@@ -26,6 +26,12 @@ def multiply(p: Array, q: Array) -> Array:
     return out
 
 
+def exponential(turn: Array) -> Array:
+    """Return the component-first quaternions (4, N) of turns by the vectors (3, N), in rad about their directions."""
+    half = 0.5 * np.sqrt(np.einsum("in,in->n", turn, turn))
+    return np.concatenate([np.cos(half)[None], 0.5 * np.sinc(half / np.pi) * turn])
+
+
 def renormalise(x: Array) -> Array:
     """Bring component-first vectors that are unit up to roundoff back to norm one, in place.
 

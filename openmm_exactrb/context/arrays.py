@@ -39,6 +39,6 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 
 def _vectors(state: openmm.State, kind: int) -> Array:
-    values = np.empty((state._getNumParticles(), 3))
-    state._getVectorAsNumpy(kind, values)
+    values = np.empty((state._getNumParticles(), 3))  # noqa: SLF001  # OpenMM has no other door without units
+    state._getVectorAsNumpy(kind, values)  # noqa: SLF001
     return values

@@ -85,8 +85,10 @@ class Couplings:
                 session.write_velocities(state)
             box = arrays.box(context.getState())
             clock.tick()
-            if not self._pushes and arrays.box(context.getState()) == box:
-                return state
+            if not self._pushes:
+                if arrays.box(context.getState()) == box:
+                    return state
+                session.write_velocities(state)  # so that only places differ from those of the state
             places.lose()
             return session.compared(state, *session.held())
 
@@ -116,7 +118,7 @@ def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
         )
     for name in forces.keys() & set(_BAROSTATS):
         parameter = forces[name].Temperature()
-        own = context.getParameters()[parameter]
+        own = context.getParameters().get(parameter, temperature)  # one that joined the System later does not act
         if not math.isclose(own, temperature, rel_tol=1e-9):
             raise ValueError(
                 f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "

@@ -55,12 +55,18 @@ class Forces:
     groups : int
         Bits of the force groups that act.
     timings : Timings
+    steady : bool
+        Whether nothing within the call can change box or parameters: they are not looked at then, which would cost 30
+        microseconds a step.
     energies : bool, optional
         Whether the potential energy is asked for with every force, because it will be needed.
     """
 
-    def __init__(self, places: Places, groups: int, timings: Timings, energies: bool = False) -> None:
-        self._places, self._groups, self._timings, self._energies = places, groups, timings, energies
+    def __init__(
+        self, places: Places, groups: int, timings: Timings, steady: bool = False, energies: bool = False
+    ) -> None:
+        self._places, self._groups, self._timings, self._steady = places, groups, timings, steady
+        self._energies = energies
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
         self._value = (np.zeros(0), np.zeros(0))
@@ -71,7 +77,7 @@ class Forces:
             start = time.perf_counter()
             self._places.write(state)
             self._seen = self._places.context.getState(
-                forces=True, energy=self._energies, parameters=True, groups=self._groups
+                forces=True, energy=self._energies, parameters=not self._steady, groups=self._groups
             )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
@@ -82,15 +88,22 @@ class Forces:
 
     def twin(self) -> Forces:
         """Return the same forces with a memory of their own."""
-        return Forces(self._places, self._groups, self._timings)
+        return Forces(self._places, self._groups, self._timings, self._steady)
 
     def of(self, groups: int) -> Forces:
         """Return those of some of the groups, given by their bits."""
-        return Forces(self._places, self._groups & groups, self._timings)
+        return Forces(self._places, self._groups & groups, self._timings, self._steady)
+
+    def landscape(self, state: State) -> tuple[float, Array, Array]:
+        """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
+        self._places.write(state)
+        found = self._places.context.getState(energy=True, forces=True, groups=self._groups)
+        force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
+        return float(found.getPotentialEnergy()._value), force, torque
 
     def with_energies(self) -> Forces:
         """Return the same forces, with a memory of the potential energy too."""
-        return Forces(self._places, self._groups, self._timings, energies=True)
+        return Forces(self._places, self._groups, self._timings, self._steady, energies=True)
 
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""
@@ -105,6 +118,8 @@ class Forces:
         """Tell whether the forces at the places of a state are the last ones."""
         if self._at is None or not _same_places(self._at, state):
             return False
+        if self._steady:
+            return True
         now = self._places.context.getState(parameters=True)
         return arrays.surroundings(now) == arrays.surroundings(self._seen)
 

@@ -13,12 +13,14 @@ from openmm_exactrb.context.account import Account
 from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
-from openmm_exactrb.context.letters import Maker, Parts, flows
+from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
 from openmm_exactrb.motion.guard import Guard
 from openmm_exactrb.motion.kinetic import Kinetic, rigid
+from openmm_exactrb.motion.minimise import minimised
+from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import OPENMM, Word
@@ -76,7 +78,8 @@ class Host:
         session, couplings, scheme, account = self.session, self.couplings, plan.scheme, plan.account
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
-        forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings)
+        steady = not couplings.act and makers.items() <= LETTERS.items()
+        forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
         parts = Parts(session.bodies, self.kinetic, forces, guard, scheme, clock, account)
@@ -88,7 +91,7 @@ class Host:
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 for word, whole in steps(scheme, n, alone=couplings.act):
-                    guard.enter(clock.number + 1, clock.time, state)
+                    guard.enter(clock.number + 1, clock.time, state, anew=couplings.act)
                     state = guard.leave(run(word, moves, state, h))
                     clock.next()
                     if whole:
@@ -100,6 +103,20 @@ class Host:
             clock.stop()
             account.close()
             session.publish()
+
+    def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
+        """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""
+        session = self.session
+        forces = Forces(Places(session.context, session.bodies, session.particles), groups, self.timings)
+        session.replace(
+            minimised(
+                session.bodies,
+                session.state.rounded,
+                lambda state: forces.landscape(State.of(state)),
+                tolerance,
+                iterations,
+            )
+        )
 
 
 def host(

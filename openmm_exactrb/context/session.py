@@ -75,6 +75,8 @@ class Session:
     def take_up(self) -> None:
         """Bring the state up to date with what was set in the Context since it was published.
 
+        Positions that were not quite rigid are put right in the Context too.
+
         Raises
         ------
         ValueError
@@ -86,6 +88,8 @@ class Session:
             self.state = State.of(fit(self.bodies, x, v)) if known is None else self.compared(known, x, v)
             self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
             self._seen = (x, v)
+            if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self._x))):
+                self.publish()
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""

@@ -8,6 +8,9 @@ from openmm import unit
 
 from openmm_exactrb import checks
 
+#: OpenMM's unit of a force.
+FORCE = unit.kilojoule_per_mole / unit.nanometer
+
 
 def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     """Return a finite number in a unit; one without a unit already is.

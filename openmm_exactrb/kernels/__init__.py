@@ -24,6 +24,8 @@ class Twins(NamedTuple):
         Friction and noise on momenta.
     bodies : module
         Particles of rigid bodies: places, forces and torques.
+    clusters : module
+        The free flow of clusters with distance constraints, and the projection of their momenta.
     exact : module
         The free rotation.
     noise : module
@@ -34,6 +36,7 @@ class Twins(NamedTuple):
 
     bath: ModuleType
     bodies: ModuleType
+    clusters: ModuleType
     exact: ModuleType
     noise: ModuleType
     sums: ModuleType
@@ -54,16 +57,16 @@ def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
 
 @cache
 def _plain() -> Twins:
-    from openmm_exactrb.kernels.plain import bath, bodies, exact, noise, sums
+    from openmm_exactrb.kernels.plain import bath, bodies, clusters, exact, noise, sums
 
-    return Twins(bath, bodies, exact, noise, sums)
+    return Twins(bath, bodies, clusters, exact, noise, sums)
 
 
 @cache
 def _compiled() -> Twins:
-    from openmm_exactrb.kernels.compiled import bath, bodies, exact, noise, sums
+    from openmm_exactrb.kernels.compiled import bath, bodies, clusters, exact, noise, sums
 
-    return Twins(bath, bodies, exact, noise, sums)
+    return Twins(bath, bodies, clusters, exact, noise, sums)
 
 
 def available() -> bool:

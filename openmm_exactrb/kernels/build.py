@@ -80,7 +80,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
 def _kept(dispatcher: Any) -> Any:
     """Have numba keep on disk what it compiles."""
-    dispatcher._cache = _Cache(dispatcher.py_func)  # numba has no door to the key of its cache
+    dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba has no door to the key of its cache
     return dispatcher
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,8 +15,8 @@ from openmm_exactrb.motion.state import BodyState, State
 #: The speed of light in nm/ps. A body above it is not finite in any useful sense.
 LIGHT = 299_792.458
 # When the squares of the momenta are this many times those of a state that was found good, the energy is looked at.
-_GROWN = 4.0
-# A step that adds more energy than this part of the kinetic energy behind it has left the solution.
+_GROWN = 1.5
+# More energy than this part of the kinetic energy cannot come from the errors of a run that follows its equations.
 _GAINED = 0.5
 
 
@@ -39,16 +40,25 @@ class Guard:
         self._good = (0.0, 0.0)
         self._at = (0, 0.0)
         self._before: State | None = None
+        self._since: State | None = None
 
     def begin(self, state: State, kT: float = 0.0) -> None:
-        """Take a state for good; with a bath, momenta may grow to those of kT (kJ/mol) anyway."""
-        _, P, _, m = _squares(state)
-        inertia = np.broadcast_to(self._bodies.inertia, state.m.shape[:0:-1])
-        self._good = max(P, 3.0 * kT * float(self._bodies.mass.sum())), max(m, kT * float(inertia.sum()))
+        """Take a state for good, from which the energy is kept; a bath of kT (kJ/mol) may bring momenta up to its own.
 
-    def enter(self, step: int, time: float, state: State) -> None:
-        """Note the number of a step, the time (ps) and the state before it."""
+        Those are of the canonical distribution up to what is never seen, eight of its widths and forty kT more.
+        """
+        bodies = self._bodies
+        freedom = 3.0 * len(bodies)
+        most = kT * (freedom + 8.0 * math.sqrt(2.0 * freedom) + 40.0)
+        _, P, _, m = _squares(state)
+        self._good = max(P, most * float(bodies.mass.max())), max(m, most * float(bodies.inertia.max()))
+        self._since = state
+
+    def enter(self, step: int, time: float, state: State, *, anew: bool = False) -> None:
+        """Note the number of a step, the time (ps) and the state before it; `anew` if others changed its energy."""
         self._at, self._before = (step, time), state
+        if anew:
+            self._since = state
 
     def finite(self, flow: Flow[State]) -> Flow[State]:
         """Return a flow that raises NonFiniteError where its result is not fit for OpenMM.
@@ -78,20 +88,24 @@ class Guard:
         _, P, _, m = self._measured(state)
         if max(P - _GROWN * self._good[0], m - _GROWN * self._good[1]) <= 0.0:
             return state
-        assert self._before is not None
-        energies = [(sum(self._bodies.kinetic_energies(s.rounded)), self._potential(s)) for s in (self._before, state)]
-        (kinetic_before, potential_before), (kinetic, potential) = energies
-        gain = kinetic + potential - kinetic_before - potential_before
-        if not gain <= _GAINED * kinetic and kinetic > _GROWN * kinetic_before:
+        assert self._since is not None
+        (kinetic_then, energy_then), (kinetic, energy) = map(self._energies, (self._since, state))
+        gain = energy - energy_then
+        if not gain <= _GAINED * kinetic:
             raise NonFiniteError(
                 self._complaint(
-                    f"the kinetic energy rose from {kinetic_before:.3g} to {kinetic:.3g} kJ/mol, and "
-                    f"{gain:.3g} kJ/mol of it came from nowhere",
+                    f"the kinetic energy rose from {kinetic_then:.3g} to {kinetic:.3g} kJ/mol, and the total energy by "
+                    f"{gain:.3g} kJ/mol, which no force did",
                     state,
                 )
             )
         self._good = max(P, self._good[0]), max(m, self._good[1])
         return state
+
+    def _energies(self, state: State) -> tuple[float, float]:
+        """Return the kinetic and the total energy."""
+        kinetic = sum(self._bodies.kinetic_energies(state.rounded))
+        return kinetic, kinetic + self._potential(state)
 
     def _measured(self, state: State) -> tuple[float, float, float, float]:
         R, P, q, m = squares = _squares(state)
@@ -115,8 +129,8 @@ class Guard:
 
 
 def _squares(state: State) -> tuple[float, float, float, float]:
-    R, P, q, m = (float(np.vdot(x[0], x[0])) for x in state)
-    return R, P, q, m
+    R, P, q, m = state.rounded
+    return float(np.vdot(R, R)), float(np.vdot(P, P)), float(np.vdot(q, q)), float(np.vdot(m, m))
 
 
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from openmm_exactrb.compensated import exactly
 from openmm_exactrb.motion.engine import Flow
 from openmm_exactrb.motion.kinetic import Kinetic, advancing
 from openmm_exactrb.motion.state import State
-from openmm_exactrb.quaternions import multiply
+from openmm_exactrb.quaternions import exponential, multiply
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def gradient_kick(
         e = strength * tau * tau
         force, torque = forces(state)
         turn = e * torque / inertia
-        q = multiply(state.q[0], _exponential(turn))
+        q = multiply(state.q[0], exponential(turn))
         displaced = state._replace(R=exactly(state.R[0] + e * force / mass), q=exactly(q))
         force, displaced_torque = at_displaced(displaced)
         twisted = displaced_torque + np.cross(turn, torque, axis=0)
@@ -86,9 +86,3 @@ def exact_gradient_kick(forces: Forces, gradient: Forces, kinetic: Kinetic, stre
         return correction(plain(state, tau), -0.5 * strength * tau**3)
 
     return flow
-
-
-def _exponential(turn: Array) -> Array:
-    """Return the quaternions (4, K) of turns by vectors (3, K)."""
-    half = 0.5 * np.sqrt((turn * turn).sum(axis=0))
-    return np.concatenate([np.cos(half)[None], 0.5 * np.sinc(half / np.pi) * turn])

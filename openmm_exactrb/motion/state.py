@@ -54,7 +54,7 @@ class State(NamedTuple):
     @property
     def rounded(self) -> BodyState:
         """The high parts."""
-        return BodyState(*(x[0] for x in self))
+        return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
         """Return the state with new high parts; low parts, and whole arrays, stay where they are what they were."""

@@ -41,7 +41,7 @@ def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
         return arranged * handedness
 
     def in_order(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-        q, m, times = (np.ascontiguousarray(x, dtype=np.float64) for x in (q, m, t))
+        q, m, times = np.ascontiguousarray(q), np.ascontiguousarray(m), np.ascontiguousarray(t, dtype=np.float64)
         q1, m1 = np.empty_like(q), np.empty_like(m)
         advance(body, q, m, times, q1, m1)
         return q1, m1

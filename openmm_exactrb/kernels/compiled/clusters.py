@@ -1,0 +1,282 @@
+"""The free flow of clusters with distance constraints, compiled: the twin of `kernels.plain.clusters`.
+
+Clusters of one kind are advanced in blocks, see `cluster_rows`. Formulas, names and arguments are explained in the
+twin.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from openmm_exactrb.kernels.build import compiled, inner, reordered
+from openmm_exactrb.kernels.compiled.cluster_rows import (
+    add_products,
+    add_scaled,
+    add_to_sums,
+    differences,
+    dots,
+    factorise,
+    fill,
+    gather,
+    multiples,
+    of_each_component,
+    on_atoms,
+    over_components,
+    scatter,
+    solve,
+    vectors,
+)
+from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED, Graph
+
+# Clusters in a block.
+LANES = 32
+
+
+class Work(NamedTuple):
+    """Rows of a block; those of a name with `flat_` are the same numbers as one row.
+
+    Series r and multipliers; terms F, q and g, their sums push and shift, and the bound of a term, of constraints;
+    numbers defect and b of constraints; velocities v, a response a, and the projection of the momentum, of atoms; the
+    factor A; ones.
+    """
+
+    r: Any
+    flat_r: Any
+    multipliers: Any
+    flat_multipliers: Any
+    F: Any
+    flat_F: Any
+    q: Any
+    flat_q: Any
+    g: Any
+    flat_g: Any
+    push: Any
+    flat_push: Any
+    shift: Any
+    flat_shift: Any
+    bound: Any
+    flat_bound: Any
+    defect: Any
+    b: Any
+    v: Any
+    a: Any
+    projection: Any
+    A: Any
+    ones: Any
+
+
+@inner
+def _workspace(graph, L, orders):
+    n, m = len(graph.inverse), len(graph.pairs)
+    series, terms = np.empty((2 * orders + 2, m, 3 * L)), np.empty((6, m, 3 * L))
+    flat, flat_terms = series.reshape(2 * orders + 2, -1), terms.reshape(6, -1)
+    numbers, atoms = np.empty((2, m, L)), np.empty((3, n, 3 * L))
+    return Work(
+        series[orders:],
+        flat[orders:],
+        series[:orders],
+        flat[:orders],
+        terms[0],
+        flat_terms[0],
+        terms[1],
+        flat_terms[1],
+        terms[2],
+        flat_terms[2],
+        terms[3],
+        flat_terms[3],
+        terms[4],
+        flat_terms[4],
+        terms[5],
+        flat_terms[5],
+        numbers[0],
+        numbers[1],
+        atoms[0],
+        atoms[1],
+        atoms[2],
+        np.empty((len(graph.weights), L)),
+        np.ones(n),
+    )
+
+
+@inner
+def _project(X, P, graph, work):
+    """Write r_0, the factor of A, what is missing of the lengths, the projection and the velocities after it."""
+    vectors(X, graph.pairs, graph.lengths, work.r[0], work.defect)
+    factorise(work.r[0], graph, work.A)
+    fill(work.v, 0.0)
+    add_scaled(P[0], 1.0, graph.inverse, work.v)
+    differences(work.v, graph.pairs, -1.0, work.g)
+    dots(work.r[0], work.g, work.b)
+    solve(work.A, graph.rows, graph.columns, work.b)
+    multiples(work.b, work.r[0], work.F)
+    on_atoms(work.F, graph.pairs, work.ones, work.projection)
+    add_scaled(work.projection, 1.0, graph.inverse, work.v)
+
+
+@reordered
+def _next_order(k, graph, work):
+    """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
+    r, multipliers, F, q, g = work.flat_r, work.flat_multipliers, work.flat_F, work.flat_q, work.flat_g
+    r0, middle, new, order = r[0], r[k // 2 + 1], r[k + 2], float((k + 1) * (k + 2))
+    for i in range(len(q)):
+        F[i] = 0.0
+        q[i] = 0.5 * middle[i] * middle[i] if k % 2 == 0 else 0.0
+    for j in range(1, (k + 3) // 2):
+        add_products(r[j], r[k + 2 - j], q)
+    for j in range(k):
+        add_products(multipliers[j], r[k - j], F)
+    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    differences(work.a, graph.pairs, 1.0, work.g)
+    for i in range(len(q)):
+        q[i] = -order * q[i] - r0[i] * g[i]
+    over_components(work.q, work.b)
+    solve(work.A, graph.rows, graph.columns, work.b)
+    of_each_component(work.b, work.multipliers[k])
+    add_products(multipliers[k], r0, F)
+    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    differences(work.a, graph.pairs, 1.0, work.g)
+    for i in range(len(new)):
+        new[i] = g[i] / order
+
+
+@reordered
+def _add_terms(F, of_push, of_shift, push, shift):
+    """Add the terms of an order to the series of impulses and of shifts."""
+    for i in range(len(F)):
+        push[i] += of_push * F[i]
+        shift[i] += of_shift * F[i]
+
+
+@reordered
+def _still_large(r, k, bound):
+    """Tell whether a term of order k is above its bound; nan is not."""
+    count = 0
+    for i in range(len(bound)):
+        if k * abs(r[i]) > bound[i]:
+            count += 1
+    return count > 0
+
+
+@inner
+def _bounds(r, bound):
+    """Write how small a component of a term has to be: SETTLED times the largest first one of the cluster."""
+    m, L = len(r), r.shape[1] // 3
+    for l in range(L):
+        largest = 0.0
+        for c in range(m):
+            largest = max(largest, abs(r[c, l]), abs(r[c, L + l]), abs(r[c, 2 * L + l]))
+        for c in range(m):
+            for e in range(3):
+                bound[c, e * L + l] = SETTLED * largest
+
+
+@reordered
+def _keep_the_energy(v, change, inverse):
+    """Take the little from a change of momenta by which rounding has it change the energy; v is overwritten."""
+    n, width = v.shape
+    L, mass = width // 3, 0.0
+    centre, gained, energy = np.zeros(width), np.zeros(width), np.zeros(width)
+    for k in range(n):
+        mass += 1.0 / inverse[k]
+    for k in range(n):
+        part = 1.0 / (inverse[k] * mass)
+        for i in range(width):
+            centre[i] += part * v[k, i]
+    for k in range(n):
+        m = 1.0 / inverse[k]
+        for i in range(width):
+            before = v[k, i] - centre[i]
+            after = before + inverse[k] * change[k, i]
+            gained[i] += change[k, i] * (before + after)
+            energy[i] += m * after * after
+            v[k, i] = after
+    for l in range(L):
+        twice = energy[l] + energy[L + l] + energy[2 * L + l]
+        too_much = 0.5 * (gained[l] + gained[L + l] + gained[2 * L + l]) / twice if twice > 0.0 else 0.0
+        centre[l] = centre[L + l] = centre[2 * L + l] = too_much
+    for k in range(n):
+        m = 1.0 / inverse[k]
+        for i in range(width):
+            change[k, i] -= centre[i] * m * v[k, i]
+
+
+@inner
+def _step(X, P, t, graph, work):
+    """Advance a block by t; or change nothing and tell that the series does not settle."""
+    _project(X, P, graph, work)
+    solve(work.A, graph.rows, graph.columns, work.defect)
+    multiples(work.defect, work.r[0], work.shift)
+    fill(work.push, 0.0)
+    differences(work.v, graph.pairs, t, work.r[1])
+    _bounds(work.r[1], work.bound)
+    small, k, by_time = 0, 0, 1.0 / t if t != 0.0 else 0.0
+    while small < 2:
+        if k == ORDERS:
+            return False
+        _next_order(k, graph, work)
+        k += 1
+        _add_terms(work.flat_F, by_time / k, 1.0 / (k * (k + 1)), work.flat_push, work.flat_shift)
+        small = 0 if _still_large(work.flat_r[k + 1], k + 1, work.flat_bound) else small + 1
+    on_atoms(work.shift, graph.pairs, graph.inverse, work.a)
+    add_scaled(work.v, t, work.ones, work.a)
+    add_to_sums(X, work.a)
+    on_atoms(work.push, graph.pairs, work.ones, work.a)
+    _keep_the_energy(work.v, work.a, graph.inverse)
+    add_scaled(work.projection, 1.0, work.ones, work.a)
+    add_to_sums(P, work.a)
+    return True
+
+
+@inner
+def _give_up(X, P, work):
+    """Make those clusters nan whose series has not settled."""
+    r, bound = work.r, work.bound
+    L = bound.shape[1] // 3
+    for c in range(len(bound)):
+        for i in range(3 * L):
+            if (ORDERS + 1) * max(abs(r[ORDERS + 1, c, i]), abs(r[ORDERS, c, i])) > bound[c, i]:
+                for s in range(len(X)):
+                    for a in range(X.shape[1]):
+                        for e in range(3):
+                            X[s, a, e * L + i % L] = P[s, a, e * L + i % L] = math.nan
+
+
+@compiled("f3 f3 f i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
+def drift(x, p, t, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
+    """Write where the clusters of a kind are after the time t, and their momenta."""
+    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
+    L = min(count, LANES)
+    X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
+    work = _workspace(graph, L, ORDERS)
+    for start in range(0, count, L):
+        gather(x, first, count, start, X)
+        gather(p, first, count, start, P)
+        part, remaining = 1.0, 1.0
+        while remaining > 0.0:
+            if _step(X, P, part * t, graph, work):
+                remaining -= part
+            elif part > 0.5**HALVINGS:
+                part *= 0.5
+            else:
+                _give_up(X, P, work)
+                remaining = 0.0
+        scatter(X, first, count, start, x1)
+        scatter(P, first, count, start, p1)
+
+
+@compiled("f3 f3 i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3")
+def project(x, p, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, p1):
+    """Write the momenta without their parts along the constraints."""
+    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
+    L = min(count, LANES)
+    X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
+    work = _workspace(graph, L, 0)
+    for start in range(0, count, L):
+        gather(x, first, count, start, X)
+        gather(p, first, count, start, P)
+        _project(X, P, graph, work)
+        add_to_sums(P, work.projection)
+        scatter(P, first, count, start, p1)

@@ -1,0 +1,73 @@
+"""From the integrators of OpenMM to ours and back."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import openmm
+from openmm import app
+
+
+def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
+    """Load a State that was saved under another integrator.
+
+    OpenMM's own ``simulation.loadState(file)`` and ``context.setState(state)`` want a State of the same kind of
+    integrator where the new one is a CustomIntegrator, as ours is, and fail with "Unknown property 'version'". The way
+    back needs nothing: other integrators read States of ours with ``simulation.loadState``.
+
+    Parameters
+    ----------
+    target : openmm.app.Simulation or openmm.Context
+    source : str, path or openmm.State
+        A file that ``simulation.saveState`` wrote, or a State. What it has is taken: positions, velocities, box, time,
+        step count, and those parameters that the target knows.
+
+    Raises
+    ------
+    ValueError
+        If it is no State, has no positions, or is of another number of particles.
+
+    Examples
+    --------
+    >>> loadState(simulation, "equilibrated.xml")  # doctest: +SKIP
+    """
+    context = target.context if isinstance(target, app.Simulation) else target
+    if not isinstance(context, openmm.Context):
+        raise ValueError(f"the State goes into a Simulation or a Context, not into a {type(target).__name__}")
+    state = source if isinstance(source, openmm.State) else _read(Path(source))
+    kinds = state.getDataTypes()
+    if not kinds & openmm.State.Positions:
+        raise ValueError("the State has no positions: save it with simulation.saveState, or getState(positions=True)")
+    x = state.getPositions(asNumpy=True)
+    if len(x) != context.getSystem().getNumParticles():
+        raise ValueError(
+            f"the State has {len(x)} particles, but the System {context.getSystem().getNumParticles()}: they do not "
+            "belong together"
+        )
+    context.setTime(state.getTime())
+    context.setStepCount(state.getStepCount())
+    if context.getSystem().usesPeriodicBoundaryConditions():
+        context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    if kinds & openmm.State.Parameters:
+        known = set(context.getParameters())
+        for name, value in state.getParameters().items():
+            if name in known:
+                context.setParameter(name, value)
+    context.setPositions(x)
+    if kinds & openmm.State.Velocities:
+        context.setVelocities(state.getVelocities(asNumpy=True))
+    if isinstance(target, app.Simulation):
+        target.currentStep = state.getStepCount()
+
+
+def _read(file: Path) -> openmm.State:
+    content: Any
+    try:
+        content = openmm.XmlSerializer.deserialize(file.read_text())
+    except (openmm.OpenMMException, ValueError) as error:
+        raise ValueError(f"{file} was not written by simulation.saveState: {error}") from None
+    if not isinstance(content, openmm.State):
+        raise ValueError(f"{file} holds a {type(content).__name__}, not a State")
+    return content
