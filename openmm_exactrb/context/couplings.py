@@ -118,7 +118,7 @@ def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
         )
     for name in forces.keys() & set(_BAROSTATS):
         parameter = forces[name].Temperature()
-        own = context.getParameters().get(parameter, temperature)  # one that joined the System later does not act
+        own = dict(context.getParameters()).get(parameter, temperature)  # one that joined the System later does nothing
         if not math.isclose(own, temperature, rel_tol=1e-9):
             raise ValueError(
                 f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "

@@ -78,7 +78,7 @@ class Host:
         session, couplings, scheme, account = self.session, self.couplings, plan.scheme, plan.account
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
-        steady = not couplings.act and makers.items() <= LETTERS.items()
+        steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)

@@ -78,8 +78,8 @@ class Guard:
         """Return a flow whose energy is not held against a step: that of a bath."""
 
         def allowed(state: State, tau: float) -> State:
-            self._before = flow(self.leave(state), tau)
-            return self._before
+            self._before = self._since = flow(self.leave(state), tau)
+            return self._since
 
         return allowed
 
