@@ -68,7 +68,7 @@ def test_another_seed_is_another_trajectory(maker):
 
 
 def test_each_bath_letter_has_noise_of_its_own():
-    """From rest a step gives T (1 - a⁴), where a is what a half leaves of momenta; with the same noise T (1 - a²)(1 + a)²."""
+    """From rest a step gives T (1 - a⁴) if a half leaves a of momenta; with one noise for both T (1 - a²)(1 + a)²."""
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0 * np.log(2.0) / H, H)  # a = 1/2
     simulation = simulation_of(integrator, *molecules(ions=4000))
     simulation.step(1)
@@ -148,7 +148,7 @@ def test_a_seed_of_zero_is_drawn_once_and_kept():
         assert run.integrator.getSeedInUse() == 0
         run.integrator.step(1)
     seeds = [run.integrator.getSeedInUse() for run in runs]
-    assert 0 < min(seeds)
+    assert min(seeds) > 0
     assert seeds[0] != seeds[1]
     runs[0].integrator.step(3)
     assert runs[0].integrator.getSeedInUse() == seeds[0]

@@ -236,4 +236,4 @@ def test_small_steps_are_all_taken_and_need_no_forces_for_the_energy():
 
 def test_a_dipole_in_a_field_has_the_mean_that_the_tests_take():
     assert langevin_function(FIELD) == pytest.approx(0.95, abs=1e-12)
-    assert KT == pytest.approx(300.0 * R)
+    assert pytest.approx(300.0 * R) == KT
