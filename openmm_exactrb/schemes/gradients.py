@@ -56,7 +56,8 @@ def force_gradient(
     if kicks[:half].count(GRADIENT) != len(e):
         raise ValueError(f"scheme {name}: give e for each C of the first half of {letters!r}, not {len(e)} numbers")
     displacements = iter(e)
-    named, gradients = list(kicks), []
+    named = list(kicks)
+    gradients: list[tuple[str, float]] = []
     parts = {DRIFT: palindrome(name, "a", a, len(drifts)), KICK: palindrome(name, "b", b, len(kicks))}
     for i in range(half):
         if kicks[i] == GRADIENT:
