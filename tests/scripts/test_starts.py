@@ -209,6 +209,24 @@ def test_a_system_without_rigid_bodies_runs():
     assert swing(simulation) < 0.1 * swing(verlet)
 
 
+def test_flexible_molecules_beside_rigid_ones_run():
+    """As a flexible protein in rigid water without constraints in it: its atoms are particles beside the bodies."""
+    topology, positions = solvent()
+    system, rigid = (
+        app.ForceField("tip3p.xml").createSystem(topology, rigidWater=rigid, removeCMMotion=False)
+        for rigid in (False, True)
+    )
+    for i in range(rigid.getNumConstraints()):
+        p, q, length = rigid.getConstraintParameters(i)
+        if p >= 15:  # all but five molecules
+            system.addConstraint(p, q, length)
+    simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS))
+    quietly(simulation.step, 1)
+    assert len(simulation.integrator.bodyState()[0]) == topology.getNumResidues() - 5 + 15
+    verlet = simulation_of(topology, system, coordinates(simulation), openmm.VerletIntegrator(0.2 * FEMTOSECONDS))
+    assert swing(simulation) < 0.1 * swing(verlet)
+
+
 def test_the_natural_order_is_bind_and_then_positions():
     topology, positions = solvent()
     integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
