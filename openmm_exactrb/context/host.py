@@ -59,6 +59,7 @@ class Host:
             If a step is a bad one.
         """
         session, couplings = self.session, self.couplings
+        session.take_up()
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and makers.items() <= LETTERS.items()
