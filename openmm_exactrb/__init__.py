@@ -1,7 +1,12 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
-from openmm_exactrb.baths import CanonicalMomenta
+from openmm_exactrb.baths import (
+    CanonicalMomenta,
+    ExactRigidBodyHybridIntegrator,
+    ExactRigidBodyLangevinIntegrator,
+    ExactRigidBodyRescalingIntegrator,
+)
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -25,7 +30,10 @@ __all__ = [
     "CanonicalMomenta",
     "EnergyReporter",
     "Ewald",
+    "ExactRigidBodyHybridIntegrator",
     "ExactRigidBodyIntegrator",
+    "ExactRigidBodyLangevinIntegrator",
+    "ExactRigidBodyRescalingIntegrator",
     "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",

@@ -195,7 +195,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             does after any other error in a force.
         """
         with self.timings.measuring():
-            self._present().advance(self, self._scheme, self._makers, steps)
+            present = self._present()
+            present.advance(self, self._plan(present.session.context), steps)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -306,9 +307,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, rotor, self._bodies, self._asked_engine)
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return _restored, (type(self), arguments | self._arguments(), settings, own)
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -319,6 +326,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
+
+    def _arguments(self) -> dict[str, Any]:
+        """Return what a copy is made with, beside the arguments that all have."""
+        return {"engine": self._asked_engine}
+
+    def _plan(self, context: openmm.Context) -> host.Plan:
+        """Return what the next steps are."""
+        return host.Plan(self._scheme, self._makers)
 
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
@@ -377,17 +392,20 @@ def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
         )
 
 
+# What OpenMM's integrators are told by methods: getX and setX.
+_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+
+
 def _restored(
     kind: type[ExactRigidBodyIntegrator],
-    arguments: tuple[Any, ...],
-    groups: int,
-    tolerance: float,
+    arguments: dict[str, Any],
+    settings: dict[str, Any],
     makers: dict[str, Maker],
 ) -> Any:
     """Return an integrator with the settings of another one."""
-    integrator = kind(*arguments)
-    integrator.setIntegrationForceGroups(groups)
-    integrator.setConstraintTolerance(tolerance)
+    integrator = kind(**arguments)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
     for letter, maker in makers.items():
         integrator.addLetter(letter, maker)
     return integrator

@@ -107,9 +107,7 @@ def _stage(program: Program) -> None:
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
     program.number(names.STAGE, f"floor(({names.INDEX}+0.5)/{names.TURNS})")
-    program.number(
-        names.KICK_TIME, f"dt*{names.KICKS}({names.STAGE})*delta({names.INDEX}-{names.STAGE}*{names.TURNS})"
-    )
+    program.number(names.KICK_TIME, f"dt*{names.KICKS}({names.STAGE})*delta({names.INDEX}-{names.STAGE}*{names.TURNS})")
     program.number(names.TIME, f"dt*{names.DRIFTS}({names.STAGE})/{names.TURNS}")
     program.number(names.NEEDED, f"(1-{names.KNOWN})*(1-delta({names.KICK_TIME}))")
     for letter in (KICK, DRIFT):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb.context.couplings import Couplings
-from openmm_exactrb.context.host import Host
-from openmm_exactrb.context.letters import Maker
+from openmm_exactrb.context.host import Host, Plan
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.device import gather, load, names
@@ -41,9 +40,7 @@ class Device(Host):
 
     rate: float | None = None
 
-    def advance(
-        self, integrator: openmm.CustomIntegrator, scheme: Scheme, makers: Mapping[str, Maker], n: int
-    ) -> None:
+    def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
         Raises
@@ -51,7 +48,7 @@ class Device(Host):
         NonFiniteError
             If numbers become infinite, or a body turns faster than the rotor's range.
         """
-        session = self.session
+        session, scheme = self.session, plan.scheme
         assert isinstance(session, Replicas)
         context, (x, v) = session.context, session.settle()
         before = x, v, context.getTime(), context.getStepCount()
