@@ -49,8 +49,8 @@ def test_the_integrator_is_the_loop_bit_for_bit(pairing):
     for ours, theirs in zip((bodies.positions, bodies.velocities), snapshot(simulation), strict=True):
         np.testing.assert_array_equal(theirs[massive], ours(end.rounded, np.zeros_like(x))[massive])
     assert simulation.integrator.timings.evaluations == forces.evaluations
-    assert forces.evaluations == n * scheme.stages + (scheme.first == "kick") + scheme.processing
-    assert simulation.integrator.forceEvaluationsPerStep == scheme.stages
+    assert forces.evaluations == n * scheme.forces + (scheme.first == "kick") + scheme.processing
+    assert simulation.integrator.forceEvaluationsPerStep == scheme.forces
     assert np.abs(end.R[0] - state.R[0]).max() > 1e-3
 
 
