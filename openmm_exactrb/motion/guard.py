@@ -74,6 +74,15 @@ class Guard:
 
         return guarded
 
+    def outside(self, flow: Flow[State]) -> Flow[State]:
+        """Return a flow whose energy is not held against a step: that of a bath."""
+
+        def allowed(state: State, tau: float) -> State:
+            self._before = self._since = flow(self.leave(state), tau)
+            return self._since
+
+        return allowed
+
     def leave(self, state: State) -> State:
         """Return the state at the end of a step, or raise NonFiniteError if it was a bad one."""
         _, P, _, m = self._measured(state)
