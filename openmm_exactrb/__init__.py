@@ -20,6 +20,9 @@ from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 from openmm_exactrb.tuning import tune
+from openmm_exactrb.version import version
+
+__version__ = version("0+unknown")
 
 __all__ = [
     "ROTORS",

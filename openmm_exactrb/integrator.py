@@ -52,7 +52,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Raises
     ------
     ValueError
-        If scheme or rotor is unknown, or the step size is not a finite time.
+        If scheme or rotor is unknown, the step size is not a finite time, or bodies are not lists of particles.
 
     Attributes
     ----------
@@ -66,9 +66,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
     ) -> None:
+        _refuse_temperature(stepSize, scheme)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
-        self._bodies = None if bodies is None else [list(map(int, body)) for body in bodies]
+        self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
         ledger.declare(self)
@@ -269,6 +270,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         session.state = State(*map(np.ascontiguousarray, full))
         session.publish()
 
+    def __repr__(self) -> str:
+        """Return scheme, rotor and step."""
+        step = self.getStepSize().value_in_unit(unit.picosecond)
+        return f"{type(self).__name__}({step:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
@@ -312,6 +318,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
 # What OpenMM's integrators are told by methods: getX and setX.
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+
+
+def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
+    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(stepSize) and stepSize.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )
 
 
 def _restored(
