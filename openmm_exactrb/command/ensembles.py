@@ -8,7 +8,7 @@ from typing import Any
 import openmm
 from openmm import unit
 
-from openmm_exactrb import baths
+from openmm_exactrb.baths import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.context.couplings import COUPLINGS
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 
@@ -51,9 +51,6 @@ def integrator_of(args: argparse.Namespace, scheme: str | None, step: float) -> 
     options: dict[str, Any] = {"rotor": args.rotor} | ({} if scheme is None else {"scheme": scheme})
     if args.ensemble == "nve":
         return ExactRigidBodyIntegrator(step, **options)
-    thermostatted = getattr(baths, "ExactRigidBodyLangevinIntegrator", None)
-    if thermostatted is None:
-        raise ValueError(f"--ensemble {args.ensemble} is not there yet: take nve")
-    integrator: Any = thermostatted(args.temperature, args.friction, step, **options)
+    integrator = ExactRigidBodyLangevinIntegrator(args.temperature, args.friction, step, **options)
     integrator.setRandomNumberSeed(args.seed)
     return integrator
