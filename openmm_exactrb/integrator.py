@@ -18,6 +18,8 @@ from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
+from openmm_exactrb.device import choice, emit, names
+from openmm_exactrb.device.engine import Device, device
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
 from openmm_exactrb.motion.state import BodyState, State
@@ -49,10 +51,18 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
         step; what acts within them only adds a constant to the energy.
 
+    engine : {"host", "device", "auto"}, optional
+        Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
+        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL in
+        mixed or double precision; on Reference where there are no virtual sites. At the first use the System gets a
+        force in group 31, which adds exactly 0 to energies and forces, and the Context is reinitialised once, with its
+        state. "auto": the device where it can be, else the host; `engineNote` says why.
+
     Raises
     ------
     ValueError
-        If scheme or rotor is unknown, the step size is not a finite time, or bodies are not lists of particles.
+        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles, or
+        scheme or rotor are not for the device that was asked for.
 
     Attributes
     ----------
@@ -65,6 +75,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
+        engine: choice.Engine = "host",
     ) -> None:
         _refuse_temperature(stepSize, scheme)
         self._scheme = look_up(scheme)
@@ -72,7 +83,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        ledger.declare(self)
+        self._asked_engine = choice.named(engine)
+        self._declare()
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._host: host.Host | None = None
@@ -103,6 +115,23 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setStepSize(self, size: float | unit.Quantity) -> None:
         """Set the size of a whole step of the scheme, in ps if it has no unit."""
         super().setStepSize(picoseconds(size))
+
+    def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
+        """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
+        bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
+        super().setIntegrationForceGroups(bits & names.OTHERS if self._programmed else bits)
+
+    def getEngine(self) -> str:
+        """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
+        if self._asked_engine == "auto":
+            self._up_to_date()
+        return "device" if isinstance(self._host, Device) or self._asked_engine == "device" else "host"
+
+    def engineNote(self) -> str:
+        """Say in a sentence why it is this engine."""
+        if self._asked_engine == "auto":
+            self._up_to_date()
+        return self._note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
         """Tell what a letter of the scheme's word does.
@@ -166,7 +195,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             does after any other error in a force.
         """
         with self.timings.measuring():
-            present = self._up_to_date()
+            present = self._present()
             present.advance(self, self._plan(present.session.context), steps)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
@@ -303,8 +332,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         return self.__copy__()
 
     def _arguments(self) -> dict[str, Any]:
-        """Return what a copy is made with, beside the arguments of this class."""
-        return {}
+        """Return what a copy is made with, beside the arguments that all have."""
+        return {"engine": self._asked_engine}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""
@@ -312,16 +341,48 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
+        parts = self._present()
+        parts.session.take_up()
+        return parts
+
+    def _present(self) -> host.Host:
+        """Return what moves the bodies of the present Context."""
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._host = host.host(context, self, self._rotor, self._bodies, self.timings)
-        self._host.session.take_up()
+            make = device if self._takes_device(context) else host.host
+            self._host = make(context, self, self._rotor, self._bodies, self.timings)
         return self._host
 
+    def _declare(self) -> None:
+        """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
+        against = choice.against_program(self._scheme, self._rotor)
+        self._note = against or f'engine="{self._asked_engine}" was asked for'
+        if self._asked_engine == "device" and against:
+            raise ValueError(f"{against}: take engine='host'")
+        self._programmed = self._asked_engine != "host" and not against
+        if not self._programmed:
+            ledger.declare(self)
+            return
+        emit.declare(self, self._scheme)
+        if self._asked_engine == "auto":
+            self.beginIfBlock(f"{names.LOADED} < 1")
+            ledger.declare(self)
+            self.endBlock()
+        self.setIntegrationForceGroups(self.getIntegrationForceGroups())
 
-# What OpenMM's integrators are told by methods: getX and setX.
-_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+    def _takes_device(self, context: openmm.Context) -> bool:
+        """Tell whether the device makes the steps in a Context, and note why."""
+        if not self._programmed:
+            return False
+        against = choice.against_context(context)
+        if self._asked_engine == "device":
+            if against:
+                raise ValueError(f"{against}; engine='host' can do it")
+            return True
+        against = against or choice.slower(context)
+        self._note = against or f"{context.getPlatform().getName()} can make the whole step"
+        return against is None
 
 
 def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
@@ -333,6 +394,10 @@ def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
             "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
             "ExactRigidBodyLangevinIntegrator takes those"
         )
+
+
+# What OpenMM's integrators are told by methods: getX and setX.
+_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
 def _restored(

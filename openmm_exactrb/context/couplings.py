@@ -52,6 +52,8 @@ class Couplings:
         Whether there are any.
     intervals : tuple of int
         Steps between two removals of the motion of the centre of mass.
+    moves, pushes : bool
+        Whether a barostat moves bodies, and a thermostat changes their momenta.
     kT : float
         The highest temperature of a thermostat, in kJ/mol.
     """
@@ -62,7 +64,7 @@ class Couplings:
         thermostats = [force for name, force in forces if name == _THERMOSTAT]
         _refuse_torn_bodies(context, barostats, named)
         self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
-        self._moves, self._pushes = bool(barostats), bool(thermostats)
+        self.moves, self.pushes = bool(barostats), bool(thermostats)
         self.act = bool(barostats or thermostats or self.intervals)
         self.kT = max((gas_constant_times(force.getDefaultTemperature()) for force in thermostats), default=0.0)
 
@@ -81,11 +83,11 @@ class Couplings:
 
         def openmm_acts(state: State) -> State:
             places.write(state)
-            if self._pushes:
+            if self.pushes:
                 session.write_velocities(state)
             box = arrays.box(context.getState())
             clock.tick()
-            if not self._pushes:
+            if not self.pushes:
                 if arrays.box(context.getState()) == box:
                     return state
                 session.write_velocities(state)  # so that only places differ from those of the state
@@ -93,7 +95,7 @@ class Couplings:
             return session.compared(state, *session.held())
 
         def flow(state: State, tau: float) -> State:
-            if self._moves or self._pushes:
+            if self.moves or self.pushes:
                 state = openmm_acts(state)
             if any(clock.number % interval == 0 for interval in self.intervals):
                 state = without_motion(session.bodies.mass, state)

@@ -76,6 +76,7 @@ class Host:
             If a step is a bad one.
         """
         session, couplings, scheme, account = self.session, self.couplings, plan.scheme, plan.account
+        session.take_up()
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()

@@ -85,7 +85,7 @@ class Session:
         """
         x, v = self.held()
         if self._seen is None or not all(map(np.array_equal, self._seen, (x, v))):
-            known, whole = ledger.read(self._integrator(), self.bodies), self._joined(x)
+            known, whole = self.stored(x), self._joined(x)
             self.state = State.of(fit(self.bodies, whole, v)) if known is None else self.compared(known, whole, v)
             self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
             self._seen = (x, v)
@@ -114,8 +114,16 @@ class Session:
         self.context.setPositions(self.bodies.positions(self.state.rounded, self._x))
         self.write_velocities(self.state)
         self.context.computeVirtualSites()
-        ledger.write(self._integrator(), self.bodies, self.state)
+        self.store()
         self._seen = self.held()
+
+    def stored(self, x: Array) -> State | None:
+        """Return the state that the integrator's variables hold, if any; positions x are those of the Context."""
+        return ledger.read(self._integrator(), self.bodies)
+
+    def store(self) -> None:
+        """Write the state to the integrator's variables."""
+        ledger.write(self._integrator(), self.bodies, self.state)
 
     def write_velocities(self, state: State) -> None:
         """Write the velocities of the particles into the Context."""

@@ -66,7 +66,7 @@ def test_it_is_the_kick_of_the_force_gradient_potential_up_to_the_square_of_the_
 
 
 def test_the_commutator_of_the_body_axes_is_needed():
-    problem, (q, m) = tops()
+    problem, (q, _) = tops()
     torque, e = problem.torque(q), 1e-4
     turn = e * torque / problem.inertia
     twist = np.cross(turn, torque, axis=0)
