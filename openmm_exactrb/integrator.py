@@ -274,6 +274,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
         self._up_to_date().minimise(self.getIntegrationForceGroups(), force, iterations)
 
+    def getSettings(self) -> dict[str, dict[str, Any]]:
+        """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
+        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
+        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
+
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
@@ -306,16 +319,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = {
-            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
-            "scheme": self._scheme,
-            "rotor": rotor,
-            "bodies": self._bodies,
-        }
-        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
-        return _restored, (type(self), arguments | self._arguments(), settings, own)
+        return _restored, (type(self), *self.getSettings().values())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
