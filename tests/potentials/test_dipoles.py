@@ -3,6 +3,7 @@
 import copy
 import itertools
 import pickle
+import re
 import sys
 from pathlib import Path
 
