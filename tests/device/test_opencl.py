@@ -14,10 +14,8 @@ def platform():
     return opencl()
 
 
-def boxed(n, **options):
-    _, system, positions = rb.rigid_water(
-        n, nonbondedMethod=app.PME, nonbondedCutoff=0.4, ewaldErrorTolerance=1e-4, **options
-    )
+def boxed(n, method=app.CutoffPeriodic, **options):
+    _, system, positions = rb.rigid_water(n, nonbondedMethod=method, nonbondedCutoff=0.4, **options)
     return system, positions
 
 
@@ -34,7 +32,7 @@ def test_virtual_sites_in_double_precision(model, platform):
         _, system, positions = rb.dipole_fluid(8, kernel="openmm")
         options = {"h": 0.005, "kelvin": 100.0}
     else:
-        system, positions = boxed(27, model=model)
+        system, positions = boxed(27, app.PME, model=model)
         options = {}
     both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", **options)
     one, other = (stepped(context, 20) for context in both)
@@ -50,16 +48,17 @@ def triclinic(system):
 
 
 def test_molecules_that_openmm_wraps_and_sorts_anew(platform):
-    system, positions = boxed(64)
+    system, positions = boxed(27)
     triclinic(system)
     context = context_of(system, positions, "device", platform=platform, precision="double", scheme="V2", h=0.002)
     integrator = context.getIntegrator()
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
     context.setVelocities(shown(context)[1] + [4.0, 3.0, 2.0])  # all molecules leave the box
     before = integrator.totalEnergy()._value
     x = shown(context)[0]
     for _ in range(6):
-        x0, (x, v) = x, stepped(context, 100)
-        assert np.abs(x - x0).max() < 0.2 * 4.0 * 2.0  # no molecule jumps
+        x0, (x, _) = x, stepped(context, 50)
+        assert np.abs(x - x0).max() < 0.1 * 10.0  # no molecule jumps
         across = np.linalg.norm(x[1::3] - x[::3], axis=1)
         np.testing.assert_allclose(across, 0.09572, rtol=0.0, atol=1e-10)
     images = np.array(integrator.getPerDofVariableByName("image"), dtype=float)
@@ -72,14 +71,14 @@ def test_molecules_that_openmm_wraps_and_sorts_anew(platform):
 
 
 def test_the_floor_of_the_energy_error_in_mixed_precision_is_that_of_the_host(platform):
-    system, positions = boxed(64)
+    system, positions = boxed(27, app.PME)
     floors = []
     for engine in ("host", "device"):
         context = context_of(
             system, positions, engine, platform=platform, precision="mixed", scheme="S6_10", h=0.001
         )
         integrator, energies = context.getIntegrator(), []
-        for _ in range(60):
+        for _ in range(40):
             integrator.step(1)
             energies.append(integrator.totalEnergy()._value)
         floors.append(np.std(energies))
@@ -87,7 +86,7 @@ def test_the_floor_of_the_energy_error_in_mixed_precision_is_that_of_the_host(pl
 
 
 def test_a_barostat_moves_whole_bodies(platform):
-    system, positions = boxed(64)
+    system, positions = boxed(27)
     system.addForce(openmm.MonteCarloBarostat(5000.0, 300.0, 2))
     context = context_of(system, positions, "device", platform=platform, precision="mixed", scheme="V2")
     edges = []
