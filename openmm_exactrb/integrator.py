@@ -53,10 +53,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
-        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL in
-        mixed or double precision; on Reference where there are no virtual sites. At the first use the System gets a
-        force in group 31, which adds exactly 0 to energies and forces, and the Context is reinitialised once, with its
-        state. "auto": the device where it can be, else the host; `engineNote` says why.
+        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL
+        in mixed or double precision, and on Reference where there are no virtual sites. At the first use the System
+        gets forces in group 31, which add exactly 0 to its energy and forces, and the Context is reinitialised once,
+        with its state. "auto": the device where it can be, else the host; `engineNote` says why.
 
     Raises
     ------
@@ -300,7 +300,13 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, rotor, self._bodies, self._asked_engine)
+        arguments = (
+            self.getStepSize().value_in_unit(unit.picosecond),
+            self._scheme,
+            rotor,
+            self._bodies,
+            self._asked_engine,
+        )
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
         return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
 

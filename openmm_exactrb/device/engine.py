@@ -41,9 +41,12 @@ class Device(Host):
 
     rate: float | None = None
 
-    def advance(
-        self, integrator: openmm.CustomIntegrator, scheme: Scheme, makers: Mapping[str, Maker], n: int
-    ) -> None:
+    @property
+    def _replicas(self) -> Replicas:
+        assert isinstance(self.session, Replicas)
+        return self.session
+
+    def advance(self, integrator: openmm.CustomIntegrator, scheme: Scheme, makers: Mapping[str, Maker], n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
         Where bodies come to turn too fast for the rotor's range, the steps are made again with shorter rotations.
@@ -53,9 +56,7 @@ class Device(Host):
         NonFiniteError
             If numbers become infinite, or a body turns faster than that too.
         """
-        session = self.session
-        assert isinstance(session, Replicas)
-        context, (x, v) = session.context, session.settle()
+        context, (x, v) = self._replicas.context, self._replicas.settle()
         before = x, v, context.getTime(), context.getStepCount()
         for haste in _HASTE:
             self._set_turns(integrator, scheme, haste)
@@ -68,20 +69,18 @@ class Device(Host):
             self._go_back(integrator, *before)
         raise NonFiniteError(
             f"within the {n} steps after step {before[3]} positions became infinite, or a body turned more than "
-            f"{_HASTE[-1]:g} times as fast as the fastest one before. The Context keeps the state before this call: take "
-            "a smaller step size or fewer steps a call, or minimise the energy first"
+            f"{_HASTE[-1]:g} times as fast as the fastest one before. The Context keeps the state before this call: "
+            "take a smaller step size or fewer steps a call, or minimise the energy first"
         )
 
     def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int) -> bool:
         """Make n steps, and tell whether they led to finite numbers."""
-        session = self.session
-        assert isinstance(session, Replicas)
         try:
             for steps, settings in _calls(n, bool(scheme.processor) and not self.couplings.act):
                 for name, value in settings.items():
                     integrator.setGlobalVariableByName(name, value)
                 openmm.CustomIntegrator.step(integrator, steps)
-            finite = all(np.isfinite(a).all() for a in session.moved_on())
+            finite = all(np.isfinite(a).all() for a in self._replicas.moved_on())
         except openmm.OpenMMException as error:
             if "NaN" not in str(error):
                 raise
@@ -96,7 +95,7 @@ class Device(Host):
 
     def _set_turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> None:
         """Choose how many rotations a drift is made of, for bodies that will turn so many times as fast as now."""
-        session = self.session
+        session = self._replicas
         if self.rate is None or not session.behind:
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
@@ -107,14 +106,14 @@ class Device(Host):
 
     def _go_back(self, integrator: openmm.CustomIntegrator, x: Any, v: Any, time: Any, step: int) -> None:
         """Bring the Context back to what it held."""
-        context = self.session.context
+        context = self._replicas.context
         integrator.setGlobalVariableByName(names.LOADED, 0.0)
         context.setPositions(x)
         context.setVelocities(v)
         context.setTime(time)
         context.setStepCount(step)
-        self.session.lose()
-        self.session.take_up()
+        self._replicas.lose()
+        self._replicas.take_up()
 
 
 def device(

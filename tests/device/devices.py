@@ -75,7 +75,9 @@ def all_kinds():
     ions = [add(23.0, 1.0, (0.0, 0.0, 0.7)), add(35.0, -1.0, (0.0, 0.4, 0.7))]
     linear = [add(12.0, 0.0, (0.8, 0.0, 0.0)), add(16.0, 0.1, (0.8, 0.116, 0.0)), add(16.0, -0.1, (0.8, -0.116, 0.0))]
     corners = 0.06 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
-    spherical = [add(1.0, 0.1 * (-1) ** k, corner + 0.7) for k, corner in enumerate(corners)] + [add(12.0, 0.0, [0.7] * 3)]
+    spherical = [add(1.0, 0.1 * (-1) ** k, corner + 0.7) for k, corner in enumerate(corners)] + [
+        add(12.0, 0.0, [0.7] * 3)
+    ]
     for particles in (nitrogen, linear, spherical):
         apart(particles)
     assert len(ions) == 2

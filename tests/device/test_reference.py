@@ -3,10 +3,10 @@
 import numpy as np
 import openmm
 import pytest
+from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_all_kinds_of_bodies_move_as_on_the_host():
 
 def test_bodies_at_rest_and_spins_about_axes_are_no_exceptions(droplet):
     host, device = pair(*droplet)
-    bodies, state = host.getIntegrator().bodyState()
+    _, state = host.getIntegrator().bodyState()
     state.P[:] = 0.0
     state.m[:] = np.diag([0.3, 0.3, 0.3, 0.0])[:3]
     for context in (host, device):

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
+from devices import REFERENCE, context_of, opencl, shown, stepped
 from openmm import app
 
 import openmm_exactrb as rb
-from devices import REFERENCE, context_of, opencl, shown, stepped
 
 
 def written(context, folder):
@@ -27,7 +27,10 @@ def continued(folder, platform, precision, steps):
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     program = Path(__file__).parent / "plain_openmm.py"
     subprocess.run(
-        [sys.executable, "-I", program, folder, platform, precision, str(steps)], cwd=folder, env=environment, check=True
+        [sys.executable, "-I", program, folder, platform, precision, str(steps)],
+        cwd=folder,
+        env=environment,
+        check=True,
     )
     return np.load(folder / "plain.npy")
 
