@@ -139,5 +139,5 @@ def require() -> None:
     """Raise ModuleNotFoundError if numba is not installed."""
     if find_spec("numba") is None:
         raise ModuleNotFoundError(
-            'compiled kernels need numba: python -m pip install "openmm-exactrb[fast]"', name="numba"
+            'compiled kernels need numba: python -m pip install numba', name="numba"
         )
