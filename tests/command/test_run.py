@@ -97,7 +97,17 @@ def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
 
 
 def test_water_is_made_in_a_box(tmp_path, capsys):
-    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture"
+    options = (
+        "--cutoff",
+        "0.4",
+        "--ewald-tolerance",
+        "0.01",
+        "--equilibration",
+        "0.01",
+        "--duration",
+        "0.01",
+        "--no-picture",
+    )
     status, _, errors = carry_out(
         capsys, "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *options, *SHORT, "--out", tmp_path / "out"
     )
@@ -108,7 +118,19 @@ def test_water_is_made_in_a_box(tmp_path, capsys):
 
 
 def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
-    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture", "--solvate", 40
+    options = (
+        "--cutoff",
+        "0.4",
+        "--ewald-tolerance",
+        "0.01",
+        "--equilibration",
+        "0.01",
+        "--duration",
+        "0.01",
+        "--no-picture",
+        "--solvate",
+        40,
+    )
     status, _, errors = carry_out(
         capsys, "run", droplet, "--forcefield", "tip3p.xml", *options, *SHORT, "--out", tmp_path / "out"
     )
