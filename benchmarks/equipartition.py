@@ -1,7 +1,7 @@
 """Rigid water at constant temperature: what the size of the step does to equipartition, energy and density.
 
 With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
-J. Chem. Theory Comput. 20, 368 (2024), doi:10.1021/acs.jctc.3c01153. Here OpenMM's LangevinMiddleIntegrator, rigid-body
+arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
 BAOAB and the default of `ExactRigidBodyLangevinIntegrator` run the same water at the same time a force evaluation:
 T_rot - T_tr, the potential energy and, at constant pressure, the density, each with the error of block averages.
 

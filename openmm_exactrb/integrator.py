@@ -120,17 +120,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
         bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
         super().setIntegrationForceGroups(bits & names.OTHERS if self._programmed else bits)
+        if isinstance(self._host, Device):
+            self._host = None  # OpenMM reads the groups where it makes the kernels
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        if self._asked_engine == "auto":
-            self._up_to_date()
-        return "device" if isinstance(self._host, Device) or self._asked_engine == "device" else "host"
+        self._decide()
+        return "device" if self._on_device else "host"
 
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        if self._asked_engine == "auto":
-            self._up_to_date()
+        self._decide()
         return self._note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
@@ -274,6 +274,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
         self._up_to_date().minimise(self.getIntegrationForceGroups(), force, iterations)
 
+    def getSettings(self) -> dict[str, dict[str, Any]]:
+        """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
+        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
+        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
+
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
@@ -306,16 +319,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = {
-            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
-            "scheme": self._scheme,
-            "rotor": rotor,
-            "bodies": self._bodies,
-        }
-        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
-        return _restored, (type(self), arguments | self._arguments(), settings, own)
+        return _restored, (type(self), *self.getSettings().values())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -346,39 +350,51 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            make = device if self._takes_device(context) else host.host
+            self._choose(context)
+            make = device if self._on_device else host.host
             self._host = make(context, self, self._rotor, self._bodies, self.timings)
         return self._host
 
     def _declare(self) -> None:
         """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
         against = choice.against_program(self._scheme, self._rotor)
-        self._note = against or f'engine="{self._asked_engine}" was asked for'
         if self._asked_engine == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
+        self._note = f'engine="{self._asked_engine}" was asked for' if self._asked_engine != "auto" else against or ""
         self._programmed = self._asked_engine != "host" and not against
+        self._on_device = self._asked_engine == "device"
         if not self._programmed:
             ledger.declare(self)
             return
-        emit.declare(self, self._scheme)
+        emit.declare(self, self._scheme, optional=self._asked_engine == "auto")
         if self._asked_engine == "auto":
             self.beginIfBlock(f"{names.LOADED} < 1")
             ledger.declare(self)
             self.endBlock()
-        self.setIntegrationForceGroups(self.getIntegrationForceGroups())
+        super().setIntegrationForceGroups(names.OTHERS)
 
-    def _takes_device(self, context: openmm.Context) -> bool:
-        """Tell whether the device makes the steps in a Context, and note why."""
+    def _decide(self) -> None:
+        """Choose the engine where that is left to the Context."""
+        if self._programmed and self._asked_engine == "auto":
+            self._present()
+
+    def _choose(self, context: openmm.Context) -> None:
+        """Choose the engine for a Context, and note why.
+
+        Raises
+        ------
+        ValueError
+            If engine="device" was asked for, and is not right there.
+        """
         if not self._programmed:
-            return False
+            return
         against = choice.against_context(context)
-        if self._asked_engine == "device":
-            if against:
-                raise ValueError(f"{against}; engine='host' can do it")
-            return True
-        against = against or choice.slower(context)
-        self._note = against or f"{context.getPlatform().getName()} can make the whole step"
-        return against is None
+        if self._asked_engine == "device" and against:
+            raise ValueError(f"{against}; engine='host' can do it")
+        if self._asked_engine == "auto":
+            against = against or choice.slower(context)
+            self._on_device = against is None
+            self._note = against or f"{context.getPlatform().getName()} can make the whole step"
 
 
 def _refuse_temperature(stepSize: Any, scheme: Any) -> None:

@@ -47,7 +47,7 @@ class Forces:
     """Forces and torques on bodies at the places of a state.
 
     The last ones are kept as long as places, box and parameters of the Context are the same. What else forces depend on
-    cannot be seen (`updateParametersInContext`): each call of `step` has Forces of its own.
+    cannot be seen (``updateParametersInContext``): each call of `step` has Forces of its own.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ numbers are multiplied by conditions where that will do.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from types import MappingProxyType
 
 import openmm
@@ -72,19 +73,29 @@ def _drift(program: Program) -> None:
 EMITTERS: Mapping[str, Callable[[Program], None]] = MappingProxyType({KICK: _kick, DRIFT: _drift})
 
 
-def declare(integrator: openmm.CustomIntegrator, scheme: Scheme) -> None:
+def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, optional: bool) -> None:
     """Give an integrator without a Context the variables and the program of a scheme.
 
-    Until bodies are loaded, steps make positions nan.
+    Until bodies are loaded, steps make positions nan; or, where the program is optional, nothing happens.
     """
     program = Program(integrator)
-    parts = [stages(word) for word in (scheme.processor, scheme.word, scheme.postprocessor)]
-    word = [stage for part in parts for stage in part]
+    _declare_variables(program)
+    with program.when(f"{names.LOADED} > 0") if optional else nullcontext():
+        _step(program, scheme)
+
+
+def _declare_variables(program: Program) -> None:
     program.variables((*names.STATE, *names.CONSTANTS, *names.FORCES, *names.TEMPORARY))
     program.variables(**dict.fromkeys((names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED), 0.0))
     program.variables(**dict.fromkeys((names.INDEX, names.STAGE, names.KICK_TIME, names.TIME, names.NEEDED), 0.0))
     program.variables(**dict.fromkeys((names.ENTER, names.LEAVE, names.TURNS), 1.0))
     program.variables(**dict.fromkeys((names.KNOWN, names.MOVED, names.FASTEST), 0.0))
+
+
+def _step(program: Program, scheme: Scheme) -> None:
+    """Write a step."""
+    parts = [stages(word) for word in (scheme.processor, scheme.word, scheme.postprocessor)]
+    word = [stage for part in parts for stage in part]
     program.table(names.KICKS, [*(kick for kick, _ in word), 0.0])
     program.table(names.DRIFTS, [*(drift for _, drift in word), 0.0])
     _take_up_images(program)
@@ -106,6 +117,7 @@ def _stage(program: Program) -> None:
     """Write a turn of the loop: sites, what the tables say, a kick and a rotation."""
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
+        _place(program)  # OpenMM's constraints have lengths in single precision
     program.number(names.STAGE, f"floor(({names.INDEX}+0.5)/{names.TURNS})")
     program.number(names.KICK_TIME, f"dt*{names.KICKS}({names.STAGE})*delta({names.INDEX}-{names.STAGE}*{names.TURNS})")
     program.number(names.TIME, f"dt*{names.DRIFTS}({names.STAGE})/{names.TURNS}")

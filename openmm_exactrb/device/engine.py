@@ -111,10 +111,11 @@ def device(
     ValueError
         If the force group of the sums is taken, or as `Session`.
     """
-    gather.install(context, Session(context, integrator, named).bodies)
-    session, couplings = Replicas(context, integrator, named), Couplings(context, named or [])
     system = context.getSystem()
     sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+    gather.install(system, Session(context, integrator, named).bodies)
+    gather.make_kernels(context)
+    session, couplings = Replicas(context, integrator, named), Couplings(context, named or [])
     pushed = couplings.pushes or couplings.removes_motion
     for name, value in ((names.SITES, sites), (names.BAROSTAT, couplings.moves), (names.PUSHED, pushed)):
         integrator.setGlobalVariableByName(name, float(value))

@@ -1,4 +1,6 @@
-"""The sums over the particles of a body: forces that push each of them with minus the sum of their positions.
+"""What the System and its Context get: forces that sum over bodies, and kernels that leave constraints alone.
+
+A force pushes each particle of a body with minus the sum of their positions.
 
 The program writes what is to be summed where positions are, so small that all particles of a body are within `REACH` of
 the origin. Bodies never are, and there energy and forces are exactly 0: what OpenMM shows of a System is what it was.
@@ -22,15 +24,14 @@ STRENGTH = 2.0**44
 _NAME = "openmm-exactrb sums"
 
 
-def install(context: Any, bodies: RigidBodies) -> None:
-    """Give a Context's System the forces that sum over bodies, unless it has them, and make the Context know them.
+def install(system: openmm.System, bodies: RigidBodies) -> None:
+    """Give a System the forces that sum over bodies, unless it has them.
 
     Raises
     ------
     ValueError
         If a force of the System is in their group, or a body is as small as what they take for numbers.
     """
-    system = context.getSystem()
     _refuse_taken_group(system)
     _refuse_tiny_bodies(bodies)
     needed = _bonds(bodies)
@@ -42,7 +43,24 @@ def install(context: Any, bodies: RigidBodies) -> None:
         system.removeForce(index)
     for size, rows in needed.items():
         system.addForce(_force(size, rows))
+
+
+def make_kernels(context: Any) -> None:
+    """Reinitialise a Context with its state, and make the kernels of its program.
+
+    The program makes virtual sites by `addConstrainPositions`. OpenMM asks, when it makes the kernels, whether the
+    System has constraints; as it has none then, they are not applied to what is rigid anyway.
+    """
+    system = context.getSystem()
     context.reinitialize(preserveState=True)
+    kept = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    for i in reversed(range(len(kept))):
+        system.removeConstraint(i)
+    try:
+        context.getState(energy=True)
+    finally:
+        for constraint in kept:
+            system.addConstraint(*constraint)
 
 
 def _refuse_taken_group(system: openmm.System) -> None:

@@ -190,3 +190,17 @@ def test_tuning_advises_a_scheme_for_constant_energy():
     simulation.step(20)
     result = rb.tune(simulation, target=0.1, schemes=["V2", "S2_2"], duration=0.5, levels=4)
     assert type(result.best().integrator()) is rb.ExactRigidBodyIntegrator
+
+
+def test_a_recipe_knows_all_settings_of_an_integrator():
+    def key(**changes):
+        arguments = {"temperature": 300.0, "frictionCoeff": 1.0, "stepSize": 0.002} | changes
+        return rb.ensemble.Recipe(describe, integrator=rb.ExactRigidBodyLangevinIntegrator(**arguments)).key
+
+    others = [{"temperature": 310.0}, {"frictionCoeff": 2.0}, {"scheme": "BAOAB"}, {"rotationalFriction": 3.0}]
+    assert len({key(), *(key(**other) for other in others)}) == 5
+    assert key() == key(rotor="exact")
+
+
+def describe(integrator):
+    return integrator.getScheme().name

@@ -93,5 +93,7 @@ def test_molecules_that_are_interleaved_need_a_topology():
         system.addParticle(1.0)
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions([openmm.Vec3(i, 0, 0) for i in range(4)])
     with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
-        topology_of(system, [openmm.Vec3(i, 0, 0) for i in range(4)])
+        topology_of(system, context.getState(positions=True))

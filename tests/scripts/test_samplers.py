@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from boxes import FEMTOSECONDS, misfit, quietly, simulation_of, solvent, water, water_system
+from boxes import FEMTOSECONDS, REFERENCE, misfit, quietly, simulation_of, solvent, water, water_system
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -54,6 +54,25 @@ def test_metadynamics(tmp_path):
     (value,) = bias.getCollectiveVariables(simulation)
     assert 0.1 < value < 1.0
     assert misfit(simulation) < 1e-6
+
+
+def test_metadynamics_of_a_bond_at_rest_is_no_blow_up():
+    """What rounding does to the potential energy is many times the kinetic energy there."""
+    system, bond, topology = openmm.System(), openmm.HarmonicBondForce(), app.Topology()
+    residue = topology.addResidue("bond", topology.addChain())
+    for _ in range(2):
+        topology.addAtom("H", app.element.hydrogen, residue)
+        system.addParticle(1.0)
+    bond.addBond(0, 1, 1.0, 100000.0)
+    system.addForce(bond)
+    length = openmm.CustomBondForce("r")
+    length.addBond(0, 1, [])
+    variable = app.BiasVariable(length, 0.94, 1.06, 0.02, False)
+    bias = app.Metadynamics(system, [variable], 300 * unit.kelvin, 3.0, 5.0 * unit.kilojoules_per_mole, 10)
+    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.001, scheme="V2"), REFERENCE)
+    simulation.context.setPositions([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    bias.step(simulation, 300)
+    assert simulation.currentStep == 300
 
 
 @pytest.mark.skipif(not hasattr(app, "ReplicaExchangeSampler"), reason="this OpenMM has no ReplicaExchangeSampler")

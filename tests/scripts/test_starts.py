@@ -25,6 +25,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 
+CPU = openmm.Platform.getPlatform("CPU")
 MODELS = ["tip3p", "spce", "tip4pew"]
 
 
@@ -32,7 +33,12 @@ def steadier_than_verlet(simulation):
     """Check that the energy swings a tenth of what it does with Verlet from the same start."""
     system, x = simulation.system, coordinates(simulation)
     verlet = simulation_of(
-        simulation.topology, system, x, openmm.VerletIntegrator(simulation.integrator.getStepSize()), minimise=0
+        simulation.topology,
+        system,
+        x,
+        openmm.VerletIntegrator(simulation.integrator.getStepSize()),
+        minimise=0,
+        platform=simulation.context.getPlatform(),
     )
     assert quietly(swing, simulation) < 0.1 * swing(verlet)
     assert misfit(simulation) < 1e-6
@@ -40,20 +46,20 @@ def steadier_than_verlet(simulation):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_boxes_that_modeller_fills_run_as_they_are(model):
-    topology, positions = solvent(model)
-    simulation = quietly(simulation_of, topology, water_system(topology, f"{model}.xml"), positions, None, 300, 0)
-    steadier_than_verlet(simulation)
+    topology, positions = solvent(model, 2.0)
+    system = water_system(topology, f"{model}.xml")
+    steadier_than_verlet(simulation_of(topology, system, positions, minimise=0, platform=CPU))
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_boxes_that_a_pdb_file_rounded_run(model):
-    topology, positions = solvent(model)
+    topology, positions = solvent(model, 2.0)
+    system = water_system(topology, f"{model}.xml")
+    relaxed = simulation_of(topology, system, positions, openmm.VerletIntegrator(1 * FEMTOSECONDS), platform=CPU)
     text = io.StringIO()
-    app.PDBFile.writeFile(topology, positions, text)
+    app.PDBFile.writeFile(topology, coordinates(relaxed) * unit.nanometer, text)
     pdb = app.PDBFile(io.StringIO(text.getvalue()))
-    steadier_than_verlet(
-        simulation_of(pdb.topology, water_system(pdb.topology, f"{model}.xml"), pdb.positions, minimise=0)
-    )
+    steadier_than_verlet(simulation_of(pdb.topology, system, pdb.positions, minimise=0, platform=CPU))
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -200,6 +206,24 @@ def test_a_system_without_rigid_bodies_runs():
     )
     simulation = simulation_of(topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS), minimise=0)
     simulation.context.setVelocities(v)
+    assert swing(simulation) < 0.1 * swing(verlet)
+
+
+def test_flexible_molecules_beside_rigid_ones_run():
+    """As a flexible protein in rigid water without constraints in it: its atoms are particles beside the bodies."""
+    topology, positions = solvent()
+    system, rigid = (
+        app.ForceField("tip3p.xml").createSystem(topology, rigidWater=rigid, removeCMMotion=False)
+        for rigid in (False, True)
+    )
+    for i in range(rigid.getNumConstraints()):
+        p, q, length = rigid.getConstraintParameters(i)
+        if p >= 15:  # all but five molecules
+            system.addConstraint(p, q, length)
+    simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS))
+    quietly(simulation.step, 1)
+    assert len(simulation.integrator.bodyState()[0]) == topology.getNumResidues() - 5 + 15
+    verlet = simulation_of(topology, system, coordinates(simulation), openmm.VerletIntegrator(0.2 * FEMTOSECONDS))
     assert swing(simulation) < 0.1 * swing(verlet)
 
 
