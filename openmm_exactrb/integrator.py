@@ -61,8 +61,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Raises
     ------
     ValueError
-        If scheme, rotor or engine is unknown, the step size is not a finite time, or scheme or rotor are not for the
-        device that was asked for.
+        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles, or
+        scheme or rotor are not for the device that was asked for.
 
     Attributes
     ----------
@@ -77,9 +77,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         bodies: Sequence[Sequence[int]] | None = None,
         engine: choice.Engine = "host",
     ) -> None:
+        _refuse_temperature(stepSize, scheme)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
-        self._bodies = None if bodies is None else [list(map(int, body)) for body in bodies]
+        self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
         self._asked_engine = choice.named(engine)
@@ -194,7 +195,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             does after any other error in a force.
         """
         with self.timings.measuring():
-            self._present().advance(self, self._scheme, self._makers, steps)
+            present = self._present()
+            present.advance(self, self._plan(present.session.context), steps)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -272,6 +274,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
         self._up_to_date().minimise(self.getIntegrationForceGroups(), force, iterations)
 
+    def getSettings(self) -> dict[str, dict[str, Any]]:
+        """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
+        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
+        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
+
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
@@ -297,18 +312,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         session.state = State(*map(np.ascontiguousarray, full))
         session.publish()
 
+    def __repr__(self) -> str:
+        """Return scheme, rotor and step."""
+        step = self.getStepSize().value_in_unit(unit.picosecond)
+        return f"{type(self).__name__}({step:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = (
-            self.getStepSize().value_in_unit(unit.picosecond),
-            self._scheme,
-            rotor,
-            self._bodies,
-            self._asked_engine,
-        )
-        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
+        return _restored, (type(self), *self.getSettings().values())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -319,6 +330,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
+
+    def _arguments(self) -> dict[str, Any]:
+        """Return what a copy is made with, beside the arguments that all have."""
+        return {"engine": self._asked_engine}
+
+    def _plan(self, context: openmm.Context) -> host.Plan:
+        """Return what the next steps are."""
+        return host.Plan(self._scheme, self._makers)
 
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
@@ -378,17 +397,31 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             self._note = against or f"{context.getPlatform().getName()} can make the whole step"
 
 
+def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
+    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(stepSize) and stepSize.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )
+
+
+# What OpenMM's integrators are told by methods: getX and setX.
+_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+
+
 def _restored(
     kind: type[ExactRigidBodyIntegrator],
-    arguments: tuple[Any, ...],
-    groups: int,
-    tolerance: float,
+    arguments: dict[str, Any],
+    settings: dict[str, Any],
     makers: dict[str, Maker],
 ) -> Any:
     """Return an integrator with the settings of another one."""
-    integrator = kind(*arguments)
-    integrator.setIntegrationForceGroups(groups)
-    integrator.setConstraintTolerance(tolerance)
+    integrator = kind(**arguments)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
     for letter, maker in makers.items():
         integrator.addLetter(letter, maker)
     return integrator

@@ -15,7 +15,7 @@ import pytest
 
 import openmm_exactrb as rb
 import three_masses
-from openmm_exactrb import problems
+from openmm_exactrb import problems, quaternions
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
@@ -81,9 +81,15 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
 
 def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
     contexts = [context_of(KINDS[0], seed) for seed in range(6)]
-    together(*(context.getIntegrator().bodyState for context in contexts))
-    for context in contexts:
-        assert context.getIntegrator()._coupling.context is context
+    found = {}
+    together(
+        *(lambda k=k, c=context: found.update({k: c.getIntegrator().bodyState()}) for k, context in enumerate(contexts))
+    )
+    for k, context in enumerate(contexts):
+        bodies, state = found[k]
+        x = result(context)[0]
+        np.testing.assert_allclose(bodies.positions(state, x.copy()), x, rtol=0.0, atol=1e-13)
+        assert all(np.abs(x - result(other)[0]).max() > 0.1 for other in contexts if other is not context)
 
 
 @pytest.mark.parametrize("method", rb.ROTORS)
@@ -123,7 +129,7 @@ def make_and_drop(n):
     for _ in range(n):
         context = context_of_a_three_masses()
         integrator = context.getIntegrator()
-        left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator._coupling)]
+        left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator.bodyState()[0])]
     return left
 
 
@@ -172,3 +178,15 @@ def test_a_copy_keeps_the_bodies_named_by_hand():
     for twin in (copy.deepcopy(integrator), pickle.loads(pickle.dumps(integrator))):
         assert twin.hasNamedBodies()
         assert twin.__reduce__() == integrator.__reduce__()
+
+
+@pytest.mark.parametrize(("rotor", "apart"), [("exact_compiled", 0.0), ("exact_numpy", 4e-15)])
+@pytest.mark.parametrize("t", [0.1, 5.0])
+def test_a_body_does_not_feel_the_others_of_its_array(rng, rotor, apart, t):
+    n = 200
+    inertia, q, m = rng.uniform(0.5, 2.0, (n, 3)), quaternions.random(rng, n), rng.standard_normal((n, 3))
+    together = rb.free_rotor(inertia, q, m, t, rotor)
+    for i in range(n):
+        alone = rb.free_rotor(inertia[i : i + 1], q[i : i + 1], m[i : i + 1], t, rotor)
+        for one, all_of_them in zip(alone, together, strict=True):
+            np.testing.assert_allclose(one[0], all_of_them[i], rtol=0.0, atol=apart)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -86,8 +87,10 @@ class Couplings:
                 session.write_velocities(state)
             box = arrays.box(context.getState())
             clock.tick()
-            if not self.pushes and arrays.box(context.getState()) == box:
-                return state
+            if not self.pushes:
+                if arrays.box(context.getState()) == box:
+                    return state
+                session.write_velocities(state)  # so that only places differ from those of the state
             places.lose()
             return session.compared(state, *session.held())
 
@@ -99,6 +102,30 @@ class Couplings:
             return state
 
         return flow
+
+
+def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
+    """Refuse what would bring the bodies of an integrator with a bath to another temperature (K), or a second bath.
+
+    Raises
+    ------
+    ValueError
+        If there is a thermostat in the System, or a barostat of another temperature.
+    """
+    forces = {type(force).__name__: force for force in context.getSystem().getForces()}
+    if _THERMOSTAT in forces:
+        raise ValueError(
+            "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
+            "System, or take ExactRigidBodyIntegrator"
+        )
+    for name in forces.keys() & set(_BAROSTATS):
+        parameter = forces[name].Temperature()
+        own = dict(context.getParameters()).get(parameter, temperature)  # one that joined the System later does nothing
+        if not math.isclose(own, temperature, rel_tol=1e-9):
+            raise ValueError(
+                f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "
+                f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
+            )
 
 
 def without_motion(mass: Array, state: State) -> State:

@@ -13,12 +13,18 @@ from openmm import unit
 
 from openmm_exactrb.context.shapes import kinds_from_distances, kinds_from_positions
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
+from openmm_exactrb.motion.images import joined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequence[int]] | None = None) -> RigidBodies:
+def find_bodies(
+    system: openmm.System,
+    positions: Array,
+    bodies: Sequence[Sequence[int]] | None = None,
+    box: Array | None = None,
+) -> RigidBodies:
     """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its free particles.
 
     Parameters
@@ -28,6 +34,8 @@ def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequen
         In nm. They tell a body from its mirror image, and give the shape where constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
+    box : (3, 3) array, optional
+        Vectors of the periodic box in nm, which may have split bodies.
 
     Raises
     ------
@@ -46,7 +54,9 @@ def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequen
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
         make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
-        shapes += make(np.stack(members), body_masses, distances, positions)
+        particles = np.stack(members)
+        whole = positions if box is None else joined(positions, particles, box)
+        shapes += make(particles, body_masses, distances, whole)
     if not shapes:
         raise ValueError("the System has no particle with mass: there is nothing to move")
     kinds, start = [], 0

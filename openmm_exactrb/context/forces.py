@@ -47,7 +47,7 @@ class Forces:
     """Forces and torques on bodies at the places of a state.
 
     The last ones are kept as long as places, box and parameters of the Context are the same. What else forces depend on
-    cannot be seen (`updateParametersInContext`): each call of `step` has Forces of its own.
+    cannot be seen (``updateParametersInContext``): each call of `step` has Forces of its own.
 
     Parameters
     ----------
@@ -58,10 +58,15 @@ class Forces:
     steady : bool
         Whether nothing within the call can change box or parameters: they are not looked at then, which would cost 30
         microseconds a step.
+    energies : bool, optional
+        Whether the potential energy is asked for with every force, because it will be needed.
     """
 
-    def __init__(self, places: Places, groups: int, timings: Timings, steady: bool = False) -> None:
+    def __init__(
+        self, places: Places, groups: int, timings: Timings, steady: bool = False, energies: bool = False
+    ) -> None:
         self._places, self._groups, self._timings, self._steady = places, groups, timings, steady
+        self._energies = energies
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
         self._value = (np.zeros(0), np.zeros(0))
@@ -71,7 +76,9 @@ class Forces:
         if not self._known(state):
             start = time.perf_counter()
             self._places.write(state)
-            self._seen = self._places.context.getState(forces=True, parameters=not self._steady, groups=self._groups)
+            self._seen = self._places.context.getState(
+                forces=True, energy=self._energies, parameters=not self._steady, groups=self._groups
+            )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
             self._timings.evaluations += 1
@@ -94,8 +101,15 @@ class Forces:
         force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
         return float(found.getPotentialEnergy()._value), force, torque
 
+    def with_energies(self) -> Forces:
+        """Return the same forces, with a memory of the potential energy too."""
+        return Forces(self._places, self._groups, self._timings, self._steady, energies=True)
+
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""
+        if self._energies:
+            self(state)
+            return float(self._seen.getPotentialEnergy()._value)
         self._places.write(state)
         energy = self._places.context.getState(energy=True, groups=self._groups).getPotentialEnergy()
         return float(energy._value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,8 +12,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb.context.couplings import Couplings
-from openmm_exactrb.context.host import Host
-from openmm_exactrb.context.letters import Maker
+from openmm_exactrb.context.host import Host, Plan
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.device import gather, load, names
@@ -46,7 +45,7 @@ class Device(Host):
         assert isinstance(self.session, Replicas)
         return self.session
 
-    def advance(self, integrator: openmm.CustomIntegrator, scheme: Scheme, makers: Mapping[str, Maker], n: int) -> None:
+    def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
         Where bodies come to turn too fast for the rotor's range, the steps are made again with shorter rotations.
@@ -56,7 +55,8 @@ class Device(Host):
         NonFiniteError
             If numbers become infinite, or a body turns faster than that too.
         """
-        context, (x, v) = self._replicas.context, self._replicas.settle()
+        scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
+        scheme = plan.scheme
         before = x, v, context.getTime(), context.getStepCount()
         for haste in _HASTE:
             self._set_turns(integrator, scheme, haste)

@@ -59,7 +59,7 @@ class Replicas(Session):
 
     def stored(self, x: Array) -> State | None:
         """Return the state that the replicas hold, in the periodic images of positions x."""
-        known = load.read(self._integrator, self.bodies)
+        known = load.read(self._integrator(), self.bodies)
         if known is not None and self.context.getSystem().usesPeriodicBoundaryConditions():
             known = self._in_images_of(known, x)
         self._replicated = known
@@ -76,5 +76,5 @@ class Replicas(Session):
 
     def store(self) -> None:
         """Write the state to the replicas."""
-        load.write(self._integrator, self.bodies, self.state)
+        load.write(self._integrator(), self.bodies, self.state)
         self._replicated, self._behind = self.state, False

@@ -6,40 +6,98 @@ This is the one place that chooses between them. numba is imported where the com
 from __future__ import annotations
 
 import os
-from functools import cache
+from functools import cached_property
 from importlib.util import find_spec
 from types import ModuleType
-from typing import Literal, NamedTuple
+from typing import Literal
 
 #: With this environment variable set to 0 everything runs in numpy.
 SWITCH = "OPENMM_EXACTRB_COMPILED"
 
 
-class Twins(NamedTuple):
-    """The modules that are written twice, all of them in numpy or all compiled.
+class _Plain:
+    @cached_property
+    def bath(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import bath
 
-    Attributes
-    ----------
-    bath : module
-        Friction and noise on momenta.
-    bodies : module
-        Particles of rigid bodies: places, forces and torques.
-    clusters : module
-        The free flow of clusters with distance constraints, and the projection of their momenta.
-    exact : module
-        The free rotation.
-    noise : module
-        Random numbers that are looked up by seed, step and body.
-    sums : module
-        Unevaluated sums high + low.
-    """
+        return bath
 
-    bath: ModuleType
-    bodies: ModuleType
-    clusters: ModuleType
-    exact: ModuleType
-    noise: ModuleType
-    sums: ModuleType
+    @cached_property
+    def bodies(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import bodies
+
+        return bodies
+
+    @cached_property
+    def clusters(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import clusters
+
+        return clusters
+
+    @cached_property
+    def exact(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import exact
+
+        return exact
+
+    @cached_property
+    def noise(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import noise
+
+        return noise
+
+    @cached_property
+    def sums(self) -> ModuleType:
+        from openmm_exactrb.kernels.plain import sums
+
+        return sums
+
+
+class _Compiled:
+    @cached_property
+    def bath(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import bath
+
+        return bath
+
+    @cached_property
+    def bodies(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import bodies
+
+        return bodies
+
+    @cached_property
+    def clusters(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import clusters
+
+        return clusters
+
+    @cached_property
+    def exact(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import exact
+
+        return exact
+
+    @cached_property
+    def noise(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import noise
+
+        return noise
+
+    @cached_property
+    def sums(self) -> ModuleType:
+        from openmm_exactrb.kernels.compiled import sums
+
+        return sums
+
+
+#: The modules that are written twice, all of them in numpy or all compiled, each imported when it is needed: `bath`
+#: (friction and noise on momenta), `bodies` (particles of rigid bodies: places, forces and torques), `clusters` (the
+#: free flow of clusters that distance constraints hold), `exact` (the free rotation), `noise` (random numbers that are
+#: looked up by seed, step and body) and `sums` (unevaluated sums high + low).
+Twins = _Plain | _Compiled
+
+_PLAIN, _COMPILED = _Plain(), _Compiled()
 
 
 def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
@@ -52,21 +110,7 @@ def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
     """
     if which == "numba":
         require()
-    return _compiled() if which == "numba" or (which == "fastest" and available()) else _plain()
-
-
-@cache
-def _plain() -> Twins:
-    from openmm_exactrb.kernels.plain import bath, bodies, clusters, exact, noise, sums
-
-    return Twins(bath, bodies, clusters, exact, noise, sums)
-
-
-@cache
-def _compiled() -> Twins:
-    from openmm_exactrb.kernels.compiled import bath, bodies, clusters, exact, noise, sums
-
-    return Twins(bath, bodies, clusters, exact, noise, sums)
+    return _COMPILED if which == "numba" or (which == "fastest" and available()) else _PLAIN
 
 
 def available() -> bool:
@@ -94,6 +138,4 @@ def chosen(kernel: str) -> bool:
 def require() -> None:
     """Raise ModuleNotFoundError if numba is not installed."""
     if find_spec("numba") is None:
-        raise ModuleNotFoundError(
-            'compiled kernels need numba: python -m pip install "openmm-exactrb[fast]"', name="numba"
-        )
+        raise ModuleNotFoundError("compiled kernels need numba: python -m pip install numba", name="numba")

@@ -9,6 +9,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
+from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.version import version
 
@@ -46,6 +47,8 @@ def _settings(integrator: Any) -> str:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
+    if isinstance(integrator, ThermostattedIntegrator):
+        text += "".join(f", {name} {value}" for name, value in integrator.getBathSettings().items())
     return text
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from types import MappingProxyType
 
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
+from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
-# Found by random searches and Nelder-Mead on the energy error of droplets of 64 TIP3P molecules, over starts that were
-# used for nothing else.
+# Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
+# for nothing else: benchmarks/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs a force evaluation"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
@@ -42,16 +41,6 @@ _SCHEMES = (
         reference=_HMC,
     ),
     symmetric("W2_4", order=2, stages=4, first="drift", a=(0.08284, 0.27988), b=(0.21647,), reference=_TUNED.format(4)),
-    # S4_6 with the fourth order given up for a small error at finite steps.
-    symmetric(
-        "W2_6",
-        order=2,
-        stages=6,
-        first="drift",
-        a=(0.08414, 0.3430, -0.0449),
-        b=(0.2099, -0.1282),
-        reference=_TUNED.format(2),
-    ),
     symmetric(
         "W4_5",
         order=4,
@@ -61,6 +50,17 @@ _SCHEMES = (
         a=(0.254, -0.0365),
         b=(0.08477656200969587785212352836804759, 0.65654407453874424357010313964426243),
         reference=_TUNED.format(1),
+    ),
+    # SRKN4_6b with a smaller error at steps that are not short.
+    symmetric(
+        "W4_6",
+        order=4,
+        stages=6,
+        kind="nystroem",
+        first="kick",
+        a=(0.24584, 0.60817),
+        b=(0.08367, 0.3914955154373213, -0.036229470113921206),
+        reference=_TUNED.format(0.5),
     ),
     symmetric(
         "PEFRL",
@@ -208,24 +208,19 @@ _SCHEMES = (
         generalised=(10, 6, 4),
     ),
     corrected(_V2_DRIFT, 8, "V2_C17", (18, 2)),
+    *FORCE_GRADIENT,
+    # Near the force-gradient scheme of this word that has order 4 and the smallest error constant there.
+    force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
+    # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
+    corrected(TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),
 )
 
-# The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
-_TAKAHASHI_IMADA = replace(
-    _V2_DRIFT, word=((DRIFT, 0.5), (GRADIENT, 1.0), (DRIFT, 0.5)), gradients=((GRADIENT, 1.0 / 12.0),)
-)
-_GRADIENT = (corrected(_TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),)
-
-#: Schemes with force-gradient kicks by name, for problems that supply them (M. Takahashi and M. Imada, J. Phys. Soc.
-#: Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765).
-FORCE_GRADIENT: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _GRADIENT})
-
-#: All schemes that need forces only, by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 beside them.
+#: All schemes by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 beside them.
 CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _SCHEMES})
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look a scheme up, one with force-gradient kicks too; a `Scheme` is passed through.
+    """Look a scheme up; a `Scheme` is passed through.
 
     Raises
     ------
@@ -239,7 +234,6 @@ def scheme(name: str | Scheme) -> Scheme:
     generated = re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name)
     if generated and name not in CATALOGUE:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
-    known = {**CATALOGUE, **FORCE_GRADIENT}
-    if name not in known:
-        raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(known)}")
-    return known[name]
+    if name not in CATALOGUE:
+        raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(CATALOGUE)}")
+    return CATALOGUE[name]
