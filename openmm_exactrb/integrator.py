@@ -190,7 +190,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """
         parts = self._up_to_date()
         bodies = parts.session.bodies
-        return 3 * len(bodies) - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
+        return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational temperature of the bodies."""
@@ -246,7 +246,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
-        return session.bodies, BodyState(*(a.copy() for a in session.state.rounded))
+        return session.bodies, BodyState(*(a.copy() for a in session.bodies.tangent(session.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
         """Return the bodies and their state in sums high + low of `openmm_exactrb.compensated`: all that is known."""

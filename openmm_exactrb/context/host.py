@@ -17,7 +17,7 @@ from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
 from openmm_exactrb.motion.guard import Guard
-from openmm_exactrb.motion.kinetic import Kinetic, rigid
+from openmm_exactrb.motion.kinetic import Kinetic, of_bodies
 from openmm_exactrb.motion.minimise import minimised
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
@@ -111,4 +111,4 @@ def host(
     """Find the bodies of a Context, and what moves them."""
     session = Session(context, integrator, named)
     rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
-    return Host(session, Couplings(context, named or []), rigid(session.bodies.mass, rotation, rotor.order), timings)
+    return Host(session, Couplings(context, named or []), of_bodies(session.bodies, rotation, rotor.order), timings)

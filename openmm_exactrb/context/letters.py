@@ -49,15 +49,14 @@ def _drifts(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
 def _kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
     """Make "B", a kick of all forces that act, and "B3", one of the forces of group 3."""
     forces = {letter: parts.forces if letter == KICK else parts.forces.of(1 << int(letter[1:])) for letter in letters}
-    return {letter: parts.guard.finite(kick(forces[letter], parts.kinetic)) for letter in letters}
+    return {letter: parts.guard.finite(kick(forces[letter])) for letter in letters}
 
 
 def _gradient_kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
     strengths, bodies = dict(parts.scheme.gradients), parts.bodies
     here, there = parts.forces, parts.forces.twin()
     kicks = {
-        letter: gradient_kick(here, there, parts.kinetic, bodies.mass, bodies.inertia.T, strengths[letter])
-        for letter in letters
+        letter: gradient_kick(here, there, parts.kinetic, bodies.inertia.T, strengths[letter]) for letter in letters
     }
     return {letter: parts.guard.finite(flow) for letter, flow in kicks.items()}
 
