@@ -16,6 +16,7 @@ from openmm_exactrb import checks
 from openmm_exactrb.context import host, ledger
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
+from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
 from openmm_exactrb.motion.bodies import RigidBodies
@@ -48,11 +49,20 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     bodies : sequence of sequences of int, optional
         Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
         step; what acts within them only adds a constant to the energy.
+    fast : "bonded" or sequence of int, optional
+        Forces with steps of their own within the drifts of the scheme: those of some force groups, or all bonds, angles
+        and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
+        forces, which are what costs, as often as before.
+    inner : str or Scheme, optional
+        Scheme of the inner steps.
+    innerSteps : int, optional
+        Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
+        inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
 
     Raises
     ------
     ValueError
-        If scheme or rotor is unknown, or the step size is not a finite time.
+        If scheme or rotor is unknown, the step size is not a finite time, or what is to be nested is no such thing.
 
     Attributes
     ----------
@@ -65,7 +75,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme = "S2_2",
+        innerSteps: int | None = None,
     ) -> None:
+        self._nesting = Nesting.of(fast, inner, innerSteps)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
         self._bodies = None if bodies is None else [list(map(int, body)) for body in bodies]
@@ -94,9 +108,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return the particles of the bodies beside those that constraints make, as they were handed over."""
         return copy.deepcopy(self._bodies)
 
+    def getNesting(self) -> Nesting | None:
+        """Return what has steps of its own within the drifts, or None."""
+        return self._nesting
+
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""
+        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`.
+
+        Those of nested forces are not counted.
+        """
         return self._scheme.forces
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
@@ -271,7 +292,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = (self.getStepSize().value_in_unit(unit.picosecond), self._scheme, rotor, self._bodies)
+        arguments: tuple[Any, ...] = (
+            self.getStepSize().value_in_unit(unit.picosecond),
+            self._scheme,
+            rotor,
+            self._bodies,
+        )
+        if self._nesting is not None:
+            arguments = (*arguments, self._nesting.fast, self._nesting.scheme, self._nesting.steps)
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
         return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
 
@@ -290,7 +318,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._host = host.host(context, self, self._rotor, self._bodies, self.timings)
+            self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         self._host.session.take_up()
         return self._host
 

@@ -13,6 +13,7 @@ from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
 from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
+from openmm_exactrb.context.nesting import Nested, Nesting, nested_in
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
@@ -35,12 +36,15 @@ class Host:
     couplings : Couplings
     kinetic : Kinetic
     timings : Timings
+    nested : Nested or None
+        What stands within the drifts.
     """
 
     session: Session
     couplings: Couplings
     kinetic: Kinetic
     timings: Timings
+    nested: Nested | None = None
 
     def advance(
         self,
@@ -63,10 +67,16 @@ class Host:
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
+        slow, fast = forces, forces.of(0)
+        if self.nested is not None:
+            scheme = self.nested.put_into(scheme, h)
+            slow, fast = forces.of(~self.nested.bits), forces.of(self.nested.bits, "fast_evaluations")
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
         moves = flows(
-            scheme.word + scheme.processor, Parts(session.bodies, self.kinetic, forces, guard, scheme), makers
+            scheme.word + scheme.processor,
+            Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme),
+            makers,
         )
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
@@ -107,8 +117,11 @@ def host(
     rotor: Rotor,
     named: list[list[int]] | None,
     timings: Timings,
+    nesting: Nesting | None = None,
 ) -> Host:
     """Find the bodies of a Context, and what moves them."""
     session = Session(context, integrator, named)
     rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
-    return Host(session, Couplings(context, named or []), of_bodies(session.bodies, rotation, rotor.order), timings)
+    kinetic = of_bodies(session.bodies, rotation, rotor.order)
+    nested = None if nesting is None else nested_in(context.getSystem(), nesting)
+    return Host(session, Couplings(context, named or []), kinetic, timings, nested)

@@ -83,5 +83,4 @@ def put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices)
 
 def _touched(bodies: RigidBodies, columns: Indices, chosen: Indices) -> NDArray[np.bool_]:
     """Tell which clusters (N,) of a kind have one of the bodies."""
-    touched: NDArray[np.bool_] = np.isin(columns + bodies.clustered.start, chosen).any(axis=1)
-    return touched
+    return np.asarray(np.isin(columns + bodies.clustered.start, chosen).any(axis=1))

@@ -46,6 +46,8 @@ def _settings(integrator: Any) -> str:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
+        if (nesting := integrator.getNesting()) is not None:
+            text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {nesting.scheme.name}"
     return text
 
 
