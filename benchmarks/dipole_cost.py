@@ -25,7 +25,8 @@ from openmm import app
 
 import lammps_peer
 import openmm_exactrb as rb
-from openmm_exactrb import kernels, pairs_compiled
+from openmm_exactrb.kernels.build import reordered
+from openmm_exactrb.kernels.compiled import pairs
 
 OUT = Path("out/benchmarks")
 STAGES = rb.SCHEMES["S6_10"].stages
@@ -142,7 +143,7 @@ def kernel(n, threads=None):
 
     def run(evaluations):
         for _ in range(evaluations):
-            pairs_compiled.soft_dipoles(x, 4.0, 8.0, threads=threads)
+            pairs.soft_dipoles(x, 4.0, 8.0, threads=threads)
 
     run(1)
     return run
@@ -170,7 +171,7 @@ def lammps_step(n):
     return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
 
 
-@kernels.reordered
+@reordered
 def _arithmetic(evaluations, places, steps):
     """Do the arithmetic of the kernel's inner loop on places that walk on in registers."""
     x, y, z, vx, vy, vz = places
@@ -181,7 +182,7 @@ def _arithmetic(evaluations, places, steps):
         x, y, z, vx, vy, vz = x + dx, y + dy, z + dz, vx + dvx, vy + dvy, vz + dvz
         r2 = x * x + y * y + z * z
         uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-        e, a, b, c = pairs_compiled.pair(r2, uv, ur, vr, 4.0, 2.0)
+        e, a, b, c = pairs.pair(r2, uv, ur, vr, 4.0, 2.0)
         energy += e
         fx, fy, fz = fx + a * x + c * ur * vx, fy + a * y + c * ur * vy, fz + a * z + c * ur * vz
         gx, gy, gz = gx + c * vr * x - b * vx, gy + c * vr * y - b * vy, gz + c * vr * z - b * vz

@@ -24,14 +24,14 @@ from openmm import unit
 
 import lammps_peer
 import openmm_exactrb as rb
-from openmm_exactrb import kernels
+from openmm_exactrb.kernels import threads
 
 OUT = Path("out/benchmarks")
 DENSITY, KT, MU2 = 0.822, 1.15, 3.0
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 STAGES = rb.SCHEMES["S6_10"].stages
 ERRORS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
-CORES = kernels.cores()
+CORES = threads.cores()
 REFERENCE = openmm.Platform.getPlatform("Reference")
 
 

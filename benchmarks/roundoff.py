@@ -20,13 +20,14 @@ import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import app, unit
-from openmm_exactrb.bodies import BodyState
-from openmm_exactrb.propagate import compose
-from openmm_exactrb.sums import exactly
 
 import openmm_exactrb as rb
 from openmm_exactrb import problems
-from openmm_exactrb.rotors import rotor
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.context.letters import LETTERS
+from openmm_exactrb.motion.engine import run
+from openmm_exactrb.motion.state import State
+from openmm_exactrb.schemes.word import repeated
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -57,14 +58,26 @@ def top_of(start):
     return problems.HeavyTop.random(np.random.default_rng([7, start]), epsilon=0.1, T0=1.0, n=32)
 
 
+def rounding(flow):
+    """Return a flow that drops the low parts of what it changes."""
+
+    def rounded(state, tau):
+        after = flow(state, tau)
+        return State(*(new if new is old else exactly(new[0]) for new, old in zip(after, state, strict=True)))
+
+    return rounded
+
+
 def rounded_tops(problem):
     """Return advance(state, h, n) in which every flow ends in float64."""
-    flow = rotor("exact", problem.inertia.T)
+    flows = {letter: rounding(flow) for letter, flow in problems.flows(problem, TOP_SCHEME).items()}
 
-    def kick(state, tau):
-        return state[0], state[1] + tau * problem.torque(state[0])
+    def advance(state, h, n):
+        nowhere = np.zeros((2, 3, 0))
+        end = run(repeated(TOP_SCHEME.word, n), flows, State(nowhere, nowhere, *map(exactly, state)), h)
+        return end.rounded.q, end.rounded.m
 
-    return compose(TOP_SCHEME, lambda state, tau: flow(*state, tau), kick)
+    return advance
 
 
 def energy_and_momentum(problem, state):
@@ -134,21 +147,21 @@ def springs(centres):
 
 def round_everything(integrator):
     """Drop the low parts of an integrator's sums after every flow."""
-    integrator.bodyState()
-    coupling = integrator._coupling
-    for name in ("_drift", "_kick"):
-        flow = getattr(coupling, name)
-        setattr(coupling, name, lambda state, tau, flow=flow: BodyState(*map(exactly, flow(state, tau).high)))
+    for letter, maker in LETTERS.items():
+        integrator.addLetter(
+            letter,
+            lambda parts, names, maker=maker: {name: rounding(flow) for name, flow in maker(parts, names).items()},
+        )
 
 
 def in_long_double(context, integrator):
     """Return energy, momenta (N, 3) and angular momentum of dipoles, in long double from all that the state holds."""
-    bodies, _ = integrator.bodyState()
+    bodies, full = integrator.fullState()
     system, (kind,), parameters = context.getSystem(), bodies.kinds, context.getParameters()
-    R, P, q, m = (x.astype(np.longdouble).sum(axis=0) for x in integrator._coupling.sums)
+    R, P, q, m = (x.astype(np.longdouble).sum(axis=0) for x in full)
     Q = attitude(q)
     first = kind.particles[0]
-    sites = dict(zip(first, kind.sites.astype(np.longdouble), strict=True))
+    sites = dict(zip(first, kind.sites[0].astype(np.longdouble), strict=True))
     centre, tip = (virtual_site(system.getVirtualSite(int(first[-1]) + k), sites) for k in (1, 2))
     places = R + np.einsum("ijn,j->in", Q, centre)
     arrows = np.einsum("ijn,j->in", Q, tip - centre)

@@ -97,8 +97,8 @@ def scheme_table() -> str:
     rows = ["| name | orders | forces a step | starts with | kind | stable step a force |", "| --- " * 6 + "|"]
     for name, scheme in CATALOGUE.items():
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
-        stable = stability_limit(scheme, 1e-3) / scheme.stages
-        rows.append(f"| `{name}` | {orders} | {scheme.stages} | {scheme.first} | {scheme.kind} | {stable:.2f} |")
+        stable = stability_limit(scheme, 1e-3) / scheme.forces
+        rows.append(f"| `{name}` | {orders} | {scheme.forces} | {scheme.first} | {scheme.kind} | {stable:.2f} |")
     return "\n".join(rows)
 
 

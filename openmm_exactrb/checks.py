@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import reprlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -41,6 +43,22 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
     """Return a whole number of at least `least`; see `number`."""
     asked = f"a whole number{{}} of at least {least}"
     return int(_checked(value, name, of, asked, lambda x: x == int(x) and x >= least))
+
+
+def lists_of_indices(value: Any, name: str) -> list[list[int]]:
+    """Return lists of numbers of particles as lists of int; see `number`."""
+    if not _iterable(value) or not all(_iterable(row) and all(map(_index, row)) for row in value):
+        given = reprlib.repr(value)
+        raise ValueError(f"{name} must be lists of numbers of particles, such as [[0, 1, 2], [3, 4, 5]], not {given}")
+    return [list(map(int, row)) for row in value]
+
+
+def _iterable(value: Any) -> bool:
+    return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
+
+
+def _index(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
 
 
 def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:

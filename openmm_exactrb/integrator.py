@@ -62,7 +62,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Raises
     ------
     ValueError
-        If scheme or rotor is unknown, the step size is not a finite time, or what is to be nested is no such thing.
+        If scheme or rotor is unknown, the step size is not a finite time, bodies are not lists of particles, or what is
+        to be nested are no force groups.
 
     Attributes
     ----------
@@ -79,10 +80,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         inner: str | Scheme = "S2_2",
         innerSteps: int | None = None,
     ) -> None:
+        _refuse_temperature(stepSize, scheme)
         self._nesting = Nesting.of(fast, inner, innerSteps)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
-        self._bodies = None if bodies is None else [list(map(int, body)) for body in bodies]
+        self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
         ledger.declare(self)
@@ -321,6 +323,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         self._host.session.take_up()
         return self._host
+
+
+def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
+    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(stepSize) and stepSize.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )
 
 
 def _restored(

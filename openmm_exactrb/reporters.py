@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from openmm import unit
 
 from openmm_exactrb.checks import whole
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 
 _COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
 
@@ -27,6 +28,8 @@ class _Lines:
         append: bool,
     ) -> None:
         self._interval = whole(reportInterval, "reportInterval", of="steps")
+        if not isinstance(file, (str, os.PathLike)) and not hasattr(file, "write"):
+            raise ValueError(f"file must be a path or an open text file, not {file!r}")
         self._owned = isinstance(file, (str, os.PathLike))
         self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
         if not append or (self._owned and self._out.tell() == 0):
@@ -67,7 +70,18 @@ class EnergyReporter(_Lines):
         super().__init__(file, reportInterval, _COLUMNS, append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when the next line is due and what it needs."""
+        """Tell OpenMM when the next line is due and what it needs.
+
+        Raises
+        ------
+        ValueError
+            If the Simulation has another integrator than an `ExactRigidBodyIntegrator`.
+        """
+        if not isinstance(simulation.integrator, ExactRigidBodyIntegrator):
+            raise ValueError(
+                f"EnergyReporter writes the energies of an ExactRigidBodyIntegrator, and this Simulation has a "
+                f"{type(simulation.integrator).__name__}: use openmm.app.StateDataReporter"
+            )
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
 
     def report(self, simulation: Any, state: Any) -> None:

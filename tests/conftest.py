@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -17,17 +15,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    forget_kernels_of_older_sources()
     settings.load_profile("thorough" if config.getoption("--validate") else "fast")
-
-
-def forget_kernels_of_older_sources():
-    """Delete what numba has cached before the newest source: it does not see changes in functions that are inlined."""
-    package = Path(rb.__file__).parent
-    newest = max(file.stat().st_mtime for file in package.rglob("*.py"))
-    for cached in package.rglob("*.nb[ic]"):
-        if cached.stat().st_mtime < newest:
-            cached.unlink(missing_ok=True)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -53,7 +41,7 @@ def scheme(request):
     return rb.SCHEMES[request.param]
 
 
-#: Every scheme with the exact rotor, and every rotor with one scheme.
+#: Every scheme with the exact rotor, and every rotor with one scheme: for laws, where they are cheap.
 PAIRINGS = [(name, "exact") for name in rb.SCHEMES] + [("SRKN4_6b", name) for name in rb.ROTORS if name != "exact"]
 
 

@@ -12,29 +12,9 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 import three_masses
+from few_dipoles import KT, REFERENCE, energies, simulation_of, snapshot
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 SHIFT = np.array([0.5, 0.0, 0.0])
-KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-
-
-def simulation_of(n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERENCE, trap=0.5, **options):
-    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap, **options)
-    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
-    simulation = app.Simulation(topology, system, integrator, platform)
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(KT, 2)
-    return simulation
-
-
-def snapshot(simulation):
-    state = simulation.context.getState(positions=True, velocities=True)
-    return state.getPositions(asNumpy=True)._value.copy(), state.getVelocities(asNumpy=True)._value.copy()
-
-
-def energies(simulation):
-    state = simulation.context.getState(energy=True)
-    return state.getPotentialEnergy()._value, state.getKineticEnergy()._value
 
 
 # -- stock tools ------------------------------------------------------------------------------------------------
@@ -78,22 +58,6 @@ def test_the_total_energy_is_that_of_the_forces_that_act():
     assert simulation.integrator.totalEnergy()._value == pytest.approx(potential + kinetic, rel=1e-13)
 
 
-def test_the_state_of_the_context_is_that_of_the_bodies(scheme):
-    simulation = simulation_of(scheme=scheme.name)
-    simulation.step(7)
-    potential, kinetic = energies(simulation)
-    translational, rotational = simulation.integrator.kineticEnergies()
-    assert kinetic == pytest.approx(translational._value + rotational._value, rel=1e-13)
-    fresh = openmm.Context(simulation.system, openmm.VerletIntegrator(0.001), REFERENCE)
-    x, _ = snapshot(simulation)
-    fresh.setPositions(x)
-    fresh.computeVirtualSites()
-    assert potential == pytest.approx(fresh.getState(energy=True).getPotentialEnergy()._value, rel=1e-13)
-    np.testing.assert_allclose(fresh.getState(positions=True).getPositions(asNumpy=True)._value, x, atol=1e-15)
-    assert simulation.context.getTime()._value == pytest.approx(0.14, rel=1e-12)
-    assert simulation.context.getStepCount() == simulation.currentStep == 7
-
-
 def test_energy_reporter_writes_every_digit(tmp_path):
     simulation = simulation_of()
     file = tmp_path / "energies.csv"
@@ -108,126 +72,6 @@ def test_energy_reporter_writes_every_digit(tmp_path):
     assert potential == energies(simulation)[0]
     assert total == kinetic + potential
     assert kinetic == translational + rotational
-    with pytest.raises(ValueError, match="at least one step"):
-        rb.EnergyReporter(file, 0)
-
-
-def test_energy_reporter_appends_and_names_the_columns_once(tmp_path):
-    file = tmp_path / "energies.csv"
-    simulation = simulation_of(2)
-    for _ in range(2):
-        reporter = rb.EnergyReporter(file, 1, append=True)
-        simulation.reporters.append(reporter)
-        simulation.step(1)
-        simulation.reporters.clear()
-        reporter.close()
-    assert [line.split(",")[0] for line in file.read_text().splitlines()] == ["step", "1", "2"]
-
-
-# -- the dynamics -----------------------------------------------------------------------------------------------
-
-
-def test_step_ten_times_ten_is_step_a_hundred_to_the_bit(pairing):
-    scheme, method = pairing
-    if scheme.processor:
-        pytest.skip("prepares and finishes the state at each call")
-    once, often = (simulation_of(4, scheme=scheme.name, rotor=method) for _ in range(2))
-    once.integrator.step(100)
-    for _ in range(10):
-        often.integrator.step(10)
-    for a, b in zip(snapshot(once), snapshot(often), strict=True):
-        np.testing.assert_array_equal(a, b)
-
-
-def test_turned_velocities_bring_the_start_back(pairing):
-    scheme, method = pairing
-    if not scheme.symmetric:
-        pytest.skip("does not claim it")
-    simulation = simulation_of(scheme=scheme.name, rotor=method)
-    simulation.step(1)
-    x, v = snapshot(simulation)
-    simulation.integrator.step(50)
-    simulation.context.setVelocities(-snapshot(simulation)[1])
-    simulation.integrator.step(50)
-    x_back, v_back = snapshot(simulation)
-    np.testing.assert_allclose(x_back, x, rtol=0.0, atol=1e-10)
-    np.testing.assert_allclose(v_back, -v, rtol=0.0, atol=1e-9)
-
-
-# Force evaluations a unit of time by order, so that the errors are asymptotic and above roundoff.
-EVALUATIONS = {2: 240, 4: 360, 6: 420, 8: 500}
-
-
-def measured_order(scheme, method, steps):
-    errors = []
-    for n in steps:
-        ends = []
-        for k in (n, 2 * n):
-            simulation = simulation_of(h=1.0 / k, scheme=scheme.name, rotor=method, spacing=1.4)
-            simulation.integrator.step(k)
-            ends.append(snapshot(simulation)[0])
-        errors.append(np.abs(ends[0] - ends[1]).max())
-    assert min(errors) > 1e-13
-    return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-
-
-def test_measured_order_of_dipoles_is_the_declared_one(scheme):
-    assert (
-        abs(
-            measured_order(
-                scheme, "exact", [round(EVALUATIONS[scheme.order] / scheme.stages * f) for f in (1.0, 1.3, 1.7)]
-            )
-            - scheme.order
-        )
-        < 0.35
-    )
-
-
-# Tops go through all schemes with this rotor; here it is the coupling that is looked at.
-FEW = [name for name, scheme in rb.SCHEMES.items() if scheme.composes_verlet] + ["SRKN4_6b"]
-
-
-@pytest.mark.parametrize("name", FEW)
-def test_measured_order_of_dipoles_with_mclachlan_reich_is_two_but_for_compositions(name):
-    scheme = rb.SCHEMES[name]
-    order = scheme.order if scheme.composes_verlet else 2
-    evaluations = EVALUATIONS[order] / scheme.stages if scheme.composes_verlet else 150
-    steps = [round(evaluations * f) for f in (1.0, 1.4, 2.0)]
-    assert abs(measured_order(scheme, "mclachlan_reich", steps) - order) < 0.35
-
-
-def test_momenta_of_an_isolated_droplet_are_kept(pairing):
-    scheme, method = pairing
-    simulation = simulation_of(scheme=scheme.name, rotor=method, trap=0.0)
-
-    def momenta():
-        _, state = simulation.integrator.bodyState()
-        spin = np.einsum("ijn,jn->i", rb.quaternions.matrix(state.q), state.m)
-        return np.concatenate([state.P.sum(1), spin + np.cross(state.R.T, state.P.T).sum(0)])
-
-    start = momenta()
-    simulation.integrator.step(100)
-    np.testing.assert_allclose(momenta(), start, rtol=0.0, atol=1e-12)
-
-
-def test_no_force_is_evaluated_twice(scheme):
-    simulation = simulation_of(scheme=scheme.name)
-    simulation.integrator.step(7)
-    assert simulation.integrator.forceEvaluationsPerStep == scheme.stages
-    assert simulation.integrator.timings.evaluations == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
-
-
-def test_higher_orders_keep_the_energy_better():
-    """At the same number of force evaluations: the reason for this package."""
-    errors = {}
-    for name, rotor, h in (("V2", "mclachlan_reich", 0.02 / 6), ("SRKN4_6b", "exact", 0.02)):
-        simulation = simulation_of(27, h=h, scheme=name, rotor=rotor)
-        start, worst = sum(energies(simulation)), 0.0
-        for _ in range(20):
-            simulation.integrator.step(round(0.1 / h))
-            worst = max(worst, abs(sum(energies(simulation)) / start - 1.0))
-        errors[name] = worst
-    assert errors["SRKN4_6b"] < errors["V2"] / 20
 
 
 # -- what a user does between steps -----------------------------------------------------------------------------
@@ -390,13 +234,13 @@ def test_a_context_of_another_integrator_is_refused():
         rb.ExactRigidBodyIntegrator(0.01).bind(simulation.context)
 
 
-def test_a_system_without_rigid_bodies_is_refused():
+def test_a_system_without_anything_to_move_is_refused():
     system = openmm.System()
-    system.addParticle(1.0)
+    system.addParticle(0.0)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="no rigid bodies"):
+    with pytest.raises(ValueError, match="nothing to move"):
         integrator.step(1)
 
 

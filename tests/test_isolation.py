@@ -81,9 +81,15 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
 
 def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_often):
     contexts = [context_of(KINDS[0], seed) for seed in range(6)]
-    together(*(context.getIntegrator().bodyState for context in contexts))
-    for context in contexts:
-        assert context.getIntegrator()._coupling.context is context
+    found = {}
+    together(
+        *(lambda k=k, c=context: found.update({k: c.getIntegrator().bodyState()}) for k, context in enumerate(contexts))
+    )
+    for k, context in enumerate(contexts):
+        bodies, state = found[k]
+        x = result(context)[0]
+        np.testing.assert_allclose(bodies.positions(state, x.copy()), x, rtol=0.0, atol=1e-13)
+        assert all(np.abs(x - result(other)[0]).max() > 0.1 for other in contexts if other is not context)
 
 
 @pytest.mark.parametrize("method", rb.ROTORS)
@@ -123,7 +129,7 @@ def make_and_drop(n):
     for _ in range(n):
         context = context_of_a_three_masses()
         integrator = context.getIntegrator()
-        left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator._coupling)]
+        left += [weakref.ref(integrator), weakref.ref(context), weakref.ref(integrator.bodyState()[0])]
     return left
 
 

@@ -11,7 +11,8 @@ from scipy import integrate as quadrature
 from scipy.special import ellipj, ellipkinc
 
 import openmm_exactrb as rb
-from openmm_exactrb import elliptic, problems, propagate, quaternions, schemes, sums
+from openmm_exactrb import compensated, elliptic, problems, quaternions
+from openmm_exactrb.kernels import twins
 from openmm_exactrb.rotors import LARGEST_MOMENT, SMALLEST_MOMENT, WIDEST, rotor, rotor_of_sums
 
 TWINS = ["exact_numpy", "exact_compiled"]
@@ -140,7 +141,7 @@ def test_the_high_part_of_sums_is_the_plain_flow(twin, m, t):
     q = np.array([[0.5], [0.5], [-0.5], [0.5]])
     flow = rotor(twin, [0.5, 0.8, 1.0])
     with np.errstate(all="ignore"):
-        plain, of_sums = flow(q, m[:, None], t), flow(sums.exactly(q), sums.exactly(m[:, None]), t)
+        plain, of_sums = flow(q, m[:, None], t), flow(compensated.exactly(q), compensated.exactly(m[:, None]), t)
     for one, other in zip(plain, of_sums, strict=True):
         np.testing.assert_array_equal(other[0], one)
         assert not (np.abs(other[1]) > 0.5000001 * np.spacing(np.abs(one))).any()
@@ -151,9 +152,9 @@ def test_the_high_part_of_sums_is_the_plain_flow(twin, m, t):
 
 @given(start=FINITE.filter(lambda x: abs(x) < 1e300), steps=st.lists(st.floats(-1.0, 1.0), max_size=30), size=SIZES)
 def test_a_sum_rounds_as_its_steps_do_and_not_as_itself(start, steps, size):
-    total, exact, advance = sums.exactly(np.full((1, 1), start)), Fraction(start), sums.fastest_advance()
+    total, exact = compensated.exactly(np.full((1, 1), start)), Fraction(start)
     for step in steps:
-        total = advance(total, np.full((1, 1), step * size), 1.0)
+        total = compensated.add(total, np.full((1, 1), step * size))
         exact += Fraction(step * size)
     high, low = total[:, 0, 0]
     # A step is rounded together with the low part, and that to half a unit of it.
@@ -163,17 +164,18 @@ def test_a_sum_rounds_as_its_steps_do_and_not_as_itself(start, steps, size):
 
 
 @given(high=st.floats(-1e10, 1e10), step=st.floats(-1.0, 1.0), n=st.integers(0, 4))
-def test_the_twins_of_a_sum_agree(high, step, n):
-    x = sums.exactly(np.full((3, n), high))
-    rate = np.full((3, n), step)
-    numpy, compiled = sums.add(x, 0.3 * rate), sums.fastest_advance()(x, rate, 0.3)
-    np.testing.assert_array_equal(numpy, compiled)
-    np.testing.assert_array_equal(sums.add(x[:1], rate)[0], x[0] + step)
+def test_the_twins_of_a_sum_agree_and_a_sum_of_one_part_rounds(high, step, n):
+    x, rate = compensated.exactly(np.full((3, n), high)), np.full((3, n), step)
+    for which in ("numpy", "numba"):
+        total = np.empty_like(x)
+        twins(which).sums.advance(x, rate, 0.3, total)
+        np.testing.assert_array_equal(total, compensated.add(x, 0.3 * rate))
+    np.testing.assert_array_equal(compensated.add(x[:1], rate)[0], x[0] + step)
 
 
 def test_a_new_high_part_keeps_the_low_part_of_what_stayed():
     x = np.array([[1.0, 2.0], [1e-17, 1e-17]])
-    np.testing.assert_array_equal(sums.renewed(x, np.array([1.0, 3.0])), [[1.0, 3.0], [1e-17, 0.0]])
+    np.testing.assert_array_equal(compensated.renewed(x, np.array([1.0, 3.0])), [[1.0, 3.0], [1e-17, 0.0]])
 
 
 # -- quaternions ----------------------------------------------------------------------------------------------------
@@ -286,44 +288,11 @@ def test_short_series_are_inverse_and_quadrature(s, x, z, b):
     assert elliptic.third_kind_short(w[:0], w[:0], w[:0], w[:0]).shape == (0,)
 
 
-# -- schemes and propagate ------------------------------------------------------------------------------------------
-
-
-@given(
-    stages=st.integers(1, 12),
-    first=st.sampled_from(["drift", "kick"]),
-    coefficients=st.lists(st.floats(-10.0, 10.0), min_size=12, max_size=12),
-)
-def test_every_table_is_closed_to_a_palindrome_of_sum_one(stages, first, coefficients):
-    free = {table: (stages + (table == first) - 1) // 2 for table in ("drift", "kick")}
-    a, b = coefficients[: free["drift"]], coefficients[: free["kick"]]
-    scheme = schemes.symmetric("any", order=2, stages=stages, first=first, a=a, b=b)
-    for table in (scheme.a, scheme.b):
-        assert table == table[::-1]
-        np.testing.assert_allclose(sum(table), 1.0, rtol=0.0, atol=1e-13)
-    assert schemes.scheme(scheme) is scheme
-    steps = coefficients[: (stages - 1) // 2]
-    if stages % 2:
-        composed = schemes.composition("any", order=2, steps=steps, stages=stages, reference="")
-        assert composed.composes_verlet
-    with pytest.raises(ValueError, match="not finite"):
-        schemes.symmetric("any", order=2, stages=3, first=first, a=(np.inf,), b=(np.inf,) * (first == "drift"))
-
-
-@given(n=st.integers(0, 4), h=st.floats(-1.0, 1.0), name=st.sampled_from(list(rb.SCHEMES)))
-def test_steps_advance_both_flows_by_the_time(n, h, name):
-    scheme = rb.SCHEMES[name]
-    advance = propagate.compose(scheme, lambda s, tau: (s[0] + tau, s[1]), lambda s, tau: (s[0], s[1] + tau))
-    np.testing.assert_allclose(advance((0.0, 0.0), h, n), (n * h, n * h), rtol=0.0, atol=1e-13)
-
-
 @given(name=st.text(max_size=8))
-def test_unknown_schemes_and_rotors_are_refused(name):
-    assume(name not in {**rb.SCHEMES, **schemes.FORCE_GRADIENT, **rb.ROTORS})
-    assume(not name.startswith("S"))
-    for look_up in (schemes.scheme, lambda name: rotor(name, [1, 1, 1])):
-        with pytest.raises(ValueError, match="choose one of"):
-            look_up(name)
+def test_unknown_rotors_are_refused(name):
+    assume(name not in rb.ROTORS)
+    with pytest.raises(ValueError, match="choose one of"):
+        rotor(name, [1, 1, 1])
 
 
 # -- problems -------------------------------------------------------------------------------------------------------
@@ -339,7 +308,7 @@ def test_problems_are_advanced_body_by_body_for_any_number(n, seed, h, method):
         scheme = rb.SCHEMES["SRKN4_6b"]
         q1, m1 = problems.integrate(problem, (q, m), h, 3, scheme, method)
         assert (q1.shape, m1.shape) == ((4, n), (3, n))
-        q2, m2 = problems.integrate(problem, (sums.exactly(q), sums.exactly(m)), h, 3, scheme, method)
+        q2, m2 = problems.integrate(problem, (compensated.exactly(q), compensated.exactly(m)), h, 3, scheme, method)
         np.testing.assert_array_equal(q2[0], q1)
         np.testing.assert_array_equal(m2[0], m1)
         np.testing.assert_allclose(problems.energy(problem, (q1, m1)), problems.energy(problem, (q, m)), atol=1e-6)

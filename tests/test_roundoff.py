@@ -6,13 +6,11 @@ import pytest
 from mpmath import mp
 from openmm import app
 
-import charts
 import openmm_exactrb as rb
 import oracle
 import roundoff
 from openmm_exactrb import problems, quaternions
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.motion.state import BodyState
 from openmm_exactrb.rotors import rotor_of_sums
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -136,40 +134,3 @@ def test_ten_thousand_steps_of_dipoles_and_back():
     _, back = integrator.bodyState()
     for a, b in zip(back, (start.R, -start.P, start.q, -start.m), strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10)
-
-
-# -- symplecticity in OpenMM ----------------------------------------------------------------------------------------
-
-
-def test_a_step_in_openmm_is_symplectic(pairing):
-    """The Jacobian of a step of two dipoles keeps the symplectic form."""
-    scheme, method = pairing
-    topology, system, positions = rb.dipole_fluid(2, seed=1, spacing=1.4)
-    integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme, rotor=method)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
-    integrator.setVelocitiesToTemperature(50.0, 1)
-    _, start = integrator.bodyState()
-
-    def after(state):
-        integrator.setBodyState(state)
-        integrator.step(1)
-        return integrator.bodyState()[1]
-
-    def state(x):
-        centres, turning = x.reshape(4, 6)[:2], x.reshape(4, 6)[2:]
-        turned = [charts.state_at(start.q[:, k : k + 1], turning[k]) for k in range(2)]
-        R, P = (np.ascontiguousarray(part.T) for part in np.hsplit(centres, 2))
-        return BodyState(R, P, *(np.concatenate(parts, axis=1) for parts in zip(*turned, strict=True)))
-
-    def coordinates(state, q_ref):
-        turning = [
-            charts.coordinates_of(q_ref[:, k : k + 1], state.q[:, k : k + 1], state.m[:, k : k + 1]) for k in range(2)
-        ]
-        return np.concatenate([*np.hstack([state.R.T, state.P.T]), *turning])
-
-    end, x0 = after(start), coordinates(start, start.q)
-    J = charts.jacobian(lambda x: coordinates(after(state(x)), end.q), x0)
-    assert charts.symplectic_defect(J) < 1e-8
-    with pytest.raises(AssertionError):
-        np.testing.assert_allclose(J, np.eye(24), rtol=0.0, atol=1e-2)

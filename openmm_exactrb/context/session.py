@@ -27,7 +27,7 @@ _SAME = 1e-9
 class Session:
     """The bodies of a Context and their state.
 
-    Holds no strong reference to the Context, which owns the integrator that owns this.
+    Holds no strong reference to the Context and its integrator, which own this.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Session:
         x, v = _positions_and_velocities(context)
         if len(x) > 1 and not x.any():
             raise ValueError("the Context has no positions yet: call setPositions first")
-        self._context, self._integrator = weakref.ref(context), integrator
+        self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
         self.bodies = find_bodies(context.getSystem(), x, named)
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
@@ -84,7 +84,7 @@ class Session:
         """
         x, v = self.held()
         if self._seen is None or not all(map(np.array_equal, self._seen, (x, v))):
-            known = ledger.read(self._integrator, self.bodies)
+            known = ledger.read(self._integrator(), self.bodies)
             self.state = State.of(fit(self.bodies, x, v)) if known is None else self.compared(known, x, v)
             self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
             self._seen = (x, v)
@@ -105,7 +105,7 @@ class Session:
         self.context.setPositions(self.bodies.positions(self.state.rounded, self._x))
         self.write_velocities(self.state)
         self.context.computeVirtualSites()
-        ledger.write(self._integrator, self.bodies, self.state)
+        ledger.write(self._integrator(), self.bodies, self.state)
         self._seen = self.held()
 
     def write_velocities(self, state: State) -> None:

@@ -94,9 +94,7 @@ def client_of(scheduler: str | None, workers: int) -> Iterator[Any]:
     if scheduler is None:
         with (
             _patient(),
-            distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.ERROR
-            ) as cluster,
+            _cluster(workers) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
             yield client
@@ -107,6 +105,19 @@ def client_of(scheduler: str | None, workers: int) -> Iterator[Any]:
         raise ConnectionError(f"no dask scheduler answers at {scheduler!r}: {error}") from error
     with client:
         yield client
+
+
+def _cluster(workers: int) -> Any:
+    """Start a scheduler with workers on this machine."""
+    try:
+        return dask_distributed().LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.ERROR
+        )
+    except RuntimeError as error:
+        raise RuntimeError(
+            f"a worker process ended while it started ({error}): it was killed, for memory perhaps, or the script "
+            "lacks an if __name__ == '__main__'. What is finished is kept, and the same call goes on there"
+        ) from error
 
 
 def _patient() -> Any:

@@ -72,8 +72,14 @@ def write(file: Path, checkpoint: Checkpoint) -> None:
         out.write(b" ".join([_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]) + b"\n" + body)
 
 
-def read(file: Path) -> Checkpoint:
+def read(file: Path, overwrite: str = "overwrite=True") -> Checkpoint:
     """Read a checkpoint, if it is whole.
+
+    Parameters
+    ----------
+    file : path
+    overwrite : str, optional
+        What a user is told to add in order to begin anew.
 
     Raises
     ------
@@ -83,10 +89,10 @@ def read(file: Path) -> Checkpoint:
     head, _, body = file.read_bytes().partition(b"\n")
     words = head.rsplit(b" ", 2)
     if len(words) != 3 or words[0] != _MAGIC:
-        raise ValueError(f"{file} is no checkpoint, or a damaged one: begin anew in another folder or with --overwrite")
+        raise ValueError(f"{file} is no checkpoint, or a damaged one: begin anew in another folder or with {overwrite}")
     if words[1] != FORMAT:
         raise ValueError(f"{file} was written by another version of openmm-exactrb, in format {words[1].decode()}")
     if words[2] != hashlib.sha256(body).hexdigest().encode():
-        raise ValueError(f"{file} is truncated or damaged: begin anew in another folder or with --overwrite")
+        raise ValueError(f"{file} is truncated or damaged: begin anew in another folder or with {overwrite}")
     about, _, state = body.partition(b"\n")
     return Checkpoint(**json.loads(about), state=state)

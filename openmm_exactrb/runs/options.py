@@ -5,9 +5,20 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 _OWN = ("out", "overwrite", "resume", "checkpoint")
+
+
+class Words(NamedTuple):
+    """What a user is told to add, so that a run goes on or begins anew."""
+
+    resume: str
+    overwrite: str
+
+
+#: Of a run that a script makes itself, and of one that a command line asks for.
+IN_SCRIPT, ON_COMMAND_LINE = Words("resume=True", "overwrite=True"), Words("--resume", "--overwrite")
 
 
 def add_options(parser: argparse.ArgumentParser, folder: str) -> None:
@@ -30,4 +41,5 @@ def arguments_of(
         "overwrite": args.overwrite,
         "every": args.checkpoint,
         "settings": kept | dict(settings or {}),
+        "words": ON_COMMAND_LINE,
     }

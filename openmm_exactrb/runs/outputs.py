@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -33,12 +34,16 @@ class Outputs:
 
     def add(self, maker: Callable[..., Any], name: str, interval: int) -> None:
         """Add a file; see `Run.add_reporter`."""
+        if not _appends(maker):
+            raise ValueError(
+                f"{_name_of(maker)} cannot go on with a file, since it takes no append=: choose a reporter that does, "
+                "such as DCDReporter, XTCReporter or StateDataReporter, or append it to simulation.reporters yourself"
+            )
         self._makers[name] = maker, interval
 
     def kinds(self) -> dict[str, str]:
         """Return by file what is reported how often, as text."""
-        kinds = {name: (getattr(maker, "func", maker), interval) for name, (maker, interval) in self._makers.items()}
-        return {name: f"{getattr(kind, '__name__', kind)} every {n} steps" for name, (kind, n) in kinds.items()}
+        return {name: f"{_name_of(maker)} every {n} steps" for name, (maker, n) in self._makers.items()}
 
     def open(self, simulation: Any, files: Mapping[str, tuple[int, str]]) -> None:
         """Cut the files back to what they were and have the Simulation report to them; report the start to new ones.
@@ -55,6 +60,8 @@ class Outputs:
         for name, (maker, interval) in self._makers.items():
             append = files.get(name, (0, ""))[0] > 0
             self._reporters[name] = maker(str(self._folder / name), interval, append=append)
+        for reporter in self._reporters.values():
+            reporter.describeNextReport(simulation)  # one that does not fit the Simulation says so here
         if not any(length for length, _ in files.values()):
             self._report_start(simulation)
         simulation.reporters.extend(self._reporters.values())
@@ -65,6 +72,11 @@ class Outputs:
             if file is not None:
                 file.flush()
         return {name: _secure(self._folder / name) for name in self._reporters}
+
+    def remove(self) -> None:
+        """Delete the files."""
+        for name in (*self._makers, TOPOLOGY):
+            (self._folder / name).unlink(missing_ok=True)
 
     def close(self, simulation: Any) -> None:
         """Take the reporters from the Simulation and close their files."""
@@ -89,6 +101,18 @@ class Outputs:
             app.PDBFile.writeFile(simulation.topology, state.getPositions(), file)
         for reporter in self._reporters.values():
             reporter.report(simulation, state)
+
+
+def _name_of(maker: Callable[..., Any]) -> str:
+    """Return the name of the class, or function, that makes a reporter."""
+    kind = getattr(maker, "func", maker)
+    return str(getattr(kind, "__name__", kind))
+
+
+def _appends(maker: Callable[..., Any]) -> bool:
+    """Tell whether what makes a reporter takes append=."""
+    parameters = inspect.signature(maker).parameters
+    return "append" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
 def _file_of(reporter: Any) -> Any:

@@ -13,6 +13,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
 
+from openmm import app
+
 from openmm_exactrb.checks import not_negative, whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.motion.guard import NonFiniteError
@@ -20,6 +22,7 @@ from openmm_exactrb.runs import checkpoint, options
 from openmm_exactrb.runs.checkpoint import CHECKPOINT, Checkpoint
 from openmm_exactrb.runs.identity import identity_of
 from openmm_exactrb.runs.lock import only_process
+from openmm_exactrb.runs.options import IN_SCRIPT, Words
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
 
@@ -46,6 +49,8 @@ class Run:
         Seconds between two checkpoints; infinite for none before the end.
     settings : mapping, optional
         What else must be the same for a run to be resumed, beside System, integrator, platform and reporters.
+    words : Words, optional
+        What messages tell a user to add; `from_options` names the options of the command line.
 
     Raises
     ------
@@ -71,14 +76,16 @@ class Run:
         overwrite: bool = False,
         every: float = 60.0,
         settings: Mapping[str, Any] | None = None,
+        words: Words = IN_SCRIPT,
     ) -> None:
         never = every == math.inf
         self._every = every if never else not_negative(every, "the time between checkpoints", "seconds")
         self.folder = Path(folder)
         self._may_replace = overwrite
+        self._words = words
         self._settings = {f"setting {name}": str(value) for name, value in (settings or {}).items()}
         self._outputs = Outputs(self.folder)
-        self._last = checkpoint.read(self._file) if resume and self._file.exists() else None
+        self._last = checkpoint.read(self._file, words.overwrite) if resume and self._file.exists() else None
         self.resuming = self._last is not None
         self.wall = self._last.wall if self._last else 0.0
         for name in (CHECKPOINT, TOPOLOGY):
@@ -129,8 +136,8 @@ class Run:
         file = self.folder / name
         if file.exists() and not (self.resuming or self._may_replace):
             raise FileExistsError(
-                f"{file} is of an earlier run: choose another folder, add --resume where there is a checkpoint to go "
-                "on from, or add --overwrite"
+                f"{file} is of an earlier run: choose another folder, add {self._words.resume} where there is a "
+                f"checkpoint to go on from, or add {self._words.overwrite}"
             )
         return file
 
@@ -152,7 +159,7 @@ class Run:
         FileExistsError
             As `path` does.
         ValueError
-            If the interval is no whole number of at least 1.
+            If the interval is no whole number of at least 1, or the reporter takes no ``append=``.
         """
         self.path(name)
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
@@ -162,6 +169,8 @@ class Run:
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps under way, saves a checkpoint, says how to go on
         and raises SystemExit with the usual status, 128 + the number of the signal. A second signal acts at once.
+
+        Where a run is refused before its first step, by a reporter or the integrator, it leaves no file behind.
 
         Parameters
         ----------
@@ -177,7 +186,7 @@ class Run:
         ------
         ValueError
             If the checkpoint is of another System, platform, version, integrator or setting, or a file is shorter than
-            it says: nothing was changed then.
+            it says: nothing was changed then. If `until` is no whole number, or `simulation` no Simulation.
         BlockingIOError
             If another process is at work in the folder.
         NonFiniteError
@@ -188,7 +197,10 @@ class Run:
         SystemExit
             After a signal.
         """
-        tell = progress or (lambda steps: None)
+        if not isinstance(simulation, app.Simulation):
+            raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
+        until = whole(until, "until, the number of the last step,", least=0)
+        tell, first = progress or (lambda steps: None), None if self.resuming else simulation.currentStep
         identity = identity_of(simulation) | self._outputs.kinds() | self._settings
         self.folder.mkdir(parents=True, exist_ok=True)
         with only_process(self.folder), Signals() as signals:
@@ -202,10 +214,14 @@ class Run:
                 raise NonFiniteError(f"{error}. All before it is on disk: {self._files()}") from error
             except OSError as error:
                 self._explain(error)
+            except Exception:
+                if simulation.currentStep == first:  # refused before the first step: the mended script finds no file
+                    self._forget()
+                raise
             finally:
                 self._outputs.close(simulation)
         if signals.caught:
-            _leave(simulation.currentStep, until, signals.caught)
+            self._leave(simulation.currentStep, until, signals.caught)
 
     @property
     def _file(self) -> Path:
@@ -222,6 +238,12 @@ class Run:
             _set_timings(simulation.integrator, self._last.timings)
         self.resuming = False
         self._outputs.open(simulation, self._last.files)
+
+    def _forget(self) -> None:
+        """Delete what a run wrote that has not made a step."""
+        self._last = None
+        self._outputs.remove()
+        self._file.unlink(missing_ok=True)
 
     def _step(self, simulation: Any, until: int, tell: Callable[[int], object], signals: Signals) -> None:
         now = time.monotonic()
@@ -249,6 +271,11 @@ class Run:
         checkpoint.write(self._file, present)
         self._last = present
 
+    @property
+    def _again(self) -> str:
+        """What to start so that the run goes on."""
+        return f"the same {'script' if self._words is IN_SCRIPT else 'command'} and {self._words.resume}"
+
     def _files(self) -> str:
         return f"{self.folder}: " + ", ".join([*self._outputs.kinds(), TOPOLOGY, CHECKPOINT])
 
@@ -257,14 +284,13 @@ class Run:
         self.resuming = True
         raise OSError(
             f"{error.strerror or error} (writing to {self.folder}). The run is safe up to step {step}: "
-            "put it right and go on with the same command and --resume"
+            f"put it right and go on with {self._again}"
         ) from error
 
-
-def _leave(step: int, until: int, number: int) -> NoReturn:
-    name = signal.Signals(number).name
-    print(f"\n{name}: stopped at step {step} of {until}. Go on with the same command and --resume", file=sys.stderr)
-    raise SystemExit(128 + number)
+    def _leave(self, step: int, until: int, number: int) -> NoReturn:
+        name = signal.Signals(number).name
+        print(f"\n{name}: stopped at step {step} of {until}. Go on with {self._again}", file=sys.stderr)
+        raise SystemExit(128 + number)
 
 
 def _timings(integrator: Any) -> dict[str, float]:

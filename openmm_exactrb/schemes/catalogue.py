@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from types import MappingProxyType
 
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
+from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
@@ -208,24 +207,17 @@ _SCHEMES = (
         generalised=(10, 6, 4),
     ),
     corrected(_V2_DRIFT, 8, "V2_C17", (18, 2)),
+    *FORCE_GRADIENT,
+    # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
+    corrected(TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),
 )
 
-# The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
-_TAKAHASHI_IMADA = replace(
-    _V2_DRIFT, word=((DRIFT, 0.5), (GRADIENT, 1.0), (DRIFT, 0.5)), gradients=((GRADIENT, 1.0 / 12.0),)
-)
-_GRADIENT = (corrected(_TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),)
-
-#: Schemes with force-gradient kicks by name, for problems that supply them (M. Takahashi and M. Imada, J. Phys. Soc.
-#: Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765).
-FORCE_GRADIENT: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _GRADIENT})
-
-#: All schemes that need forces only, by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 beside them.
+#: All schemes by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 beside them.
 CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _SCHEMES})
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look a scheme up, one with force-gradient kicks too; a `Scheme` is passed through.
+    """Look a scheme up; a `Scheme` is passed through.
 
     Raises
     ------
@@ -239,7 +231,6 @@ def scheme(name: str | Scheme) -> Scheme:
     generated = re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name)
     if generated and name not in CATALOGUE:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
-    known = {**CATALOGUE, **FORCE_GRADIENT}
-    if name not in known:
-        raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(known)}")
-    return known[name]
+    if name not in CATALOGUE:
+        raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(CATALOGUE)}")
+    return CATALOGUE[name]

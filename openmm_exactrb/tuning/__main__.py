@@ -12,6 +12,7 @@ import openmm
 
 from openmm_exactrb.schemes import CATALOGUE
 from openmm_exactrb.tuning import CANDIDATES, tune
+from openmm_exactrb.tuning.advice import progress
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -25,8 +26,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             schemes=args.schemes,
             temperature=args.temperature,
             platform=args.platform,
+            horizon=args.horizon,
             duration=args.duration,
-            report=None if args.quiet else lambda line: print(line, file=sys.stderr, flush=True),
+            report=None if args.quiet else progress,
         )
         if args.output is not None:
             result.draw(args.output)
@@ -49,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--schemes", nargs="+", metavar="NAME", help=f"of {', '.join(CATALOGUE)} ({' '.join(CANDIDATES)})")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
     add("--temperature", type=float, metavar="K", help="draw velocities; needed where those of the State are zero")
+    add("--horizon", type=float, metavar="PS", help="length of the runs for which errors are promised, ps")
     add("--duration", type=float, metavar="PS", help="length of the runs of the survey, ps (from the forces)")
     add("--output", type=Path, metavar="FILE", help="a picture of error over cost; needs matplotlib")
     add("--json", action="store_true", help="print JSON instead of text")

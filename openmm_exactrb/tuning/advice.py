@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -23,9 +24,16 @@ from openmm_exactrb.tuning.thermal import thermalised
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
 CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "W2_6", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
 
-# Length of the runs of the survey in units of the system's time scale, and of the run for which errors are promised in
-# units of that.
-_SURVEY, _LONGER = 100.0, 10.0
+# Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
+# for which errors are promised, in units of that.
+_SURVEY, _CONFIRM, _LONGER = 100.0, 5.0, 10.0
+# The survey of a horizon that is named is a tenth of it, up to so many times the usual one.
+_LONGEST = 4.0
+
+
+def progress(line: str) -> None:
+    """Write a line to stderr."""
+    print(line, file=sys.stderr, flush=True)
 
 
 def tune(
@@ -39,19 +47,21 @@ def tune(
     platform: str | openmm.Platform | None = None,
     properties: Mapping[str, str] | None = None,
     bodies: Sequence[Sequence[int]] | None = None,
+    horizon: float | unit.Quantity | None = None,
     duration: float | unit.Quantity | None = None,
     levels: int = 10,
     seed: int = 0,
-    report: Callable[[str], None] | None = None,
+    report: Callable[[str], None] | None = progress,
 ) -> Tuning:
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
     The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
-    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon: ten times the runs of the
-    survey. These run `duration`; how their variance grows from 1/8 of a run to all of it tells how it goes on, and the
-    recommended setting is run five times longer. A wandering energy is known badly from one run, so that its error is
-    raised by up to a half. Short swings alone would not do: near hard cores the energy of
-    high-order schemes wanders as a random walk does, and their advantage is lost in longer runs.
+    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs `duration`;
+    how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is run over all of
+    a horizon that is named, and over half of the usual one. A wandering energy is known badly from one run, so that its
+    error is raised by up to a half. Short swings alone would not do: where a step is long against the vibrations, the
+    energy wanders for picoseconds, and near hard cores as a random walk does; what a scheme gains in short runs may be
+    lost in longer ones.
 
     Parameters
     ----------
@@ -76,15 +86,18 @@ def tune(
         Of the platform.
     bodies : sequence of sequences of int, optional
         As in `ExactRigidBodyIntegrator`; those of the integrator of a Simulation unless given.
+    horizon : float or Quantity, optional
+        Length of the runs for which errors are promised, in ps if without a unit: that of your own runs, or 30 ps.
+        Wandering shows only in runs as long as this, which take their time. Ten times `duration` unless given.
     duration : float or Quantity, optional
         Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
-        system unless given (1.5 ps for water).
+        system unless given (1.5 ps for water), or a tenth of a named horizon, if that is longer, up to four times this.
     levels : int, optional
         Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
     seed : int, optional
         Of the momenta.
     report : callable, optional
-        Gets a line of text for each run, such as `print`.
+        Gets a line of text for each run, which goes to stderr if nothing is given; None for silence.
 
     Returns
     -------
@@ -100,6 +113,7 @@ def tune(
     chosen = _schemes(schemes)
     levels = whole(levels, "levels", least=3)
     length = None if duration is None else positive(_in(unit.picosecond, duration), "duration", "ps")
+    named = None if horizon is None else positive(_in(unit.picosecond, horizon), "horizon", "ps")
     begin, notes = start_of(system, start, velocities, platform, properties, bodies)
     if temperature is not None:
         kelvin = positive(_in(unit.kelvin, temperature), "temperature", "K")
@@ -113,8 +127,11 @@ def tune(
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
     bench = Bench(begin)
-    length = _SURVEY * bench.scales.time if length is None else length
-    measured = Measurements(bench, chosen, length, _LONGER * length, report or (lambda line: None))
+    if length is None:
+        usual = _SURVEY * bench.scales.time
+        length = usual if named is None else min(max(usual, named / _LONGER), _LONGEST * usual)
+    confirmation, promised = (_CONFIRM * length, _LONGER * length) if named is None else (named, named)
+    measured = Measurements(bench, chosen, length, confirmation, promised, report or (lambda line: None))
     return _result(measured, search(measured, wanted, levels), wanted, notes)
 
 
@@ -147,8 +164,6 @@ def _schemes(names: Sequence[str | Scheme] | None) -> list[Scheme]:
     if not schemes:
         raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
     for scheme in schemes:
-        if scheme.c:
-            raise ValueError(f"scheme {scheme.name} needs force gradients, which OpenMM has not: leave it out")
         if scheme.processor:
             raise ValueError(
                 f"scheme {scheme.name} is processed: each look at the energy costs {scheme.processing} forces, and a "

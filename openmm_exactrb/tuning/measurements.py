@@ -25,8 +25,8 @@ class Measurements:
     bench : Bench
     schemes : sequence of Scheme
         OpenMM's Verlet integrator is measured beside them where it moves the same bodies.
-    duration, horizon : float
-        Length in ps of a run of the survey, and of that for which errors are promised.
+    duration, confirmation, horizon : float
+        Length in ps of a run of the survey, of one that confirms a setting, and of that for which errors are promised.
     report : callable
         Gets a line of text for each run.
 
@@ -46,10 +46,12 @@ class Measurements:
         bench: Bench,
         schemes: Sequence[Scheme],
         duration: float,
+        confirmation: float,
         horizon: float,
         report: Callable[[str], None],
     ) -> None:
-        self.bench, self.duration, self.horizon, self._report = bench, duration, horizon, report
+        self.bench, self._report = bench, report
+        self.duration, self.confirmation, self.horizon = duration, confirmation, horizon
         self.methods: dict[str, str | Scheme] = {s.name: s for s in schemes}
         if bench.has_baseline:
             self.methods[VERLET] = VERLET
@@ -57,17 +59,17 @@ class Measurements:
         self.seconds: dict[str, float] = {}
         self.points: list[Point] = []
 
-    def at(self, name: str, interval: float, longer: float = 1.0) -> Point:
+    def at(self, name: str, interval: float, duration: float | None = None) -> Point:
         """Return the point of a method at a time a force evaluation in ps, run if it was not yet for as long.
 
         Parameters
         ----------
         name : str
         interval : float
-        longer : float, optional
-            Length of the run over that of the survey.
+        duration : float, optional
+            Length of the run in ps, that of the survey unless given.
         """
-        step, duration = self.stages[name] * interval, longer * self.duration
+        step, duration = self.stages[name] * interval, self.duration if duration is None else duration
         for known in self.points:
             if known.method == name and math.isclose(known.step, step, rel_tol=1e-9):
                 if known.duration >= duration or math.isinf(known.error):

@@ -40,7 +40,7 @@ class Ours:
     """A scheme of the catalogue with the exact rotor."""
 
     def __init__(self, start: Start, scheme: Scheme) -> None:
-        self._start, self.stages = start, scheme.stages
+        self._start, self.stages = start, scheme.forces
         self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies)
         self._context = start.context(self._integrator)
 

@@ -15,8 +15,6 @@ _COARSE, _TIMED_AT = 0.4, 0.1
 _RATIO = 2.0**0.5  # between two levels
 _SEARCHED = 8  # levels on either side of 0 where a scheme may become unstable
 _UNCERTAIN = 4  # stable points of a method before it may be given up
-#: The recommended setting is run this much longer than those of the survey.
-_CONFIRM = 5.0
 
 
 class Found(NamedTuple):
@@ -146,7 +144,7 @@ def _approached(measured: Measurements, name: str, cost: float, target: float, c
     for _ in range(5):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None
-        point = measured.at(name, measured.seconds[name] / cost, _CONFIRM)
+        point = measured.at(name, measured.seconds[name] / cost, measured.confirmation)
         if point.error <= target:
             return point
         cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)

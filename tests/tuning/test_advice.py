@@ -8,7 +8,7 @@ import numpy as np
 import openmm
 import pytest
 from equilibrium import equilibrated, long_run
-from openmm import app
+from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import tuning
@@ -35,6 +35,18 @@ def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
     # An energy that wanders does so differently in every run: one of twelve was beyond twice the promise.
     runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
     assert np.median([long_run(run, tuned, *droplet, "Reference") for run in runs]) < 2.0 * choice.error
+
+
+def test_the_horizon_that_is_named_is_run_before_anything_is_promised(droplet):
+    horizon = 3.0 * unit.picosecond
+    result = rb.tune(*droplet, target=3e-3, horizon=horizon, schemes=("S2_2", "W2_4", "Chin4A"), platform="Reference")
+    choice = result.best()
+    assert result.horizon == pytest.approx(3.0)
+    assert "within 3 ps" in str(result)
+    (point,) = (p for p in result.points if (p.method, p.step) == (choice.method, choice.step))
+    assert point.duration == pytest.approx(3.0)
+    runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
+    assert np.median([long_run(run, result, *droplet, "Reference") for run in runs]) < 1.5 * choice.error
 
 
 def test_a_choice_builds_its_integrator(tuned):
@@ -99,7 +111,7 @@ def test_the_floor_of_single_precision_is_named(droplet):
     assert result.chosen is None
     assert 1e-7 < result.floor < 1e-3
     assert "comes from the forces (single precision" in " ".join(str(result).split())
-    finest = min(p.step / rb.SCHEMES[p.method].stages for p in result.points if p.method in rb.SCHEMES)
+    finest = min(p.step / rb.SCHEMES[p.method].forces for p in result.points if p.method in rb.SCHEMES)
     assert finest > 5e-5  # it did not go on to tiny steps
     with pytest.raises(ValueError, match=r"Below .* smaller steps do not lower the error"):
         result.best()

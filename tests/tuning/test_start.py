@@ -9,7 +9,6 @@ from equilibrium import arrays
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import FORCE_GRADIENT
 
 
 def test_a_simulation_is_enough():
@@ -58,11 +57,12 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"target": 0.0}, "target must be a positive number"),
         ({"target": "small"}, "target must be a positive number"),
         ({"duration": -1.0}, "duration must be a positive number"),
+        ({"horizon": 0.0}, "horizon must be a positive number"),
+        ({"horizon": 30.0 * unit.kelvin}, "horizon must be a positive number"),
         ({"temperature": math.inf}, "temperature must be a positive number"),
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
-        ({"schemes": list(FORCE_GRADIENT)}, "needs force gradients"),
         ({"schemes": ["V2_C17"]}, "is processed"),
         ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),

@@ -205,33 +205,6 @@ def test_bodies_given_by_hand_are_rigid_and_their_inner_energy_is_a_constant():
     assert len(bodies.kinds) == 1
 
 
-@pytest.mark.parametrize(
-    ("bodies", "message"),
-    [
-        ([[0, 1, 99]], "body 0 names particle 99, but the System has 24"),
-        ([[0, 1, 2], [2, 3]], "particle 2 is named twice, in bodies 0 and 1"),
-        ([[]], "no particle with mass"),
-    ],
-)
-def test_wrong_bodies_are_refused(bodies, message):
-    _, system, x = flexible_ring()
-    integrator = rb.ExactRigidBodyIntegrator(0.002, bodies=bodies)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    with pytest.raises(ValueError, match=message):
-        integrator.step(1)
-
-
-def test_a_constraint_that_leads_out_of_a_body_is_refused_by_name():
-    _, system, x = flexible_ring()
-    system.addConstraint(5, 6, 0.5)
-    integrator = rb.ExactRigidBodyIntegrator(0.002, bodies=[range(6)])
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    with pytest.raises(ValueError, match="constraint between particles 5 and 6 leads out"):
-        integrator.step(1)
-
-
 def test_a_rigid_cluster_without_all_its_distances_takes_its_shape_from_the_positions(rng):
     system, x = openmm.System(), rng.random((5, 3))
     for _ in range(5):
@@ -247,18 +220,6 @@ def test_a_rigid_cluster_without_all_its_distances_takes_its_shape_from_the_posi
     integrator.step(50)
     y = context.getState(positions=True).getPositions(asNumpy=True)._value
     assert np.linalg.norm(y[4] - y[0]) == pytest.approx(np.linalg.norm(x[4] - x[0]), rel=1e-13)
-
-
-def test_drude_particles_are_refused_by_name():
-    _, system, positions = rb.rigid_water(2)
-    drude = openmm.DrudeForce()
-    drude.addParticle(4, 3, -1, -1, -1, -1.0, 0.001, 1.0, 1.0)
-    system.addForce(drude)
-    integrator = rb.ExactRigidBodyIntegrator(0.002)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
-    with pytest.raises(ValueError, match=r"Drude particles \(4"):
-        integrator.step(1)
 
 
 def test_particles_without_mass_stay_where_they_are(salt_water):

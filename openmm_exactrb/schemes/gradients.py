@@ -1,0 +1,109 @@
+"""Schemes with force-gradient kicks: by forces at displaced places they need no Hessian, but one force more.
+
+A kick over b h by the forces at places that the forces themselves have displaced by e h² F/M is that of
+V - (e/2) h² f . M^-1 f up to higher orders: with it, schemes of order 4 need no negative coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from openmm_exactrb.schemes.scheme import Scheme, palindrome
+from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK
+
+_TAKAHASHI_IMADA = "M. Takahashi and M. Imada, J. Phys. Soc. Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765"
+_CHIN = "S. A. Chin, Phys. Lett. A 226, 344 (1997), doi:10.1016/S0375-9601(97)00003-0"
+_SCHAEFERS = (
+    "K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025), "
+    "doi:10.1016/j.cpc.2024.109478"
+)
+
+
+def force_gradient(
+    name: str,
+    letters: str,
+    *,
+    order: int,
+    a: Sequence[float] = (),
+    b: Sequence[float] = (),
+    e: Sequence[float] = (),
+    reference: str = "",
+) -> Scheme:
+    """Build a scheme from its letters and its free coefficients.
+
+    Parameters
+    ----------
+    name, order, reference
+        As in `Scheme`.
+    letters : str
+        Of a step, a palindrome such as "BACAB": drifts and kicks by turns, "C" kicks with a force-gradient term.
+    a, b : sequence of float
+        The coefficients of drifts, and of kicks of both sorts, before the one that sum(a) = 1 or sum(b) = 1 decides.
+    e : sequence of float
+        Of each "C" of the first half: forces are taken at R + e h² F/M.
+
+    Raises
+    ------
+    ValueError
+        If letters are no such palindrome, or the coefficients are not as many as they leave free.
+    """
+    drifts, kicks = letters[::2], letters[1::2]
+    if drifts[0] != DRIFT:
+        drifts, kicks = kicks, drifts
+    if letters != letters[::-1] or {*drifts} != {DRIFT} or not {*kicks} <= {KICK, GRADIENT} or not kicks:
+        raise ValueError(f"scheme {name}: {letters!r} is no palindrome in which drifts A and kicks B or C take turns")
+    half = (len(kicks) + 1) // 2
+    if kicks[:half].count(GRADIENT) != len(e):
+        raise ValueError(f"scheme {name}: give e for each C of the first half of {letters!r}, not {len(e)} numbers")
+    displacements = iter(e)
+    named = list(kicks)
+    gradients: list[tuple[str, float]] = []
+    parts = {DRIFT: palindrome(name, "a", a, len(drifts)), KICK: palindrome(name, "b", b, len(kicks))}
+    for i in range(half):
+        if kicks[i] == GRADIENT:
+            letter = GRADIENT if len(e) == 1 else f"{GRADIENT}{len(gradients) + 1}"
+            named[i] = named[-1 - i] = letter
+            gradients.append((letter, next(displacements) / parts[KICK][i] ** 2))
+    rows = iter(zip(drifts, parts[DRIFT], strict=True)), iter(zip(named, parts[KICK], strict=True))
+    word = tuple(next(rows[letter != DRIFT]) for letter in letters)
+    return Scheme(name, order, word, reference=reference, gradients=tuple(gradients))
+
+
+#: Kicks between half drifts: order 2, of which a change of coordinates makes 4.
+TAKAHASHI_IMADA = force_gradient("TI2", "ACA", order=2, e=(1.0 / 12.0,), reference=_TAKAHASHI_IMADA)
+
+#: By the number of forces a step, those at displaced places counted. The tables of Schäfers and others are for kicks by
+#: forces at displaced places: e = 2 c/b in their letters.
+FORCE_GRADIENT = (
+    TAKAHASHI_IMADA,
+    force_gradient("Chin4A", "BACAB", order=4, b=(1.0 / 6.0,), e=(1.0 / 24.0,), reference=_CHIN),
+    force_gradient("Chin4B", "ACACA", order=4, a=(0.5 - 12.0**-0.5,), e=((2.0 - 3.0**0.5) / 12.0,), reference=_CHIN),
+    force_gradient("Chin4C", "ABACABA", order=4, a=(1.0 / 6.0,), b=(3.0 / 8.0,), e=(1.0 / 24.0,), reference=_CHIN),
+    force_gradient(
+        "G4_4",
+        "ABACABA",
+        order=4,
+        a=(0.089775972994422,),
+        b=(0.247597680043986,),
+        e=(2.0 * 0.006911440413815 / 0.504804639912028,),
+        reference=_SCHAEFERS,
+    ),
+    force_gradient(
+        "G4_5",
+        "BABACABAB",
+        order=4,
+        a=(0.200395293638238,),
+        b=(0.073943321445602, 0.258244950046509),
+        e=(2.0 * 0.003147048491590 / 0.335623457015778,),
+        reference=_SCHAEFERS,
+    ),
+    force_gradient(
+        "G4_7",
+        "BACABABACAB",
+        order=4,
+        a=(0.201110227930330, 0.200577842713366),
+        b=(0.065692416344302, 0.264163604920340),
+        e=(2.0 * 0.001036943019757 / 0.264163604920340,),
+        reference=_SCHAEFERS,
+    ),
+)

@@ -1,0 +1,111 @@
+"""Forces are those of the places, the box and the parameters of the moment, and are evaluated once for each."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from few_dipoles import REFERENCE, simulation_of
+from force_laws import context_of, evaluated
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.forces import Forces, Places
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.motion.state import State
+
+
+def water_with_a_barostat(scheme, pressure=1e3, n=64):
+    """Return a Simulation of water in a box that a barostat may change after every step."""
+    topology, system, positions = rb.rigid_water(
+        n, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.5 * unit.nanometer
+    )
+    barostat = openmm.MonteCarloBarostat(pressure * unit.bar, 300.0 * unit.kelvin, 1)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    integrator = rb.ExactRigidBodyIntegrator(0.0005, scheme=scheme)
+    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation.context.setPositions(positions)
+    simulation.minimizeEnergy(tolerance=100.0, maxIterations=50)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    return simulation
+
+
+class Watch:
+    """A letter that notes the box before every step, and how far forces are from those of a new Context."""
+
+    def __init__(self, context):
+        self.context, self.boxes, self.worst = context, [], 0.0
+
+    def __call__(self, parts, letters):
+        return dict.fromkeys(letters, lambda state, tau: self.look(parts, state))
+
+    def look(self, parts, state):
+        self.boxes.append(arrays.box(self.context.getState()))
+        for got, expected in zip(parts.forces(state), anew(self.context, parts.bodies, state), strict=True):
+            self.worst = max(self.worst, np.abs(got - expected).max() / np.abs(expected).max())
+        return state
+
+
+def anew(context, bodies, state):
+    """Return forces and torques in a Context that knows nothing of what was in another one."""
+    x = bodies.positions(state.rounded, np.zeros((bodies.n_particles, 3)))
+    fresh = context_of(context.getSystem(), x)
+    fresh.setPeriodicBoxVectors(*context.getState().getPeriodicBoxVectors())
+    return bodies.forces(state.rounded, evaluated(fresh)[1])
+
+
+@pytest.mark.parametrize(("name", "n"), [("V2", 30), ("SRKN4_6b", 20)])
+def test_an_accepted_move_of_a_barostat_costs_one_evaluation_and_no_step_uses_forces_of_the_old_box(name, n):
+    scheme = rb.SCHEMES[name]
+    simulation = water_with_a_barostat(replace(scheme, word=(("W", 0.0), *scheme.word)))
+    watch = Watch(simulation.context)
+    simulation.integrator.addLetter("W", watch)
+    simulation.integrator.step(n)
+    boxes = [*watch.boxes, arrays.box(simulation.context.getState())]
+    accepted = [box != before for before, box in pairwise(boxes)]
+    assert len(accepted) == n
+    assert 0 < sum(accepted) < n
+    # One after the last step is for the next call, which evaluates the forces of its first positions in any case.
+    assert simulation.integrator.timings.evaluations == scheme.stages * n + 1 + sum(accepted[:-1])
+    assert watch.worst < 1e-12
+
+
+def test_forces_are_kept_while_places_box_and_parameters_are_the_same():
+    simulation = simulation_of(4)
+    integrator, context = simulation.integrator, simulation.context
+    bodies, state = integrator.fullState()
+    timings = Timings()
+    forces = Forces(Places(context, bodies, arrays.positions(context.getState(positions=True))), 1, timings)
+    value = forces(state)
+    assert forces(state._replace(P=2.0 * state.P, m=2.0 * state.m)) is value
+    assert timings.evaluations == 1
+    context.setParameter("soft_repulsion", 9.0)
+    assert np.abs(forces(state)[0] - value[0]).max() > 1e-3
+    context.setParameter("soft_repulsion", 4.0)
+    np.testing.assert_array_equal(forces(state)[0], value[0])
+    moved = state._replace(R=state.R + 0.01)
+    assert np.abs(forces(moved)[0] - value[0]).max() > 1e-4
+    assert timings.evaluations == 4
+
+
+def test_twins_of_forces_forget_nothing_of_each_other_and_groups_add_up():
+    simulation = simulation_of(4)
+    for group, force in enumerate(simulation.system.getForces()):
+        force.setForceGroup(group)
+    simulation.context.reinitialize(preserveState=True)
+    bodies, state = simulation.integrator.fullState()
+    timings = Timings()
+    x = arrays.positions(simulation.context.getState(positions=True))
+    forces = Forces(Places(simulation.context, bodies, x), 0b11, timings)
+    twin, there = forces.twin(), State(state.R + 0.1, *state[1:])
+    here = forces(state)
+    twin(there)
+    assert forces(state) is here
+    assert timings.evaluations == 2
+    parts = [forces.of(1 << group)(state)[0] for group in range(2)]
+    assert min(np.abs(part).max() for part in parts) > 1e-3
+    np.testing.assert_allclose(sum(parts), here[0], rtol=0.0, atol=1e-12 * np.abs(here[0]).max())
+    assert not forces.of(0b100)(state)[0].any()

@@ -1,0 +1,32 @@
+"""A few dipoles in a Simulation."""
+
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.context import arrays
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def simulation_of(n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERENCE, trap=0.5, **options):
+    """Return a Simulation of n dipoles that is about to start, at the temperature `KT` (K)."""
+    topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap, **options)
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    simulation = app.Simulation(topology, system, integrator, platform)
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(KT, 2)
+    return simulation
+
+
+def snapshot(simulation):
+    """Return positions (nm) and velocities (nm/ps) of all particles."""
+    state = simulation.context.getState(positions=True, velocities=True)
+    return arrays.positions(state), arrays.velocities(state)
+
+
+def energies(simulation):
+    """Return potential and kinetic energy in kJ/mol."""
+    state = simulation.context.getState(energy=True)
+    return state.getPotentialEnergy()._value, state.getKineticEnergy()._value

@@ -1,0 +1,17 @@
+"""The order of a method, measured."""
+
+import numpy as np
+
+
+def slope(end, steps):
+    """Return the order of a method as the slope of the errors over the numbers of steps.
+
+    Parameters
+    ----------
+    end : callable
+        end(n) -> (3, N) array, what n steps over one and the same time lead to. Its error is told by halving the steps.
+    steps : sequence of int
+    """
+    errors = [np.median(np.abs(end(n) - end(2 * n)).max(axis=0)) for n in steps]
+    assert min(errors) > 1e-13, "the errors reached roundoff"
+    return -np.polyfit(np.log(steps), np.log(errors), 1)[0]

@@ -1,0 +1,99 @@
+"""The laws of a splitting, for every scheme with the exact rotor and every rotor with one scheme, on heavy tops."""
+
+import numpy as np
+import pytest
+
+import charts
+import openmm_exactrb as rb
+from openmm_exactrb import quaternions
+from openmm_exactrb.problems import HeavyTop, energy, integrate
+from orders import slope
+
+
+@pytest.fixture(scope="module")
+def tops():
+    """Strongly torqued tops: the potential is as large as the kinetic energy."""
+    rng = np.random.default_rng(4)
+    n = 12
+    u = rng.standard_normal((3, n))
+    problem = HeavyTop(rng.uniform(1.0, 3.0, (3, n)), 1.0, u / np.linalg.norm(u, axis=0))
+    return problem, (np.ascontiguousarray(quaternions.random(rng, n).T), rng.standard_normal((3, n)))
+
+
+def measured_order(problem, state, scheme, method, steps, T=4.0):
+    """Return the slope of the error of the final momentum over the step sizes."""
+    return slope(lambda k: integrate(problem, state, T / k, k, scheme, method)[1], steps)
+
+
+# Force evaluations by order, enough for the leading term of the error and few enough to stay above roundoff.
+EVALUATIONS = {2: 240, 4: 300, 6: 150, 8: 160}
+
+
+def step_numbers(scheme):
+    return [round(EVALUATIONS[scheme.order] / scheme.stages * factor) for factor in (1.0, 1.35, 1.8, 2.4)]
+
+
+def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
+    order = measured_order(*tops, scheme, "exact", step_numbers(scheme))
+    assert abs(order - scheme.order) < 0.35
+
+
+def test_measured_order_with_mclachlan_reich_is_two_but_for_compositions(tops, scheme):
+    steps = step_numbers(scheme) if scheme.composes_verlet else (50, 70, 100, 140)
+    order = measured_order(*tops, scheme, "mclachlan_reich", steps)
+    assert abs(order - (scheme.order if scheme.composes_verlet else 2.0)) < 0.35
+
+
+def test_steps_are_reversible(tops, pairing):
+    scheme, method = pairing
+    if not scheme.symmetric:
+        pytest.skip("does not claim it")
+    problem, (q, m) = tops
+    q1, m1 = integrate(problem, (q, m), 0.1, 50, scheme, method)
+    q2, m2 = integrate(problem, (q1, -m1), 0.1, 50, scheme, method)
+    np.testing.assert_allclose(-m2, m, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(np.abs((q2 * q).sum(axis=0)), 1.0, rtol=0.0, atol=1e-12)
+
+
+def test_steps_are_symplectic(tops, pairing):
+    """The Jacobian of a step keeps the symplectic form, in exponential coordinates about q."""
+    scheme, method = pairing
+    problem, (q, m) = tops
+    problem = HeavyTop(problem.inertia[:, :1], 1.0, problem.direction[:, :1])
+    q0, m0 = q[:, :1], m[:, :1]
+
+    q_end, _ = integrate(problem, (q0, m0), 0.2, 1, scheme, method)
+
+    def step(x):
+        return charts.coordinates_of(q_end, *integrate(problem, charts.state_at(q0, x), 0.2, 1, scheme, method))
+
+    jacobian = charts.jacobian(step, np.concatenate([np.zeros(3), m0[:, 0]]))
+    assert charts.symplectic_defect(jacobian) < 1e-9
+
+
+def test_the_momentum_along_the_field_is_kept(tops, pairing):
+    """Gravity has no torque about itself: kicks keep this momentum, and so do free rotations."""
+    scheme, method = pairing
+    problem, (q, m) = tops
+
+    def along(q, m):
+        field = np.einsum("ijn,in->jn", quaternions.matrix(q), problem.direction)
+        return (field * m).sum(axis=0)
+
+    np.testing.assert_allclose(
+        along(*integrate(problem, (q, m), 0.1, 50, scheme, method)), along(q, m), rtol=0.0, atol=1e-12
+    )
+
+
+def test_energy_error_has_no_trend(tops):
+    problem, state = tops
+    scheme = rb.SCHEMES["SRKN4_6b"]
+    start = energy(problem, state)
+    halves = []
+    for _ in range(2):
+        largest = 0.0
+        for _ in range(200):
+            state = integrate(problem, state, 0.25, 2, scheme)
+            largest = np.maximum(largest, np.abs(energy(problem, state) - start))
+        halves.append(np.median(largest))
+    assert halves[1] < 2.0 * halves[0]

@@ -1,0 +1,129 @@
+"""Tables are closed and symmetric, schemes say what is wrong with them, and the catalogue finds them."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+import openmm_exactrb as rb
+from openmm_exactrb import schemes
+from openmm_exactrb.schemes import Scheme, force_gradient, saba, sbab, symmetric
+from openmm_exactrb.schemes import scheme as look_up
+from words import advanced
+
+
+def test_coefficients_sum_to_one_and_are_palindromes(scheme):
+    for table in (scheme.a, scheme.b):
+        assert table == table[::-1]
+        assert abs(sum(table) - 1.0) < 1e-15
+    kicks = sum(letter != "A" for letter, _ in scheme.word)
+    assert scheme.stages == kicks - (scheme.first == "kick")
+
+
+@pytest.mark.parametrize(
+    ("name", "stages"), [("V2", 1), ("V2_drift", 1), ("S6_10", 10), ("SRKN4_6b", 6), ("SRKN6_14a", 14)]
+)
+def test_stages_are_those_of_the_paper(name, stages):
+    assert rb.SCHEMES[name].stages == stages
+
+
+def test_no_force_is_evaluated_twice(scheme):
+    kicks = []
+    advanced(scheme, lambda state, tau: state, lambda state, tau: kicks.append(tau) or state, None, 0.1, 7)
+    assert len(kicks) == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
+    assert abs(sum(kicks) - 0.7) < 1e-14
+
+
+def test_no_step_does_nothing(scheme):
+    assert advanced(scheme, None, None, "state", 0.1, 0) == "state"
+
+
+@given(n=st.integers(0, 4), h=st.floats(-1.0, 1.0), name=st.sampled_from(list(rb.SCHEMES)))
+def test_steps_advance_both_flows_by_the_time(n, h, name):
+    drift, kick = (lambda s, tau: (s[0] + tau, s[1])), (lambda s, tau: (s[0], s[1] + tau))
+    moved = advanced(rb.SCHEMES[name], drift, kick, (0.0, 0.0), h, n)
+    np.testing.assert_allclose(moved, (n * h, n * h), rtol=0.0, atol=1e-13)
+
+
+def test_a_table_of_the_wrong_length_is_refused():
+    with pytest.raises(ValueError, match="leave 1 free, 2 are given"):
+        symmetric("bad", order=4, stages=3, first="kick", a=(0.1, 0.2), b=(0.1,))
+    with pytest.raises(ValueError, match="not finite"):
+        symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))
+
+
+def test_a_word_that_is_empty_or_has_a_kick_of_no_strength_is_refused():
+    with pytest.raises(ValueError, match="scheme mine: the word of a step is empty"):
+        Scheme("mine", 2, ())
+    with pytest.raises(ValueError, match="give the strength of the force-gradient kick 'C'"):
+        Scheme("mine", 2, (("A", 0.5), ("C", 1.0), ("A", 0.5)))
+
+
+@given(
+    stages=st.integers(1, 12),
+    first=st.sampled_from(["drift", "kick"]),
+    coefficients=st.lists(st.floats(-10.0, 10.0), min_size=12, max_size=12),
+)
+def test_every_table_is_closed_to_a_palindrome_of_sum_one(stages, first, coefficients):
+    free = {table: (stages + (table == first) - 1) // 2 for table in ("drift", "kick")}
+    a, b = coefficients[: free["drift"]], coefficients[: free["kick"]]
+    scheme = symmetric("any", order=2, stages=stages, first=first, a=a, b=b)
+    for table in (scheme.a, scheme.b):
+        assert table == table[::-1]
+        np.testing.assert_allclose(sum(table), 1.0, rtol=0.0, atol=1e-13)
+    assert look_up(scheme) is scheme
+    sizes = coefficients[: (stages - 1) // 2]
+    if stages % 2:
+        composed = schemes.composition("any", order=2, steps=sizes, stages=stages, reference="")
+        assert composed.composes_verlet
+    with pytest.raises(ValueError, match="not finite"):
+        symmetric("any", order=2, stages=3, first=first, a=(np.inf,), b=(np.inf,) * (first == "drift"))
+
+
+def test_nodes_are_generated_for_any_number():
+    for n in range(1, 30):
+        for name in (f"SABA_{n}", f"SBAB_{n}"):
+            scheme = look_up(name)
+            times = np.cumsum([c if flow == "drift" else 0.0 for flow, c in scheme.sequence])
+            kicks = np.array([c if flow == "kick" else 0.0 for flow, c in scheme.sequence])
+            assert scheme.stages == n
+            for power in range(2 * n):
+                np.testing.assert_allclose(kicks @ times**power, 1.0 / (power + 1), rtol=1e-12)
+    with pytest.raises(ValueError, match="1 or more"):
+        saba(0)
+    with pytest.raises(ValueError, match="1 or more"):
+        sbab(0)
+
+
+@given(name=st.text(max_size=8))
+def test_unknown_schemes_are_refused(name):
+    assume(name not in rb.SCHEMES)
+    assume(not name.startswith("S"))
+    with pytest.raises(ValueError, match="choose one of"):
+        look_up(name)
+
+
+def test_stages_and_forces_of_words_with_more_letters():
+    """Kicks of two groups at one place are one stage, and a force-gradient kick takes forces at one place more."""
+    bath = Scheme("BAOAB", 2, schemes.word.spelled("B A O A B"))
+    assert (bath.stages, bath.first) == (1, "kick")
+    groups = Scheme("groups", 2, (("B0", 0.5), ("B1", 0.5), ("A", 1.0), ("B1", 0.5), ("B0", 0.5)))
+    assert groups.stages == 1
+    takahashi = rb.SCHEMES["TI2"]
+    assert (takahashi.stages, takahashi.forces) == (1, 2)
+    assert takahashi.c == (-1.0 / 24.0,)
+    assert (rb.SCHEMES["Chin4A"].stages, rb.SCHEMES["Chin4A"].forces) == (2, 3)
+    assert rb.SCHEMES["G4_7"].forces == 7
+
+
+def test_force_gradients_are_built_from_the_letters():
+    twice = force_gradient("twice", "CABACABAC", order=2, a=(0.2,), b=(0.1, 0.3), e=(0.02, 0.03))
+    assert [letter for letter, _ in twice.word] == ["C1", "A", "B", "A", "C2", "A", "B", "A", "C1"]
+    assert twice.a == pytest.approx((0.2, 0.3, 0.3, 0.2))
+    assert twice.b == pytest.approx((0.1, 0.3, 0.2, 0.3, 0.1))
+    assert dict(twice.gradients) == pytest.approx({"C1": 0.02 / 0.1**2, "C2": 0.03 / 0.2**2})
+    for letters in ("BACA", "BBACABB", "A", "BAXAB"):
+        with pytest.raises(ValueError, match=f"'{letters}' is no palindrome in which drifts A and kicks B or C take"):
+            force_gradient("wrong", letters, order=2)
+    with pytest.raises(ValueError, match="give e for each C of the first half of 'BACAB', not 2 numbers"):
+        force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))

@@ -1,0 +1,239 @@
+"""Starts as people have them: filled by Modeller, rounded in files, far away, frozen, or broken."""
+
+import gc
+import io
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+from boxes import (
+    DATA,
+    FEMTOSECONDS,
+    REFERENCE,
+    coordinates,
+    energy,
+    misfit,
+    quietly,
+    simulation_of,
+    solvent,
+    swing,
+    water,
+    water_system,
+)
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+MODELS = ["tip3p", "spce", "tip4pew"]
+
+
+def steadier_than_verlet(simulation):
+    """Check that the energy swings a tenth of what it does with Verlet from the same start."""
+    system, x = simulation.system, coordinates(simulation)
+    verlet = simulation_of(
+        simulation.topology, system, x, openmm.VerletIntegrator(simulation.integrator.getStepSize()), minimise=0
+    )
+    assert quietly(swing, simulation) < 0.1 * swing(verlet)
+    assert misfit(simulation) < 1e-6
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_boxes_that_modeller_fills_run_as_they_are(model):
+    topology, positions = solvent(model)
+    simulation = quietly(simulation_of, topology, water_system(topology, f"{model}.xml"), positions, None, 300, 0)
+    steadier_than_verlet(simulation)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_boxes_that_a_pdb_file_rounded_run(model):
+    topology, positions = solvent(model)
+    text = io.StringIO()
+    app.PDBFile.writeFile(topology, positions, text)
+    pdb = app.PDBFile(io.StringIO(text.getvalue()))
+    steadier_than_verlet(
+        simulation_of(pdb.topology, water_system(pdb.topology, f"{model}.xml"), pdb.positions, minimise=0)
+    )
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_boxes_rounded_as_in_gro_files_run_with_one_warning(model):
+    topology, positions = solvent(model)
+    rounded = np.round(positions.value_in_unit(unit.nanometer), 3)
+    simulation = simulation_of(topology, water_system(topology, f"{model}.xml"), rounded, minimise=0)
+    with pytest.warns(rb.ShapeWarning, match=r"largest distance is 0\.00\d+ nm") as told:
+        simulation.step(2)
+    assert len(told) == 1
+    steadier_than_verlet(simulation)
+
+
+@pytest.mark.parametrize("name", ["opc", "opc3"])
+def test_droplets_of_openmm_s_own_boxes_run(name):
+    pdb = app.PDBFile(str(DATA / f"{name}box_27.pdb"))
+    modeller = app.Modeller(pdb.topology, pdb.positions)
+    forcefield = app.ForceField(f"{name}.xml")
+    modeller.addExtraParticles(forcefield)
+    system = forcefield.createSystem(modeller.topology, removeCMMotion=False)
+    simulation = simulation_of(modeller.topology, system, modeller.positions, minimise=0)
+    steadier_than_verlet(simulation)
+
+
+def test_centres_and_velocities_of_rounded_molecules_stay():
+    simulation = water()
+    x = np.round(coordinates(simulation), 3)
+    masses = np.array([simulation.system.getParticleMass(i)._value for i in range(3)])
+    centres = np.einsum("s,nsi->ni", masses / masses.sum(), x.reshape(-1, 3, 3))
+    simulation.context.setPositions(x)
+    quietly(simulation.integrator.kineticEnergies)
+    placed = np.einsum("s,nsi->ni", masses / masses.sum(), coordinates(simulation).reshape(-1, 3, 3))
+    np.testing.assert_allclose(placed, centres, atol=1e-12)
+    assert misfit(simulation) < 1e-9
+    assert np.abs(coordinates(simulation) - x).max() < 2e-3
+
+
+def test_rounded_positions_in_mid_run_are_put_on_the_shapes():
+    simulation = water()
+    simulation.step(3)
+    simulation.context.setPositions(np.round(coordinates(simulation), 3))
+    with pytest.warns(rb.ShapeWarning) as told:
+        simulation.step(1)
+    assert len(told) == 1
+    steadier_than_verlet(simulation)
+
+
+def test_broken_molecules_are_refused_until_they_are_mended():
+    simulation, twin = water(), water()
+    for one in (simulation, twin):
+        one.step(2)
+    good = coordinates(simulation)
+    broken = good.copy()
+    broken[4] += 0.05
+    simulation.context.setPositions(broken)
+    for ask in (lambda: simulation.step(1), lambda: simulation.step(1), simulation.integrator.totalEnergy):
+        with pytest.raises(ValueError, match=r"0\.0\d+ nm away from its rigid shape, more than 0\.02 nm"):
+            ask()
+        np.testing.assert_array_equal(coordinates(simulation), broken)
+    simulation.context.setPositions(good)
+    for one in (simulation, twin):
+        one.step(2)
+    np.testing.assert_array_equal(coordinates(simulation), coordinates(twin))
+
+
+@pytest.mark.parametrize("what", ["Positions", "Velocities"])
+def test_nan_is_refused_until_it_is_mended(what):
+    simulation = water()
+    simulation.step(2)
+    state = simulation.context.getState(positions=True, velocities=True)
+    good = getattr(state, f"get{what}")(asNumpy=True)
+    bad = good._value.copy()
+    bad[5, 1] = np.nan
+    put = getattr(simulation.context, f"set{what}")
+    put(bad)
+    for ask in (lambda: simulation.step(1), lambda: simulation.step(1), simulation.integrator.totalEnergy):
+        with pytest.raises(ValueError, match="not finite"):
+            ask()
+    put(good)
+    simulation.step(2)
+    assert np.isfinite(energy(simulation))
+
+
+def test_molecules_that_a_box_wrapped_are_taken_up():
+    simulation, twin = water(), water()
+    for one in (simulation, twin):
+        one.step(5)
+    wrapped = simulation.context.getState(positions=True, enforcePeriodicBox=True).getPositions()
+    simulation.context.setPositions(wrapped)
+    for one in (simulation, twin):
+        one.step(5)
+    assert misfit(simulation) < 1e-6
+    assert energy(simulation) == pytest.approx(energy(twin), abs=1e-3)
+
+
+def test_coordinates_far_away_behave_as_with_verlet():
+    """The distance is that of 1e5 boxes: positions of float64 are rounded to 1e-11 nm there, energies accordingly."""
+    near = water()
+    x = coordinates(near)
+    far = water(minimise=0)
+    far.context.setPositions(x + 1e5 * np.array([1.0, -1.0, 1.0]))
+    far.context.setVelocities(near.context.getState(velocities=True).getVelocities())
+    start = energy(near)
+    for one in (near, far):
+        quietly(one.step, 5)
+    assert energy(far) == pytest.approx(energy(near), abs=1e-3)
+    assert energy(far) == pytest.approx(start, abs=0.5)
+
+
+def test_frozen_molecules_stay_where_they_are():
+    topology, positions = solvent()
+    system = water_system(topology)
+    for i in range(6):
+        system.setParticleMass(i, 0.0)
+    simulation = simulation_of(topology, system, positions, minimise=0)
+    before = coordinates(simulation)
+    quietly(simulation.step, 5)
+    after = coordinates(simulation)
+    np.testing.assert_array_equal(after[:6], before[:6])
+    assert np.abs(after[6:] - before[6:]).max() > 1e-3
+    assert swing(simulation) < 1e-2
+
+
+def test_a_system_without_rigid_bodies_runs():
+    topology, positions = solvent()
+    system = water_system(topology, rigidWater=False)
+    verlet = simulation_of(topology, system, positions, openmm.VerletIntegrator(0.2 * FEMTOSECONDS))
+    x, v = (
+        f() for f in (lambda: coordinates(verlet), lambda: verlet.context.getState(velocities=True).getVelocities())
+    )
+    simulation = simulation_of(topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS), minimise=0)
+    simulation.context.setVelocities(v)
+    assert swing(simulation) < 0.1 * swing(verlet)
+
+
+def test_the_natural_order_is_bind_and_then_positions():
+    topology, positions = solvent()
+    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
+    context = openmm.Context(water_system(topology), integrator, REFERENCE)
+    integrator.bind(context)
+    context.setPositions(positions)
+    quietly(integrator.step, 1)
+    assert context.getStepCount() == 1
+
+
+def test_a_frozen_garbage_collector_does_not_hide_the_context():
+    gc.freeze()
+    try:
+        simulation = water()
+        gc.freeze()
+        simulation.step(1)
+    finally:
+        gc.unfreeze()
+    assert simulation.context.getStepCount() == 1
+
+
+def test_a_box_that_changes_between_steps_is_taken_up():
+    simulation, verlet = water(), water(openmm.VerletIntegrator(2 * FEMTOSECONDS))
+    for one in (simulation, verlet):
+        one.context.setPeriodicBoxVectors((1.02, 0, 0), (0, 1.02, 0), (0, 0, 1.02))
+    verlet.context.setPositions(coordinates(simulation))
+    verlet.context.setVelocities(simulation.context.getState(velocities=True).getVelocities())
+    steps = swing(simulation), swing(verlet)
+    assert steps[0] < 0.1 * steps[1]
+
+
+def test_blow_ups_stop_in_the_first_bad_step_and_name_it():
+    for size in (2.0, 0.05):  # ps, where fs were meant, and 50 fs
+        simulation = water(rb.ExactRigidBodyIntegrator(size))
+        with pytest.raises(rb.NonFiniteError, match=r"step \d+, after .* ps: "):
+            simulation.step(100)
+        assert np.isfinite(energy(simulation))
+        assert simulation.integrator.kineticEnergies()[0]._value < 1e4
+
+
+def test_hot_and_minimised_starts_are_no_false_alarm():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        simulation = water()
+        simulation.context.setVelocitiesToTemperature(0)
+        simulation.step(30)
+        simulation.context.setVelocitiesToTemperature(3000, 1)
+        simulation.step(10)
