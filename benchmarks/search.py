@@ -271,9 +271,7 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
     axes = {"seed": seeds, "model": models}
     wanted = [("V2", None), *candidates]
     recipes = {
-        (family, str(free)): rb.ensemble.sweep(
-            judge, axes, family=family, free=free, rate=rate, n=n, duration=duration
-        )
+        (family, str(free)): rb.ensemble.sweep(judge, axes, family=family, free=free, rate=rate, n=n, duration=duration)
         for family, free in wanted
     }
     outcomes = rb.ensemble.run(list(itertools.chain(*recipes.values())), folder, workers=workers, progress=False)

@@ -54,7 +54,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
         forces, which are what costs, as often as before.
     inner : str or Scheme, optional
-        Scheme of the inner steps.
+        Scheme of the inner steps: S2_2 in a scheme of order 2 and SRKN4_6b in others if it is not given.
     innerSteps : int, optional
         Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
         inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
@@ -77,7 +77,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
         fast: str | Sequence[int] | None = None,
-        inner: str | Scheme = "S2_2",
+        inner: str | Scheme | None = None,
         innerSteps: int | None = None,
     ) -> None:
         _refuse_temperature(stepSize, scheme)

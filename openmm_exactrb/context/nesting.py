@@ -16,6 +16,8 @@ from openmm_exactrb.schemes.word import DRIFT, FAST, KICK, Word, nested
 
 #: The longest time between two kicks of the fast forces, over the period of the fastest bond or angle by itself.
 SHARE = 0.05
+# Inner schemes for outer ones of order 2, and above: with an inner one of order 2 its own errors would be what is left.
+_OF_ORDER_2, _ABOVE = "S2_2", "SRKN4_6b"
 
 
 @dataclass(frozen=True)
@@ -26,18 +28,18 @@ class Nesting:
     ----------
     fast : "bonded" or tuple of int
         Force groups.
-    scheme : Scheme
-        Of the inner steps.
+    scheme : Scheme or None
+        Of the inner steps; None for one that suits the outer scheme.
     steps : int or None
         Inner steps a step; None for as many as the fastest bonds need.
     """
 
     fast: str | tuple[int, ...]
-    scheme: Scheme
+    scheme: Scheme | None = None
     steps: int | None = None
 
     @classmethod
-    def of(cls, fast: str | Sequence[int] | None, inner: str | Scheme, steps: int | None) -> Nesting | None:
+    def of(cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None) -> Nesting | None:
         """Return what arguments of a user ask for, None for nothing.
 
         Raises
@@ -45,8 +47,8 @@ class Nesting:
         ValueError
             If they are of another kind.
         """
-        scheme = look_up(inner)
-        if {letter for letter, _ in scheme.word} != {DRIFT, KICK} or scheme.processor:
+        scheme = None if inner is None else look_up(inner)
+        if scheme is not None and ({letter for letter, _ in scheme.word} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
         if steps is not None:
             steps = whole(steps, "innerSteps")
@@ -65,14 +67,14 @@ class Nested:
     ----------
     groups : tuple of int
         Of the forces within the drifts.
-    scheme : Scheme
+    scheme : Scheme or None
     steps : int or None
     frequency : float
         The highest one of these forces, in 1/ps.
     """
 
     groups: tuple[int, ...]
-    scheme: Scheme
+    scheme: Scheme | None
     steps: int | None
     frequency: float
 
@@ -81,16 +83,17 @@ class Nested:
         """The force groups as OpenMM takes them."""
         return sum(1 << group for group in self.groups)
 
-    def inner_steps(self, h: float) -> int:
-        """Return how many inner steps a step of h (ps) has, where no drift is longer than it."""
+    def inner_steps(self, inner: Scheme, h: float) -> int:
+        """Return how many inner steps fill the time h (ps) of a step."""
         if self.steps is not None:
             return self.steps
-        return math.ceil(h * self.frequency / (2.0 * math.pi * SHARE * self.scheme.stages))
+        return max(1, math.ceil(h * self.frequency / (2.0 * math.pi * SHARE * inner.stages)))
 
     def put_into(self, scheme: Scheme, h: float) -> Scheme:
         """Return a scheme with the fast forces in its drifts, for steps of h (ps)."""
-        steps = self.inner_steps(h)
-        inner = tuple((FAST if letter == KICK else letter, part) for letter, part in self.scheme.word)
+        own = self.scheme or look_up(_OF_ORDER_2 if scheme.order <= 2 else _ABOVE)
+        steps = self.inner_steps(own, h)
+        inner = tuple((FAST if letter == KICK else letter, part) for letter, part in own.word)
 
         def within(word: Word) -> Word:
             return nested(word, DRIFT, inner, steps)

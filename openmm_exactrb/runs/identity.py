@@ -47,7 +47,8 @@ def _settings(integrator: Any) -> str:
     if isinstance(integrator, ExactRigidBodyIntegrator):
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
         if (nesting := integrator.getNesting()) is not None:
-            text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {nesting.scheme.name}"
+            inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
+            text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
     return text
 
 

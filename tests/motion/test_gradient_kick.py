@@ -39,8 +39,8 @@ def displaced(problem, strength=None):
         return NOTHING, problem.torque(state.q[0])
 
     strength = dict(CHIN.gradients)["C"] if strength is None else strength
-    middle = gradient_kick(forces, forces, kinetic, np.zeros(0), problem.inertia, strength)
-    return {"A": kinetic.drift, "B": kick(forces, kinetic), "C": middle}
+    middle = gradient_kick(forces, forces, kinetic, problem.inertia, strength)
+    return {"A": kinetic.drift, "B": kick(forces), "C": middle}
 
 
 def moved(problem, state, h, n):
