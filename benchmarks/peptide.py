@@ -118,11 +118,7 @@ def table(rows, rates):
     for i, rate in enumerate(rates):
         cells = [family[i] for family in families.values()]
         texts = [f"{row[2]:.2g}" + f" ({row[0]})" * (k > 1) for k, row in enumerate(cells)]
-        print(
-            f"| {rate} | "
-            + " | ".join(f"{row[2]:.2g}" + f" ({row[0]})" * (k > 1) for k, row in enumerate(cells))
-            + " |"
-        )
+        print(f"| {rate} | " + " | ".join(texts) + " |")
     return families
 
 
