@@ -46,7 +46,7 @@ def separate_bonded(system: openmm.System) -> int:
     ValueError
         If the other forces are in all groups.
     """
-    others = {force.getForceGroup() for force in system.getForces() if not isinstance(force, _BONDED)}
+    others = {group for force in system.getForces() if not isinstance(force, _BONDED) for group in groups_of(force)}
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
         raise ValueError("the System has forces in all 32 force groups: give two of them the same one")
@@ -68,11 +68,12 @@ def bonded_groups(system: openmm.System) -> tuple[int, ...]:
     if not groups:
         raise ValueError('the System has no bonded forces: leave fast="bonded" away')
     for force in acting(system):
-        group, name = force.getForceGroup(), type(force).__name__
-        if group in groups and not isinstance(force, _BONDED):
+        shared = groups.keys() & groups_of(force)
+        if shared and not isinstance(force, _BONDED):
+            group = min(shared)
             raise ValueError(
-                f"{groups[group]} and {name} are both in force group {group}, so that the bonded forces cannot be told "
-                "apart: call openmm_exactrb.separate_bonded(system) before the Simulation is made"
+                f"{groups[group]} and {type(force).__name__} are both in force group {group}, so that the bonded "
+                "forces cannot be told apart: call openmm_exactrb.separate_bonded(system) before the Simulation is made"
             )
     return tuple(sorted(groups))
 
@@ -81,6 +82,12 @@ def acting(system: openmm.System) -> list[Any]:
     """Return the forces of a System that act on particles within a step."""
     forces = [(type(force).__name__, force) for force in system.getForces()]
     return [force for name, force in forces if name not in _NO_FORCES and "Barostat" not in name]
+
+
+def groups_of(force: Any) -> set[int]:
+    """Return the force groups of a force: two where the reciprocal part of an Ewald sum has its own."""
+    own = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
+    return {force.getForceGroup()} | ({own} if own >= 0 else set())
 
 
 def fastest(system: openmm.System, groups: tuple[int, ...]) -> float:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import openmm
 
 from openmm_exactrb.checks import whole
-from openmm_exactrb.context.bonded import acting, bonded_groups, fastest
+from openmm_exactrb.context.bonded import acting, bonded_groups, fastest, groups_of
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import DRIFT, FAST, KICK, Word, nested
@@ -110,7 +110,7 @@ def nested_in(system: openmm.System, nesting: Nesting) -> Nested:
         If groups have no forces, all forces are in them, or the number of inner steps has to be told.
     """
     groups = bonded_groups(system) if nesting.fast == "bonded" else tuple(map(int, nesting.fast))
-    present = {force.getForceGroup() for force in acting(system)}
+    present = {group for force in acting(system) for group in groups_of(force)}
     for group in groups:
         if group not in present:
             raise ValueError(f"the System has no force in group {group}: fast must name groups that act")
