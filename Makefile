@@ -2,15 +2,20 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+# The oldest versions that pyproject.toml allows, in an environment of their own.
+LOWEST ?= .venv-lowest
 ARGS ?=
 
-.PHONY: run test lint docs linkcheck validate benchmarks paper clean
+.PHONY: run test lowest lint docs linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --overwrite $(ARGS)
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto $(ARGS)
+
+lowest: $(LOWEST)/.test
+	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check
@@ -41,8 +46,16 @@ benchmarks: $(VENV)/.test
 paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)
 
+dist: $(VENV)/.dist
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/check-wheel-contents dist
+	$(BIN)/validate-pyproject pyproject.toml
+	$(BIN)/cffconvert --validate
+
 clean:
-	rm -rf $(VENV) out examples/out docs/_build docs/tutorials
+	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/tutorials
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -50,11 +63,20 @@ $(VENV)/.python: pyproject.toml
 	touch $@
 
 $(VENV)/.run: $(VENV)/.python
-	$(BIN)/python -m pip install --quiet --editable ".[plot]"
+	$(BIN)/python -m pip install --quiet --editable ".[fast,plot]"
 	touch $@
 
 $(VENV)/.test: $(VENV)/.python
 	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	touch $@
+
+$(LOWEST)/.test: pyproject.toml constraints/lowest.txt
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --editable ".[test]" --constraint constraints/lowest.txt
+	touch $@
+
+$(VENV)/.dist: $(VENV)/.python
+	$(BIN)/python -m pip install --quiet build cffconvert check-wheel-contents twine "validate-pyproject[all]"
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.python

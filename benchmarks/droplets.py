@@ -215,5 +215,5 @@ def start(n: int, name: str, seed: int, temperature: float = 300.0, picoseconds:
     rng = np.random.default_rng([seed, n])
     for _ in range(round(2.0 * picoseconds)):
         state = canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)
-        energies, state = run(model, state, rb.SCHEMES["V2"], 0.002, 0.5, 0.5)
+        _, state = run(model, state, rb.SCHEMES["V2"], 0.002, 0.5, 0.5)
     return canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)

@@ -13,11 +13,13 @@ last one stopped:
 3. `judge`: 30 ps from starts that nothing else has seen, of other sizes.
 
     python search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120 --folder out/search
+    python search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import time
 from functools import cache
@@ -106,6 +108,23 @@ def oscillator(scheme, x):
     with np.errstate(invalid="ignore", divide="ignore"):
         angle, ratio = np.arccos(0.5 * (qq + pp)), np.sqrt(-qp / pq)
     return ratio * angle / x, angle / (ratio * x)
+
+
+def of_order_four(family, free, x=0.05):
+    """Return the point of a family nearest to one, by Newton's method, whose oscillators are right up to order four.
+
+    The two conditions of order four are alpha = beta = 1 up to x².
+    """
+    free = np.array(free)
+
+    def conditions(free):
+        return np.ravel(oscillator(member(family, free), np.array([x]))) - 1.0
+
+    for _ in range(6):
+        defect = conditions(free)
+        slopes = np.array([(conditions(free + 1e-6 * row) - defect) / 1e-6 for row in np.eye(len(free))]).T
+        free = free - np.linalg.lstsq(slopes, defect)[0]
+    return free.tolist()
 
 
 def linear(scheme, rate, weights=None):
@@ -214,12 +233,12 @@ def screened(family, rate, n, seeds, models, factors=(1.0, 1.3, 1.7, 2.4), tries
     return sorted(found)
 
 
-class _Spent(Exception):
+class _TimeIsUpError(Exception):
     """The time for a search is over."""
 
 
-def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0):
-    """Improve a member of a family by Nelder and Mead on droplets; a recipe.
+def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0, order=2):
+    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a recipe.
 
     Returns
     -------
@@ -229,6 +248,7 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
     trace, begun, starts = [], time.perf_counter(), list(itertools.product(models, seeds))
 
     def objective(free):
+        free = of_order_four(family, free) if order == 4 else free
         scheme, total = member(family, free), 0.0
         if sum(abs(part) for _, part in scheme.word) > 6.0 or not np.isfinite(linear(scheme, rate)):
             return LOST
@@ -241,14 +261,12 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
         value = float(total / number) if np.isfinite(total) else LOST
         trace.append((value, list(map(float, free))))
         if time.perf_counter() - begun > budget:
-            raise _Spent
+            raise _TimeIsUpError
         return value
 
     simplex = np.array([first] + [np.array(first) + 0.015 * row for row in np.eye(len(first))])
-    try:
+    with contextlib.suppress(_TimeIsUpError):
         minimize(objective, first, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-5})
-    except _Spent:
-        pass
     value, free = min(trace, default=(LOST, list(first)))
     return {"free": free, "objective": value, "trace": trace}
 
@@ -282,11 +300,12 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
         return np.sqrt(np.mean(np.square(rows), axis=1))
 
     for family, free in wanted:
-        key = family, str(free)
+        key, scheme = (family, str(free)), look_up(family) if free is None else member(family, free)
         windows = {window: over_models(key, window) for window in ("2.0", "10.0", str(duration))}
         below = over_models(("V2", "None"), str(duration)) / windows[str(duration)]
         rows = " ".join(f"{w}: " + " ".join(f"{e:.2e}" for e in errors) for w, errors in windows.items())
-        print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}", flush=True)
+        print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}")
+        print(f"   of oscillators alone {linear(scheme, rate) / np.sqrt(n):.2e}", flush=True)
 
 
 def searched(families, rates, best, budget, folder, workers):
@@ -320,10 +339,18 @@ def main():
     parser.add_argument("--budget", type=float, default=120.0, help="seconds to improve each of them; 0 leaves it out")
     parser.add_argument("--folder", default="out/search", help="where results are kept")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--judge", nargs="+", metavar="NAME", help="judge schemes of the catalogue, without any search")
+    parser.add_argument("--molecules", type=int, default=TEST["n"], help="of the droplets that judge")
+    parser.add_argument("--models", nargs="+", default=list(MODELS), help="water models that judge")
     args = parser.parse_args()
+    if args.judge:
+        for rate in args.rates:
+            candidates = [(name, None) for name in args.judge if name != "V2"]
+            judged(candidates, rate, args.folder, args.models, args.molecules, workers=args.workers)
+        return
     found = searched(args.families, args.rates, args.best, args.budget, args.folder, args.workers)
     for rate in args.rates:
-        judged(found[rate][: args.best], rate, args.folder, workers=args.workers)
+        judged(found[rate][: args.best], rate, args.folder, args.models, args.molecules, workers=args.workers)
 
 
 if __name__ == "__main__":

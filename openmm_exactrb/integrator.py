@@ -19,6 +19,8 @@ from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
+from openmm_exactrb.device import choice, emit, names
+from openmm_exactrb.device.engine import Device, device
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
 from openmm_exactrb.motion.state import BodyState, State
@@ -58,12 +60,18 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     innerSteps : int, optional
         Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
         inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
+    engine : {"host", "device", "auto"}, optional
+        Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
+        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL in
+        mixed or double precision; on Reference where there are no virtual sites. At the first use the System gets a
+        force in group 31, which adds exactly 0 to energies and forces, and the Context is reinitialised once, with its
+        state. "auto": the device where it can be, else the host; `engineNote` says why.
 
     Raises
     ------
     ValueError
-        If scheme or rotor is unknown, the step size is not a finite time, bodies are not lists of particles, or what is
-        to be nested are no force groups.
+        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles,
+        what is to be nested are no force groups, or scheme or rotor are not for the device that was asked for.
 
     Attributes
     ----------
@@ -79,6 +87,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
+        engine: choice.Engine = "host",
     ) -> None:
         _refuse_temperature(stepSize, scheme)
         self._nesting = Nesting.of(fast, inner, innerSteps)
@@ -87,7 +96,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        ledger.declare(self)
+        self._asked_engine = choice.named(engine)
+        self._declare()
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._host: host.Host | None = None
@@ -125,6 +135,23 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setStepSize(self, size: float | unit.Quantity) -> None:
         """Set the size of a whole step of the scheme, in ps if it has no unit."""
         super().setStepSize(picoseconds(size))
+
+    def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
+        """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
+        bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
+        super().setIntegrationForceGroups(bits & names.OTHERS if self._programmed else bits)
+        if isinstance(self._host, Device):
+            self._host = None  # OpenMM reads the groups where it makes the kernels
+
+    def getEngine(self) -> str:
+        """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
+        self._decide()
+        return "device" if self._on_device else "host"
+
+    def engineNote(self) -> str:
+        """Say in a sentence why it is this engine."""
+        self._decide()
+        return self._note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
         """Tell what a letter of the scheme's word does.
@@ -188,7 +215,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             does after any other error in a force.
         """
         with self.timings.measuring():
-            self._up_to_date().advance(self, self._scheme, self._makers, steps)
+            present = self._present()
+            present.advance(self, self._plan(present.session.context), steps)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -266,6 +294,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
         self._up_to_date().minimise(self.getIntegrationForceGroups(), force, iterations)
 
+    def getSettings(self) -> dict[str, dict[str, Any]]:
+        """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
+        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
+        arguments = {
+            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
+            "scheme": self._scheme,
+            "rotor": rotor,
+            "bodies": self._bodies,
+        }
+        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
+        settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
+        return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
+
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
@@ -291,19 +332,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         session.state = State(*map(np.ascontiguousarray, full))
         session.publish()
 
+    def __repr__(self) -> str:
+        """Return scheme, rotor and step."""
+        step = self.getStepSize().value_in_unit(unit.picosecond)
+        return f"{type(self).__name__}({step:g} ps, scheme={self._scheme.name!r}, rotor={self._rotor.name!r})"
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments: tuple[Any, ...] = (
-            self.getStepSize().value_in_unit(unit.picosecond),
-            self._scheme,
-            rotor,
-            self._bodies,
-        )
-        if self._nesting is not None:
-            arguments = (*arguments, self._nesting.fast, self._nesting.scheme, self._nesting.steps)
-        own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
-        return _restored, (type(self), arguments, self.getIntegrationForceGroups(), self.getConstraintTolerance(), own)
+        return _restored, (type(self), *self.getSettings().values())
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -315,14 +351,74 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
 
+    def _arguments(self) -> dict[str, Any]:
+        """Return what a copy is made with, beside the arguments that all have."""
+        within = self._nesting
+        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
+        return {"engine": self._asked_engine, **nested}
+
+    def _plan(self, context: openmm.Context) -> host.Plan:
+        """Return what the next steps are."""
+        return host.Plan(self._scheme, self._makers)
+
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
+        parts = self._present()
+        parts.session.take_up()
+        return parts
+
+    def _present(self) -> host.Host:
+        """Return what moves the bodies of the present Context."""
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
-        self._host.session.take_up()
+            self._choose(context)
+            if self._on_device:
+                self._host = device(context, self, self._rotor, self._bodies, self.timings)
+            else:
+                self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         return self._host
+
+    def _declare(self) -> None:
+        """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
+        against = choice.against_program(self._scheme, self._rotor, self._nesting is not None)
+        if self._asked_engine == "device" and against:
+            raise ValueError(f"{against}: take engine='host'")
+        self._note = f'engine="{self._asked_engine}" was asked for' if self._asked_engine != "auto" else against or ""
+        self._programmed = self._asked_engine != "host" and not against
+        self._on_device = self._asked_engine == "device"
+        if not self._programmed:
+            ledger.declare(self)
+            return
+        emit.declare(self, self._scheme, optional=self._asked_engine == "auto")
+        if self._asked_engine == "auto":
+            self.beginIfBlock(f"{names.LOADED} < 1")
+            ledger.declare(self)
+            self.endBlock()
+        super().setIntegrationForceGroups(names.OTHERS)
+
+    def _decide(self) -> None:
+        """Choose the engine where that is left to the Context."""
+        if self._programmed and self._asked_engine == "auto":
+            self._present()
+
+    def _choose(self, context: openmm.Context) -> None:
+        """Choose the engine for a Context, and note why.
+
+        Raises
+        ------
+        ValueError
+            If engine="device" was asked for, and is not right there.
+        """
+        if not self._programmed:
+            return
+        against = choice.against_context(context, self._bodies)
+        if self._asked_engine == "device" and against:
+            raise ValueError(f"{against}; engine='host' can do it")
+        if self._asked_engine == "auto":
+            against = against or choice.slower(context)
+            self._on_device = against is None
+            self._note = against or f"{context.getPlatform().getName()} can make the whole step"
 
 
 def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
@@ -336,17 +432,20 @@ def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
         )
 
 
+# What OpenMM's integrators are told by methods: getX and setX.
+_SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
+
+
 def _restored(
     kind: type[ExactRigidBodyIntegrator],
-    arguments: tuple[Any, ...],
-    groups: int,
-    tolerance: float,
+    arguments: dict[str, Any],
+    settings: dict[str, Any],
     makers: dict[str, Maker],
 ) -> Any:
     """Return an integrator with the settings of another one."""
-    integrator = kind(*arguments)
-    integrator.setIntegrationForceGroups(groups)
-    integrator.setConstraintTolerance(tolerance)
+    integrator = kind(**arguments)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
     for letter, maker in makers.items():
         integrator.addLetter(letter, maker)
     return integrator

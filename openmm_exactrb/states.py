@@ -36,7 +36,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     context = target.context if isinstance(target, app.Simulation) else target
     if not isinstance(context, openmm.Context):
         raise ValueError(f"the State goes into a Simulation or a Context, not into a {type(target).__name__}")
-    state = source if isinstance(source, openmm.State) else _read(Path(source))
+    state = source if isinstance(source, openmm.State) else read_xml(source, openmm.State, "simulation.saveState")
     kinds = state.getDataTypes()
     if not kinds & openmm.State.Positions:
         raise ValueError("the State has no positions: save it with simulation.saveState, or getState(positions=True)")
@@ -62,12 +62,28 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
         target.currentStep = state.getStepCount()
 
 
-def _read(file: Path) -> openmm.State:
-    content: Any
+def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openmm.XmlSerializer") -> Any:
+    """Read a System, State or Integrator that was serialised.
+
+    Parameters
+    ----------
+    file : str or path
+    kind : type
+        Such as openmm.System.
+    writer : str, optional
+        What writes such files, for the message.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or another kind.
+    OSError
+        If it cannot be read.
+    """
     try:
-        content = openmm.XmlSerializer.deserialize(file.read_text())
+        content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text())
     except (openmm.OpenMMException, ValueError) as error:
-        raise ValueError(f"{file} was not written by simulation.saveState: {error}") from None
-    if not isinstance(content, openmm.State):
-        raise ValueError(f"{file} holds a {type(content).__name__}, not a State")
+        raise ValueError(f"{file} was not written by {writer}: {' '.join(str(error).split())}") from None
+    if not isinstance(content, kind):
+        raise ValueError(f"{file} holds a {type(content).__name__}, not a {kind.__name__}")
     return content

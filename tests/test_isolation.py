@@ -15,7 +15,7 @@ import pytest
 
 import openmm_exactrb as rb
 import three_masses
-from openmm_exactrb import problems
+from openmm_exactrb import problems, quaternions
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
@@ -178,3 +178,15 @@ def test_a_copy_keeps_the_bodies_named_by_hand():
     for twin in (copy.deepcopy(integrator), pickle.loads(pickle.dumps(integrator))):
         assert twin.hasNamedBodies()
         assert twin.__reduce__() == integrator.__reduce__()
+
+
+@pytest.mark.parametrize(("rotor", "apart"), [("exact_compiled", 0.0), ("exact_numpy", 4e-15)])
+@pytest.mark.parametrize("t", [0.1, 5.0])
+def test_a_body_does_not_feel_the_others_of_its_array(rng, rotor, apart, t):
+    n = 200
+    inertia, q, m = rng.uniform(0.5, 2.0, (n, 3)), quaternions.random(rng, n), rng.standard_normal((n, 3))
+    together = rb.free_rotor(inertia, q, m, t, rotor)
+    for i in range(n):
+        alone = rb.free_rotor(inertia[i : i + 1], q[i : i + 1], m[i : i + 1], t, rotor)
+        for one, all_of_them in zip(alone, together, strict=True):
+            np.testing.assert_allclose(one[0], all_of_them[i], rtol=0.0, atol=apart)

@@ -20,7 +20,7 @@ curves = {}
 for name in names:
     scheme, errors = rb.SCHEMES[name], []
     for per_time in evaluations:
-        n = max(1, round(T * per_time / scheme.stages))
+        n = max(1, round(T * per_time / scheme.forces))
         pause, state, largest = max(1, n // 40), start, np.zeros(len(first))
         for _ in range(max(1, n // pause)):
             state = integrate(tops, state, T / n, pause, scheme)

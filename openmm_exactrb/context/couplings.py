@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -51,6 +52,8 @@ class Couplings:
         Whether there are any.
     intervals : tuple of int
         Steps between two removals of the motion of the centre of mass.
+    moves, pushes : bool
+        Whether a barostat moves bodies, and a thermostat changes their momenta.
     kT : float
         The highest temperature of a thermostat, in kJ/mol.
     """
@@ -61,7 +64,7 @@ class Couplings:
         thermostats = [force for name, force in forces if name == _THERMOSTAT]
         _refuse_torn_bodies(context, barostats, named)
         self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
-        self._moves, self._pushes = bool(barostats), bool(thermostats)
+        self.moves, self.pushes = bool(barostats), bool(thermostats)
         self.act = bool(barostats or thermostats or self.intervals)
         self.kT = max((gas_constant_times(force.getDefaultTemperature()) for force in thermostats), default=0.0)
 
@@ -80,23 +83,49 @@ class Couplings:
 
         def openmm_acts(state: State) -> State:
             places.write(state)
-            if self._pushes:
+            if self.pushes:
                 session.write_velocities(state)
             box = arrays.box(context.getState())
             clock.tick()
-            if not self._pushes and arrays.box(context.getState()) == box:
-                return state
+            if not self.pushes:
+                if arrays.box(context.getState()) == box:
+                    return state
+                session.write_velocities(state)  # so that only places differ from those of the state
             places.lose()
             return session.compared(state, *session.held())
 
         def flow(state: State, tau: float) -> State:
-            if self._moves or self._pushes:
+            if self.moves or self.pushes:
                 state = openmm_acts(state)
             if any(clock.number % interval == 0 for interval in self.intervals):
                 state = without_motion(session.bodies.mass, state)
             return state
 
         return flow
+
+
+def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
+    """Refuse what would bring the bodies of an integrator with a bath to another temperature (K), or a second bath.
+
+    Raises
+    ------
+    ValueError
+        If there is a thermostat in the System, or a barostat of another temperature.
+    """
+    forces = {type(force).__name__: force for force in context.getSystem().getForces()}
+    if _THERMOSTAT in forces:
+        raise ValueError(
+            "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
+            "System, or take ExactRigidBodyIntegrator"
+        )
+    for name in forces.keys() & set(_BAROSTATS):
+        parameter = forces[name].Temperature()
+        own = dict(context.getParameters()).get(parameter, temperature)  # one that joined the System later does nothing
+        if not math.isclose(own, temperature, rel_tol=1e-9):
+            raise ValueError(
+                f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "
+                f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
+            )
 
 
 def without_motion(mass: Array, state: State) -> State:

@@ -14,12 +14,18 @@ from openmm import unit
 from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
 from openmm_exactrb.motion.clusters import Clusters, find_clusters
+from openmm_exactrb.motion.images import joined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
-def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequence[int]] | None = None) -> RigidBodies:
+def find_bodies(
+    system: openmm.System,
+    positions: Array,
+    bodies: Sequence[Sequence[int]] | None = None,
+    box: Array | None = None,
+) -> RigidBodies:
     """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
 
     Those are free, or of clusters whose constraints leave them a motion of their own.
@@ -31,6 +37,8 @@ def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequen
         In nm. They tell a body from its mirror image, and give the shape where constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
+    box : (3, 3) array, optional
+        Vectors of the periodic box in nm, which may have split bodies.
 
     Raises
     ------
@@ -53,7 +61,9 @@ def find_bodies(system: openmm.System, positions: Array, bodies: Sequence[Sequen
             floppy.append((members, distances))
             continue
         make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
-        shapes += make(np.stack(members), body_masses, distances, positions)
+        particles = np.stack(members)
+        whole = positions if box is None else joined(positions, particles, box)
+        shapes += make(particles, body_masses, distances, whole)
     clusters = _floppy_clusters(masses, floppy)
     turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
     kinds, start = [], 0

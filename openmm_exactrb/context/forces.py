@@ -47,7 +47,7 @@ class Forces:
     """Forces and torques on bodies at the places of a state.
 
     The last ones are kept as long as places, box and parameters of the Context are the same. What else forces depend on
-    cannot be seen (`updateParametersInContext`): each call of `step` has Forces of its own.
+    cannot be seen (``updateParametersInContext``): each call of `step` has Forces of its own.
 
     Parameters
     ----------
@@ -60,13 +60,21 @@ class Forces:
     steady : bool
         Whether nothing within the call can change box or parameters: they are not looked at then, which would cost 30
         microseconds a step.
+    energies : bool, optional
+        Whether the potential energy is asked for with every force, because it will be needed.
     """
 
     def __init__(
-        self, places: Places, groups: int, timings: Timings, steady: bool = False, counter: str = "evaluations"
+        self,
+        places: Places,
+        groups: int,
+        timings: Timings,
+        steady: bool = False,
+        energies: bool = False,
+        counter: str = "evaluations",
     ) -> None:
         self._places, self._groups, self._timings, self._steady = places, groups, timings, steady
-        self._counter = counter
+        self._energies, self._counter = energies, counter
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
         self._value = (np.zeros(0), np.zeros(0))
@@ -76,7 +84,9 @@ class Forces:
         if not self._known(state):
             start = time.perf_counter()
             self._places.write(state)
-            self._seen = self._places.context.getState(forces=True, parameters=not self._steady, groups=self._groups)
+            self._seen = self._places.context.getState(
+                forces=True, energy=self._energies, parameters=not self._steady, groups=self._groups
+            )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
             self._timings.count(self._counter)
@@ -86,11 +96,11 @@ class Forces:
 
     def twin(self) -> Forces:
         """Return the same forces with a memory of their own."""
-        return Forces(self._places, self._groups, self._timings, self._steady, self._counter)
+        return Forces(self._places, self._groups, self._timings, self._steady, counter=self._counter)
 
     def of(self, groups: int, counter: str = "evaluations") -> Forces:
         """Return those of some of the groups, given by their bits."""
-        return Forces(self._places, self._groups & groups, self._timings, self._steady, counter)
+        return Forces(self._places, self._groups & groups, self._timings, self._steady, counter=counter)
 
     def landscape(self, state: State) -> tuple[float, Array, Array]:
         """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
@@ -99,8 +109,15 @@ class Forces:
         force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
         return float(found.getPotentialEnergy()._value), force, torque
 
+    def with_energies(self) -> Forces:
+        """Return the same forces, with a memory of the potential energy too."""
+        return Forces(self._places, self._groups, self._timings, self._steady, True, self._counter)
+
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""
+        if self._energies:
+            self(state)
+            return float(self._seen.getPotentialEnergy()._value)
         self._places.write(state)
         energy = self._places.context.getState(energy=True, groups=self._groups).getPotentialEnergy()
         return float(energy._value)

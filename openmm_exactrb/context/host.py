@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_exactrb.context.account import Account
 from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
@@ -24,6 +25,28 @@ from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import OPENMM, Word
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the steps of an integrator are.
+
+    Attributes
+    ----------
+    scheme : Scheme
+        With all letters of a step in its word.
+    makers : mapping
+        What makes the flows of letters, by their first character.
+    kT : float
+        Of a bath, in kJ/mol; 0 without one.
+    account : Account
+        What the steps add up.
+    """
+
+    scheme: Scheme
+    makers: Mapping[str, Maker]
+    kT: float = 0.0
+    account: Account = field(default_factory=Account)
 
 
 @dataclass
@@ -46,13 +69,7 @@ class Host:
     timings: Timings
     nested: Nested | None = None
 
-    def advance(
-        self,
-        integrator: openmm.CustomIntegrator,
-        scheme: Scheme,
-        makers: Mapping[str, Maker],
-        n: int,
-    ) -> None:
+    def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps; what happens, the Context then holds the last state that is one of the bodies.
 
         Raises
@@ -62,10 +79,11 @@ class Host:
         NonFiniteError
             If a step is a bad one.
         """
-        session, couplings = self.session, self.couplings
+        session, couplings, scheme, account = self.session, self.couplings, plan.scheme, plan.account
+        session.take_up()
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         places = Places(session.context, session.bodies, session.particles)
-        steady = not couplings.act and makers.items() <= LETTERS.items()
+        steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         slow, fast = forces, forces.of(0)
         if self.nested is not None:
@@ -73,14 +91,11 @@ class Host:
             slow, fast = forces.of(~self.nested.bits), forces.of(self.nested.bits, "fast_evaluations")
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        moves = flows(
-            scheme.word + scheme.processor,
-            Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme),
-            makers,
-        )
+        parts = Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme, clock, account)
+        moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
-        guard.begin(session.state, couplings.kT)
+        guard.begin(session.state, max(couplings.kT, plan.kT))
         state, kept = session.state, (clock.number, clock.time)
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
@@ -90,10 +105,12 @@ class Host:
                     clock.next()
                     if whole:
                         session.state, kept = state, (clock.number, clock.time)
+                        account.keep()
                         session.state = state = run(between, moves, state, h)
         finally:
             clock.reset(*kept)
             clock.stop()
+            account.close()
             session.publish()
 
     def minimise(self, groups: int, tolerance: float, iterations: int) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from openmm_exactrb.context.account import Account
+from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.forces import Forces
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.engine import Flow
@@ -31,6 +33,10 @@ class Parts:
         Those of the kicks of a scheme, and those that are nested in its drifts; without any the slow ones are all.
     guard : Guard
     scheme : Scheme
+    clock : Clock
+        Whose number is that of the last step that was made.
+    account : Account
+        What a run adds up.
     """
 
     bodies: RigidBodies
@@ -40,6 +46,8 @@ class Parts:
     fast: Forces
     guard: Guard
     scheme: Scheme
+    clock: Clock
+    account: Account
 
 
 #: maker(parts, letters) -> the flows of all letters of a word that begin with one character.

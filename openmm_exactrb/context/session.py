@@ -15,6 +15,7 @@ from openmm_exactrb.context import arrays, ledger
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.motion.bodies import Indices, RigidBodies
 from openmm_exactrb.motion.fit import fit, refit
+from openmm_exactrb.motion.images import joined
 from openmm_exactrb.motion.state import BodyState, State
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ class Session:
         if len(x) > 1 and not x.any():
             raise ValueError("the Context has no positions yet: call setPositions first")
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
-        self.bodies = find_bodies(context.getSystem(), x, named)
+        self.bodies = find_bodies(context.getSystem(), x, named, _box(context))
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
@@ -75,7 +76,7 @@ class Session:
     def take_up(self) -> None:
         """Bring the state up to date with what was set in the Context since it was published.
 
-        Positions that were not quite rigid are put right in the Context too.
+        Positions that were not quite rigid, or split by the periodic box, are put right in the Context too.
 
         Raises
         ------
@@ -84,12 +85,20 @@ class Session:
         """
         x, v = self.held()
         if self._seen is None or not all(map(np.array_equal, self._seen, (x, v))):
-            known = ledger.read(self._integrator(), self.bodies)
-            self.state = State.of(fit(self.bodies, x, v)) if known is None else self.compared(known, x, v)
+            known, whole = self.stored(x), self._joined(x)
+            self.state = State.of(fit(self.bodies, whole, v)) if known is None else self.compared(known, whole, v)
             self._x[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
             self._seen = (x, v)
             if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self._x))):
                 self.publish()
+
+    def _joined(self, x: Array) -> Array:
+        """Return positions without what the periodic box split."""
+        box = _box(self.context)
+        if box is not None:
+            for kind in (*self.bodies.kinds, *self.bodies.clusters.kinds):
+                x = joined(x, kind.particles, box)
+        return x
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""
@@ -105,8 +114,16 @@ class Session:
         self.context.setPositions(self.bodies.positions(self.state.rounded, self._x))
         self.write_velocities(self.state)
         self.context.computeVirtualSites()
-        ledger.write(self._integrator(), self.bodies, self.state)
+        self.store()
         self._seen = self.held()
+
+    def stored(self, x: Array) -> State | None:
+        """Return the state that the integrator's variables hold, if any; positions x are those of the Context."""
+        return ledger.read(self._integrator(), self.bodies)
+
+    def store(self) -> None:
+        """Write the state to the integrator's variables."""
+        ledger.write(self._integrator(), self.bodies, self.state)
 
     def write_velocities(self, state: State) -> None:
         """Write the velocities of the particles into the Context."""
@@ -126,6 +143,13 @@ def _positions_and_velocities(context: openmm.Context) -> tuple[Array, Array]:
     """Return positions (nm) and velocities (nm/ps) of all particles."""
     state = context.getState(positions=True, velocities=True)
     return arrays.positions(state), arrays.velocities(state)
+
+
+def _box(context: openmm.Context) -> Array | None:
+    """Return the vectors of the periodic box in nm, or None where there is none."""
+    if not context.getSystem().usesPeriodicBoundaryConditions():
+        return None
+    return np.reshape(arrays.box(context.getState()), (3, 3))
 
 
 def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:

@@ -33,12 +33,17 @@ def picoseconds(size: float | unit.Quantity) -> float:
     return plain(size, unit.picosecond, "a time step")
 
 
+def not_negative(value: Any, in_unit: unit.Unit, what: str) -> float:
+    """Return a finite number of at least 0 in a unit; see `plain`."""
+    number = plain(value, in_unit, what)
+    if number < 0.0:
+        raise ValueError(f"{what} must not be negative, not {value}")
+    return number
+
+
 def kelvin(temperature: float | unit.Quantity) -> float:
     """Return a temperature in K, which must not be negative."""
-    value = plain(temperature, unit.kelvin, "a temperature")
-    if value < 0.0:
-        raise ValueError(f"a temperature must not be negative, not {temperature}")
-    return value
+    return not_negative(temperature, unit.kelvin, "a temperature")
 
 
 def gas_constant_times(temperature: float | unit.Quantity) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
 
 _SERIALISABLE = (openmm.System, openmm.State, openmm.Force, openmm.Integrator)
@@ -80,6 +81,8 @@ def _tagged(value: Any, where: str) -> tuple[str, Any]:
         return "quantity", [canonical(value._value, where), str(value.unit)]
     if isinstance(value, os.PathLike):
         return "path", os.fspath(value)
+    if isinstance(value, ExactRigidBodyIntegrator):  # OpenMM's XML knows neither scheme nor friction
+        return type(value).__qualname__, canonical(value.getSettings(), where)
     if isinstance(value, _SERIALISABLE):
         return "openmm", hashlib.sha256(openmm.XmlSerializer.serialize(value).encode()).hexdigest()
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -107,6 +107,13 @@ class RigidBodies:
         """Rotational degrees of freedom."""
         return sum((3 - kind.linear) * len(kind.particles) for kind in self.kinds if kind.turns)
 
+    @property
+    def principal_moments(self) -> Array:
+        """Principal moments of the bodies that turn, (3, K): 0 along the axis of a linear one."""
+        turning = [kind for kind in self.kinds if kind.turns]
+        rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in turning]
+        return np.ascontiguousarray(np.concatenate([np.zeros((0, 3)), *rows]).T)
+
     def __len__(self) -> int:
         """Return the number of bodies, single particles included."""
         return len(self.mass)

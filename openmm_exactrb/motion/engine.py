@@ -8,13 +8,13 @@ from typing import TypeVar
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import Word
 
-S = TypeVar("S")
+_S = TypeVar("_S")
 
 #: flow(state, tau) moves a state by the time tau; it may return the state itself, and does not change what it is given.
-Flow = Callable[[S, float], S]
+Flow = Callable[[_S, float], _S]
 
 
-def run(word: Word, flows: Mapping[str, Flow[S]], state: S, h: float) -> S:
+def run(word: Word, flows: Mapping[str, Flow[_S]], state: _S, h: float) -> _S:
     """Carry a word out.
 
     Parameters

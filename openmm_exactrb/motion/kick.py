@@ -40,7 +40,8 @@ def gradient_kick(
 
     Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is taken at
     R + e F/M and at q exp(e I^-1 N), where e = strength tau², and e (I^-1 N) x N is added to the torque, the commutator
-    of the body axes. It is time-reversible, and symplectic up to those orders. For particles this is the Hessian-free
+    of the body axes. It is time-reversible, and symplectic up to those orders. It keeps the linear momentum, and the
+    angular momentum up to those orders. For particles this is the Hessian-free
     kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025). Atoms
     under constraints are displaced along the geodesic of F, and the force there, along the constraints, is what acts:
     to first order that is the covariant derivative of F along itself.

@@ -1,4 +1,4 @@
-"""A minimum of the potential energy of rigid bodies, which stay rigid, and of clusters, which keep their constraints."""
+"""A minimum of the potential energy: rigid bodies stay rigid, clusters keep their constraints."""
 
 from __future__ import annotations
 

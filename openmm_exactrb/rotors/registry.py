@@ -53,6 +53,11 @@ class Rotor:
     largest_angle: float = math.inf
     sums: bool = False
 
+    def __repr__(self) -> str:
+        """Return a line for people."""
+        order = "exact" if self.order is None else f"order {self.order}"
+        return f"Rotor({self.name!r}, {order}, {self.reference})"
+
 
 def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
     """Return the factory of flows with Gauss's rule in place of the exact integral."""

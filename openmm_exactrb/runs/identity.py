@@ -9,6 +9,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
+from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.version import version
 
@@ -49,6 +50,8 @@ def _settings(integrator: Any) -> str:
         if (nesting := integrator.getNesting()) is not None:
             inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
             text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
+    if isinstance(integrator, ThermostattedIntegrator):
+        text += "".join(f", {name} {value}" for name, value in integrator.getBathSettings().items())
     return text
 
 

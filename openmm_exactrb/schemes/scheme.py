@@ -64,6 +64,15 @@ class Scheme:
             if letter.startswith(GRADIENT) and letter not in strengths:
                 raise ValueError(f"scheme {self.name}: give the strength of the force-gradient kick {letter!r}")
 
+    def __repr__(self) -> str:
+        """Return a line for people: the word itself is `word`."""
+        orders = ", ".join(map(str, self.generalised or (self.order,)))
+        kind = ", Nyström" if self.kind == "nystroem" else ""
+        processed = ", processed" if self.processor else ""
+        return (
+            f"Scheme({self.name!r}, order {orders}, {self.forces} forces per step, {self.first} first{kind}{processed})"
+        )
+
     @property
     def first(self) -> Outer:
         """What a step starts and ends with."""

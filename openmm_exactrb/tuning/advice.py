@@ -22,7 +22,7 @@ from openmm_exactrb.tuning.thermal import thermalised
 
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
-CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "W2_6", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
+CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "Chin4A", "W2_5", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
 
 # Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
 # for which errors are promised, in units of that.
@@ -56,12 +56,12 @@ def tune(
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
     The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
-    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs `duration`;
-    how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is run over all of
-    a horizon that is named, and over half of the usual one. A wandering energy is known badly from one run, so that its
-    error is raised by up to a half. Short swings alone would not do: where a step is long against the vibrations, the
-    energy wanders for picoseconds, and near hard cores as a random walk does; what a scheme gains in short runs may be
-    lost in longer ones.
+    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs
+    `duration`; how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is
+    run over all of a horizon that is named, and over half of the usual one. A wandering energy is known badly from one
+    run, so that its error is raised by up to a half. Short swings alone would not do: where a step is long against the
+    vibrations, the energy wanders for picoseconds, and near hard cores as a random walk does; what a scheme gains in
+    short runs may be lost in longer ones.
 
     Parameters
     ----------

@@ -359,3 +359,47 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     length, slip = violations(system, positions_of(context), velocities_of(context))
     assert length < 1e-14
     assert slip < 1e-13
+
+
+# -- baths and engines ------------------------------------------------------------------------------------------
+
+
+def test_strong_friction_makes_every_kinetic_energy_canonical():
+    """The noise acts along the constraints only: a chi-square number of all degrees of freedom after each step."""
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1e5, 1e-4)
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    freedom, energies = sum(integrator.degreesOfFreedom()), []
+    for _ in range(300):
+        integrator.step(1)
+        energies.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R))
+    assert stats.kstest(energies, stats.chi2(freedom).cdf).pvalue > 0.01
+    length, slip = violations(system, positions_of(context), velocities_of(context))
+    assert length < 1e-15
+    assert slip < 1e-13
+
+
+def test_rescaling_accounts_for_the_energy_along_the_constraints_alone():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.0005, "W4_5")
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    before = integrator.effectiveEnergy()._value
+    integrator.step(100)
+    assert abs(integrator.heat()._value) > 1.0
+    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-3)
+
+
+def test_the_device_is_refused_for_clusters_and_nesting():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.0005, engine="device")
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    with pytest.raises(ValueError, match="a motion of its own, which the device does not follow"):
+        integrator.step(1)
+    with pytest.raises(ValueError, match="fast="):
+        rb.ExactRigidBodyIntegrator(0.0005, fast="bonded", engine="device")

@@ -135,7 +135,7 @@ def test_a_step_in_openmm_is_symplectic(few_and_processed):
         return np.concatenate([*np.hstack([state.R.T, state.P.T]), *turning])
 
     end, x0 = after(start), coordinates(start, start.q)
-    J = charts.jacobian(lambda x: coordinates(after(state(x)), end.q), x0)
+    J = charts.jacobian(lambda x: np.stack([coordinates(after(state(column)), end.q) for column in x.T], axis=1), x0)
     assert charts.symplectic_defect(J) < 1e-8
     with pytest.raises(AssertionError):
         np.testing.assert_allclose(J, np.eye(24), rtol=0.0, atol=1e-2)

@@ -3,6 +3,7 @@
 import copy
 import itertools
 import pickle
+import re
 import sys
 from pathlib import Path
 
@@ -253,7 +254,11 @@ def test_a_system_that_an_older_package_wrote_is_read_and_written_the_same():
     text = (DATA / "soft_dipoles.xml").read_text()
     system = openmm.XmlSerializer.deserialize(text)
     _, same, positions = written()
-    assert openmm.XmlSerializer.serialize(same) == openmm.XmlSerializer.serialize(system) == text
+    texts = [
+        re.sub(r'openmmVersion="[^"]*"', "", xml)
+        for xml in (*map(openmm.XmlSerializer.serialize, (same, system)), text)
+    ]
+    assert texts[0] == texts[1] == texts[2]
     assert_same(evaluated(context_of(system, positions)), evaluated(context_of(same, positions)), 0.0)
 
 

@@ -1,5 +1,7 @@
 """How long a step a scheme bears."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,6 +34,7 @@ def step_of_an_oscillator(scheme, h):
 
 def test_a_harmonic_oscillator_is_bounded_up_to_the_limit_and_not_beyond(scheme):
     limit = stability_limit(scheme)
+    scheme = replace(scheme, processor=())  # a change of coordinates, which can be a large one
     power, step = np.eye(2), step_of_an_oscillator(scheme, 0.98 * limit)
     for _ in range(3000):
         power = step @ power

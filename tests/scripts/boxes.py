@@ -12,16 +12,16 @@ import openmm_exactrb as rb
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 DATA = Path(__file__).parents[1] / "data"
-SIDES = Vec3(1.0, 1.0, 1.0) * unit.nanometer
 CUTOFF, SWITCH = 0.45 * unit.nanometer, 0.35 * unit.nanometer
 FEMTOSECONDS = unit.femtoseconds
 
 
 @functools.cache
-def solvent(model="tip3p", forcefield=None):
-    """Return topology and positions of a box of some 32 molecules that Modeller fills."""
+def solvent(model="tip3p", side=1.0):
+    """Return topology and positions of a box that Modeller fills, of some 32 molecules where its side is 1 nm."""
     modeller = app.Modeller(app.Topology(), [])
-    modeller.addSolvent(app.ForceField(forcefield or f"{model}.xml"), model=model, boxSize=SIDES)
+    sides = Vec3(side, side, side) * unit.nanometer
+    modeller.addSolvent(app.ForceField(f"{model}.xml"), model=model, boxSize=sides)
     return modeller.topology, modeller.positions
 
 
@@ -45,14 +45,14 @@ def smooth(system):
     return system
 
 
-def simulation_of(topology, system, positions, integrator=None, temperature=300, minimise=10):
+def simulation_of(topology, system, positions, integrator=None, minimise=10, platform=REFERENCE):
     """Return a Simulation, minimised a little and warm, of our integrator unless another is given."""
     integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS) if integrator is None else integrator
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation = app.Simulation(topology, system, integrator, platform)
     simulation.context.setPositions(positions)
     if minimise:
         simulation.minimizeEnergy(maxIterations=minimise)
-    simulation.context.setVelocitiesToTemperature(temperature, 1)
+    simulation.context.setVelocitiesToTemperature(300, 1)
     return simulation
 
 

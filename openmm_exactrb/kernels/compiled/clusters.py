@@ -31,7 +31,7 @@ from openmm_exactrb.kernels.compiled.cluster_rows import (
 )
 from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED, Graph
 
-# Clusters in a block.
+#: Clusters in a block.
 LANES = 32
 
 

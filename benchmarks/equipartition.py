@@ -1,0 +1,292 @@
+"""Rigid water at constant temperature: what the size of the step does to equipartition, energy and density.
+
+With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
+arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
+BAOAB and the default of `ExactRigidBodyLangevinIntegrator` run the same water at the same time a force evaluation:
+T_rot - T_tr, the potential energy and, at constant pressure, the density, each with the error of block averages.
+
+Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
+applyVelocityConstraints, which leaves the linear and angular momentum of each molecule and nothing else.
+
+A point is made of several runs with their own seeds, and each is one recipe of an ensemble: the command goes on where
+it stopped. Results go to out/equipartition, a table and a picture beside them. The whole study, 1 ns a point of 216
+molecules, is two days of one core; --intervals, --models, --ensembles, --runs and --length choose a part of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+from functools import cache
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb import ensemble
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.motion.fit import fit
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+OUT = Path("out/equipartition")
+TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
+CUTOFF = 0.85  # nm
+SAMPLED, BAROSTAT = 0.05, 0.05  # ps between two samples, and between two moves of the barostat
+BURN = 5.0  # ps at the start of each run that are not counted
+BLOCK = 5.0  # ps, of the block averages
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+LFM = "LangevinMiddle"
+METHODS = (LFM, "BAOAB", "S2_2")
+# Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
+STYLES = {
+    f"{LFM}, as reported": ("#D55E00", "o"),
+    f"{LFM}, constrained": ("#E69F00", "s"),
+    "BAOAB, at the end": ("#56B4E9", "^"),
+    "BAOAB, around O": ("#009E73", "v"),
+    "S2_2": ("#0072B2", "D"),
+}
+
+
+def system_of(model: str, n: int, pressure: float | None, every: int):
+    """Return a System of water and its positions."""
+    _, system, positions = rb.rigid_water(
+        n,
+        model=model,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=CUTOFF,
+        ewaldErrorTolerance=1e-4,
+    )
+    if pressure is not None:
+        system.addForce(openmm.MonteCarloBarostat(pressure, TEMPERATURE, every))
+    return system, positions
+
+
+def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
+    """Return a Context on the CPU platform that gives the same numbers at every run."""
+    options = {"Threads": "1", "DeterministicForces": "true"}
+    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options)
+
+
+@cache
+def start_of(model: str, n: int) -> openmm.State:
+    """Return water that has forgotten its lattice."""
+    system, positions = system_of(model, n, None, 0)
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
+    integrator.setRandomNumberSeed(1)
+    context = context_of(system, integrator)
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    context.setVelocitiesToTemperature(TEMPERATURE, 1)
+    integrator.step(10_000)
+    return context.getState(positions=True, velocities=True)
+
+
+def integrator_of(method: str, interval: float, friction: float) -> openmm.Integrator:
+    """Return what makes a force evaluation every `interval` ps."""
+    if method == LFM:
+        return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
+    stages = 1 if method == "BAOAB" else rb.SCHEMES[method].stages
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, stages * interval, scheme=method)
+
+
+def run_of(
+    model: str, method: str, interval: float, pressure: float | None, length: float, seed: int, n: int, friction: float
+) -> dict:
+    """Run water and return samples by name: temperatures in K, energy in kJ/mol a molecule, density in kg/m³."""
+    integrator = integrator_of(method, interval, friction)
+    integrator.setRandomNumberSeed(seed)
+    h = integrator.getStepSize()._value
+    system, _ = system_of(model, n, pressure, max(1, round(BAROSTAT / h)))
+    context = context_of(system, integrator)
+    start = start_of(model, n)
+    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+    context.setPositions(start.getPositions())
+    context.setVelocities(start.getVelocities())
+    look = of_openmm(context) if method == LFM else of_ours(context, integrator)
+    every = max(1, round(SAMPLED / h))
+    integrator.step(round(BURN / h))
+    samples = []
+    for _ in range(round(length / (every * h))):
+        integrator.step(every)
+        samples.append(look())
+    return {"interval": every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
+
+
+def of_openmm(context: openmm.Context):
+    """Return what looks at a Context of LangevinMiddleIntegrator."""
+    system = context.getSystem()
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value
+    bodies = find_bodies(system, x)
+    n = len(bodies)
+
+    def look() -> dict[str, float]:
+        state = context.getState(positions=True, velocities=True, energy=True)
+        v = state.getVelocities(asNumpy=True)._value
+        masses = np.array([system.getParticleMass(i)._value for i in range(len(v))])
+        fitted = fit(bodies, state.getPositions(asNumpy=True)._value, v)
+        translational, rotational = bodies.kinetic_energies(fitted)
+        kinetic = 0.5 * float(masses @ (v * v).sum(axis=1))
+        return {
+            "T_tr": temperature(translational, n),
+            "T_rot": temperature(kinetic - translational, n),
+            "T_rot, other": temperature(rotational, n),
+            **energy_and_density(state, bodies.mass),
+        }
+
+    return look
+
+
+def of_ours(context: openmm.Context, integrator: rb.ExactRigidBodyLangevinIntegrator):
+    """Return what looks at a Context of ours."""
+    bodies, _ = integrator.bodyState()
+
+    def look() -> dict[str, float]:
+        translational, rotational = integrator.temperatures()
+        other = integrator.temperaturesAroundBath()
+        state = context.getState(positions=True, energy=True)
+        return {
+            "T_tr": translational._value,
+            "T_rot": rotational._value,
+            "T_tr, other": other[0]._value,
+            "T_rot, other": other[1]._value,
+            **energy_and_density(state, bodies.mass),
+        }
+
+    return look
+
+
+def temperature(kinetic: float, n: int) -> float:
+    return 2.0 * kinetic / (3 * n * R)
+
+
+def energy_and_density(state: openmm.State, masses) -> dict[str, float]:
+    volume = state.getPeriodicBoxVolume()._value
+    return {
+        "U": state.getPotentialEnergy()._value / len(masses),
+        "density": float(masses.sum()) * 1.66053906892 / volume,
+    }
+
+
+def mean_and_error(runs: list[dict], quantity) -> tuple[float, float]:
+    """Return the mean of a quantity and its error, from blocks."""
+    blocks = []
+    for run in runs:
+        values = quantity({name: np.array(series) for name, series in run["samples"].items()})
+        size = max(1, round(BLOCK / run["interval"]))
+        blocks += [values[i : i + size].mean() for i in range(0, len(values) - size + 1, size)]
+    return float(np.mean(blocks)), float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
+
+
+def quantities(method: str) -> dict:
+    """Return what is taken from the samples of a method, by the name that the table has."""
+    own = {
+        "T_tr": lambda s: s["T_tr"],
+        "T_rot": lambda s: s["T_rot"],
+        "T_rot - T_tr": lambda s: s["T_rot"] - s["T_tr"],
+        "U": lambda s: s["U"],
+        "density": lambda s: s["density"],
+    }
+    if method == LFM:
+        return own | {"other T_rot - T_tr": lambda s: s["T_rot, other"] - s["T_tr"]}
+    return own | {"other T_rot - T_tr": lambda s: s["T_rot, other"] - s["T_tr, other"]}
+
+
+def main() -> None:
+    args = parse()
+    points = list(itertools.product(args.models, args.ensembles, args.methods, args.intervals))
+    recipes = {
+        point: [
+            ensemble.Recipe(
+                run_of,
+                model=point[0],
+                method=point[2],
+                interval=point[3] / 1000.0,
+                pressure=PRESSURE if point[1] == "NPT" else None,
+                length=args.length,
+                seed=seed,
+                n=args.molecules,
+                friction=args.friction,
+            )
+            for seed in range(1, args.runs + 1)
+        ]
+        for point in points
+    }
+    flat = [recipe for of_point in recipes.values() for recipe in of_point]
+    outcomes = ensemble.run(flat, args.out / "runs", workers=args.workers)
+    by_key = {outcome.recipe.key: outcome for outcome in outcomes}
+    rows = []
+    for point, of_point in recipes.items():
+        found = [by_key[recipe.key] for recipe in of_point]
+        done = [outcome.result for outcome in found if outcome.error is None]
+        failed = len(found) - len(done)
+        if failed:
+            print(f"{point}: {failed} of {len(found)} runs failed: {next(o.error for o in found if o.error)}")
+        if done:
+            rows.append(
+                (*point, args.length * len(done), {q: mean_and_error(done, f) for q, f in quantities(point[2]).items()})
+            )
+    write(rows, args.out / "table.csv")
+    draw(rows, args.out / "equipartition.png")
+
+
+def write(rows: list[tuple], file: Path) -> None:
+    """Write the table, and print it."""
+    with file.open("w", newline="") as out:
+        table = csv.writer(out)
+        table.writerow(["model", "ensemble", "method", "fs a force", "ps", "quantity", "mean", "error"])
+        for *point, found in rows:
+            for name, (mean, error) in found.items():
+                table.writerow([*point, name, f"{mean:.5g}", f"{error:.2g}"])
+            print(*point, "  ".join(f"{name} {mean:.5g}({error:.2g})" for name, (mean, error) in found.items()))
+
+
+def draw(rows: list[tuple], file: Path) -> None:
+    """Draw T_rot - T_tr over the time a force evaluation, at constant volume or what there is."""
+    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    first = rows[0][:2]
+    lines: dict[str, list] = {}
+    for model, kind, method, interval, _, found in rows:
+        if (model, kind) != first:
+            continue
+        names = {
+            LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
+            "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
+        }.get(method, (method,))
+        for name, quantity in zip(names, ("T_rot - T_tr", "other T_rot - T_tr"), strict=False):
+            lines.setdefault(name, []).append((interval, *found[quantity]))
+    for name, points in lines.items():
+        colour, marker = STYLES.get(name, ("#000000", "o"))
+        x, y, error = np.array(sorted(points)).T
+        axes.errorbar(x, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=name)
+    axes.axhline(0.0, color="0.6", lw=0.8)
+    axes.set_xlabel("time a force evaluation (fs)")
+    axes.set_ylabel("T_rot - T_tr (K)")
+    axes.set_title(f"{first[0]}, {first[1]}")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+    figure.savefig(file, dpi=150)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
+    add = parser.add_argument
+    add("--models", nargs="+", default=["tip4pew", "spce"], metavar="NAME", help="as rigid_water takes them")
+    add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
+    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, or a splitting")
+    add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
+    add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
+    add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
+    add("--molecules", type=int, default=216)
+    add("--friction", type=float, default=1.0, metavar="1/PS", help="%(default)s")
+    add("--workers", type=int, default=None, help="processes; one for each core unless given")
+    add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

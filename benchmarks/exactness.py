@@ -1,0 +1,89 @@
+"""What the exact rotor brings and what the splitting: schemes with either rotor on water at four rates of forces.
+
+One start of a droplet of 27 TIP3P molecules for each seed, runs of 2 ps. Through `openmm_exactrb.ensemble`: a call goes
+on where the last one stopped. Prints the table of docs/guide.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import openmm
+
+import openmm_exactrb as rb
+
+RATES = (250, 500, 1000, 2000)
+SCHEMES = ("V2", "W2_4", "W2_5", "W4_5", "SRKN4_6b")
+ROTORS = ("mclachlan_reich", "exact")
+
+
+def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):
+    """Return the standard deviation of the total energy in kJ/mol a molecule; a recipe.
+
+    Parameters
+    ----------
+    scheme, rotor : str
+    rate : float
+        Forces a ps.
+    seed : int
+        Of the Langevin run that makes the start.
+    n : int
+        Molecules.
+    duration : float
+        In ps.
+    platform : str
+    """
+    _, system, positions = rb.rigid_water(n)
+    start = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
+    start.setRandomNumberSeed(seed)
+    warm = openmm.Context(system, start, openmm.Platform.getPlatform(platform))
+    warm.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(warm, 10.0)
+    warm.setVelocitiesToTemperature(300.0, seed)
+    start.step(2000)
+    state = warm.getState(positions=True, velocities=True)
+
+    h = rb.SCHEMES[scheme].forces / rate
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(state.getPositions())
+    context.setVelocities(state.getVelocities())
+    energies, interval = [], max(1, round(0.02 / h))
+    try:
+        for _ in range(round(duration / (interval * h))):
+            integrator.step(interval)
+            energies.append(integrator.totalEnergy()._value)
+    except rb.NonFiniteError:
+        return None
+    deviation = float(np.std(energies)) / n
+    return deviation if deviation < 1.0 else None
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=3, help="starts")
+    parser.add_argument("--folder", default="out/exactness", help="where results are kept")
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    axes = {"scheme": SCHEMES, "rotor": ROTORS, "rate": RATES, "seed": range(args.seeds)}
+    outcomes = rb.ensemble.run(rb.ensemble.sweep(error, axes), args.folder, workers=args.workers)
+    found = {}
+    for outcome in outcomes:
+        scheme, rotor, rate, _ = (outcome.recipe.arguments[name] for name in axes)
+        found.setdefault((scheme, rotor, rate), []).append(outcome.result)
+    print("| scheme | rotor | " + " | ".join(f"{rate} a ps" for rate in RATES) + " |")
+    print("| --- " * (2 + len(RATES)) + "|")
+    for scheme in SCHEMES:
+        for rotor in ROTORS:
+            cells = [cell(found[scheme, rotor, rate]) for rate in RATES]
+            print(f"| `{scheme}` | {rotor} | " + " | ".join(cells) + " |")
+
+
+def cell(errors):
+    """Return the root mean square of errors as text."""
+    return "unstable" if None in errors else f"{np.sqrt(np.mean(np.square(errors))):.1e}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""What integrators with a bath have in common: a temperature, a seed, and the letter O."""
+
+from __future__ import annotations
+
+import secrets
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import openmm
+from openmm import unit
+
+from openmm_exactrb.baths import words
+from openmm_exactrb.checks import whole
+from openmm_exactrb.context import account
+from openmm_exactrb.context.couplings import refuse_other_baths
+from openmm_exactrb.context.host import Plan
+from openmm_exactrb.context.letters import Maker, Parts
+from openmm_exactrb.context.units import gas_constant_times, kelvin
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.bath import Bath
+from openmm_exactrb.motion.draws import Instant
+from openmm_exactrb.motion.engine import Flow
+from openmm_exactrb.motion.state import State
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes.word import BATH
+
+_SEED = "seed"
+_SEEDS = 2**31  # those of OpenMM that are not negative
+
+
+class ThermostattedIntegrator(ExactRigidBodyIntegrator):
+    """An `ExactRigidBodyIntegrator` whose steps have a heat bath in them.
+
+    The noise of a step depends on the seed and the number of the step alone, so that ten calls of ``step(10)`` give the
+    bits of ``step(100)``, as does a run that goes on from a checkpoint or State in another process. The seed and what
+    the steps add up travel with it; temperature and friction are settings, which a new process gives again.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    stepSize, scheme, rotor, bodies
+        As `ExactRigidBodyIntegrator` takes them; the schemes also "BAOAB" and "ABOBA".
+    """
+
+    #: Names of what the steps add up.
+    tallies: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(
+        self,
+        temperature: float | unit.Quantity,
+        stepSize: float | unit.Quantity,
+        scheme: str | Scheme,
+        rotor: str | Rotor,
+        bodies: Sequence[Sequence[int]] | None,
+    ) -> None:
+        super().__init__(stepSize, words.splitting(scheme), rotor, bodies)
+        account.declare(self, (_SEED, *self.tallies))
+        self.setTemperature(temperature)
+        self._around: tuple[int, State, State] | None = None
+
+    def getTemperature(self) -> unit.Quantity:
+        """Return the temperature of the bath."""
+        return self._temperature * unit.kelvin
+
+    def setTemperature(self, temperature: float | unit.Quantity) -> None:
+        """Set the temperature of the bath, in K if it has no unit; a barostat has one of its own.
+
+        Raises
+        ------
+        ValueError
+            If it is negative, not finite or has a unit that does not fit.
+        """
+        self._temperature = kelvin(temperature)
+
+    def setRandomNumberSeed(self, seed: int) -> None:
+        """Set the seed of the noise; with 0 the next step draws one, which is then kept.
+
+        Raises
+        ------
+        ValueError
+            If it is no whole number from 0 to 2^31 - 1.
+        """
+        if whole(seed, "the seed", 0) >= _SEEDS:
+            raise ValueError(f"the seed must be below 2^31, not {seed}")
+        super().setRandomNumberSeed(int(seed))
+        account.write(self, _SEED, int(seed))
+
+    def getSeedInUse(self) -> int:
+        """Return the seed that the noise has: that of a checkpoint that was loaded, or the drawn one; 0 before it is.
+
+        `getRandomNumberSeed` returns what was asked for.
+        """
+        return int(account.read(self, _SEED)) or int(self.getRandomNumberSeed())
+
+    def getBathSettings(self) -> Mapping[str, Any]:
+        """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
+        return {"temperature": self._temperature, "seed": self.getRandomNumberSeed() or "random"}
+
+    def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
+        """Return the translational and rotational temperatures, each the mean of before and after the last bath letter.
+
+        With "BAOAB" and "ABOBA" the bath stands in the middle of a step, where momenta are canonical to a higher order
+        than at its end: there `temperatures`, like the velocities of the Context, is biased.
+
+        Raises
+        ------
+        ValueError
+            If the step that the Context is at was not made here.
+        """
+        host = self._up_to_date()
+        if self._around is None or self._around[0] != host.session.context.getStepCount():
+            raise ValueError("there is no bath yet to take temperatures around: make a step first")
+        energies = [host.session.bodies.kinetic_energies(state.rounded) for state in self._around[1:]]
+        pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
+        R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+        translational, rotational = (energy / (max(freedom, 1) * R) * unit.kelvin for energy, freedom in pairs)
+        return translational, rotational
+
+    @abstractmethod
+    def _exchange(self, parts: Parts) -> Bath:
+        """Return what the bath does with momenta."""
+
+    def _steps(self) -> Scheme:
+        """Return the scheme with all letters of a step."""
+        return words.with_bath(self._scheme)
+
+    def _own_makers(self) -> Mapping[str, Maker]:
+        """Return what makes the letters of the bath."""
+        return {BATH: self._bath}
+
+    def _arguments(self) -> dict[str, Any]:
+        return {"temperature": self._temperature}
+
+    def _plan(self, context: openmm.Context) -> Plan:
+        refuse_other_baths(context, self._temperature)
+        account.write(self, _SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
+        makers = {**self._makers, **self._own_makers()}
+        return Plan(self._steps(), makers, gas_constant_times(self._temperature), account.Account(self, self.tallies))
+
+    def _bath(self, parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
+        exchange = self._exchange(parts)
+        return {letter: parts.guard.outside(self._bath_flow(parts, exchange, int(letter[1:]))) for letter in letters}
+
+    def _bath_flow(self, parts: Parts, exchange: Bath, place: int) -> Flow[State]:
+        seed = self.getSeedInUse()
+
+        def flow(state: State, tau: float) -> State:
+            along = parts.kinetic.tangent(state)
+            P, m = exchange(along.P, along.m, tau, Instant(seed, parts.clock.number, place))
+            same = P is along.P and m is along.m
+            after = state if same else parts.kinetic.tangent(state._replace(P=P, m=m))
+            self._around = parts.clock.number + 1, state, after
+            return after
+
+        return flow

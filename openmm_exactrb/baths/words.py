@@ -1,0 +1,80 @@
+"""Words of steps with a bath: about a splitting, within it, or about a proposal."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+from openmm_exactrb.schemes.catalogue import scheme as look_up
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.word import BATH, Word, repeated, spelled
+
+#: The letter of a proposal with Metropolis's decision.
+PROPOSAL = "X"
+
+_REFERENCE = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990"
+
+#: Splittings with a bath within them, which need one force a step.
+WITHIN = {
+    name: Scheme(name, 2, spelled(" ".join(name)), reference=f"{_REFERENCE}, for particles")
+    for name in ("BAOAB", "ABOBA")
+}
+
+
+def splitting(name: str | Scheme) -> Scheme:
+    """Look a splitting up that a bath can be joined to: one of the catalogue, "BAOAB" or "ABOBA".
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name, or it is a processed scheme: a bath acts on the true state, at every step.
+    """
+    if isinstance(name, str) and name in WITHIN:
+        return WITHIN[name]
+    found = look_up(name)
+    if found.processor:
+        raise ValueError(
+            f"scheme {found.name} prepares the state before a run and finishes it after, but a bath acts on the true "
+            "state at every step: choose a scheme without a processor, such as S2_2"
+        )
+    return found
+
+
+def numbered(word: Word) -> Word:
+    """Give each letter of a bath its number in the step, O0, O1, ...: no two of them get the same noise."""
+    numbers = itertools.count()
+    return tuple((f"{BATH}{next(numbers)}" if letter == BATH else letter, part) for letter, part in word)
+
+
+def with_bath(scheme: Scheme) -> Scheme:
+    """Return a scheme with a bath: half of it before and half after each step, unless the word has it already."""
+    if any(letter == BATH for letter, _ in scheme.word):
+        return replace(scheme, word=numbered(scheme.word))
+    return replace(scheme, word=numbered(_between_halves(scheme.word)))
+
+
+def with_proposals(scheme: Scheme) -> Scheme:
+    """Return a scheme whose step is a proposal between two halves of a bath."""
+    return replace(scheme, word=numbered(_between_halves(((PROPOSAL, 1.0),))), gradients=())
+
+
+def proposal(scheme: Scheme, steps: int) -> Scheme:
+    """Return a scheme whose step is made of so many steps of another one.
+
+    Raises
+    ------
+    ValueError
+        If it is not symmetric in time, or has a bath in it: Metropolis's rule needs both.
+    """
+    if any(letter == BATH for letter, _ in scheme.word):
+        raise ValueError(f"{scheme.name} has a bath within it, but a proposal has none: choose a scheme such as S2_2")
+    pairs = zip(scheme.word, reversed(scheme.word), strict=True)
+    if not all(a == b and math.isclose(i, j, rel_tol=1e-14) for (a, i), (b, j) in pairs):
+        raise ValueError(f"scheme {scheme.name} is not symmetric in time, as proposals must be: choose one that is")
+    word = repeated(scheme.word, steps)
+    return replace(scheme, word=tuple((letter, part / steps) for letter, part in word))
+
+
+def _between_halves(word: Word) -> Word:
+    return (BATH, 0.5), *word, (BATH, 0.5)

@@ -1,0 +1,68 @@
+"""The subcommand ``exactrb info``: versions, platforms, kernels, schemes and rotors."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import openmm
+
+import openmm_exactrb
+from openmm_exactrb import kernels
+from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.schemes import CATALOGUE
+
+#: What it is for, in one sentence.
+PURPOSE = "Say what is installed: versions, platforms, compiled kernels, schemes and rotors."
+
+_LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Give a command line its options: none."""
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Print it; return the exit status 0."""
+    print("\n".join(lines()))
+    return 0
+
+
+def lines() -> Iterator[str]:
+    """Yield what is worth knowing, line by line."""
+    yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
+    yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
+    yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+    yield f"kernels: {_kernels()}"
+    yield "platforms, fastest first:"
+    for found in sorted(_platforms(), key=lambda found: -found.getSpeed()):
+        yield f"  {found.getName()}, speed {found.getSpeed():g}"
+    for failure in openmm.Platform.getPluginLoadFailures():
+        yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
+    yield "schemes:"
+    yield from (f"  {entry!r}" for entry in CATALOGUE.values())
+    yield "rotors:"
+    yield from (f"  {entry!r}" for entry in ROTORS.values())
+
+
+def _version(library: str) -> str:
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _kernels() -> str:
+    if kernels.available():
+        return "compiled by numba"
+    if os.environ.get(kernels.SWITCH) == "0":
+        return f"numpy, since {kernels.SWITCH}=0"
+    return "numpy; with numba they are compiled, and several times faster"
+
+
+def _platforms() -> list[openmm.Platform]:
+    return [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]

@@ -1,0 +1,38 @@
+"""The command: subcommands, and errors in one line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import openmm_exactrb
+from openmm_exactrb.command import info, run, tune
+from openmm_exactrb.command.arguments import Parser
+from openmm_exactrb.tuning.command import ERRORS
+
+_COMMANDS = {"run": run, "tune": tune, "info": info}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out a command line and return its exit status: 0, or 2 with one line on stderr.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Those of the process unless given.
+    """
+    args = _parser().parse_args(arguments)
+    try:
+        return int(_COMMANDS[args.command].carry_out(args))
+    except ERRORS as error:
+        print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> Parser:
+    parser = Parser(prog="exactrb", description="Rigid-body dynamics with OpenMM and the exact free rotation.")
+    parser.add_argument("--version", action="version", version=f"openmm-exactrb {openmm_exactrb.__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, module in _COMMANDS.items():
+        module.add_options(commands.add_parser(name, help=module.PURPOSE, description=module.PURPOSE))
+    return parser

@@ -1,0 +1,108 @@
+"""What comes before a run, is made once and kept in its folder: a start in equilibrium, a scheme and a step."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_exactrb.command.boxes import Box
+from openmm_exactrb.command.progress import Progress
+from openmm_exactrb.files import written_whole
+from openmm_exactrb.runs import Run
+from openmm_exactrb.states import loadState, read_xml
+from openmm_exactrb.tuning.advice import progress, tune
+
+#: Files in the folder of a run.
+START, STEP = "start.xml", "step.json"
+
+_CHUNK = 50
+_STEP = 1.0 * unit.femtosecond  # of the equilibration: also free hydrogen atoms take it
+_FRICTION = 5.0 / unit.picosecond
+
+
+def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
+    """Return where the run begins, at step 0: the State of the user, or one brought to the temperature.
+
+    A start without velocities is minimised, gets some, and equilibrates for ``--equilibration`` under OpenMM's
+    LangevinMiddleIntegrator.
+    """
+    file = job.folder / START
+    if args.resume and file.exists():
+        return read_xml(file, openmm.State)
+    state = _equilibrated(args, box, platform)
+    _keep(job, START, openmm.XmlSerializer.serialize(state))
+    return state
+
+
+def step_of(
+    job: Run, args: argparse.Namespace, box: Box, start: openmm.State, platform: openmm.Platform
+) -> tuple[str | None, float]:
+    """Return the scheme, None for the default of the integrator, and the step in ps: measured if that is asked for."""
+    if args.step is not None:
+        return args.scheme, args.step
+    file = job.folder / STEP
+    if args.resume and file.exists():
+        try:
+            kept = json.loads(file.read_text())
+            return str(kept["scheme"]), float(kept["step"])
+        except (ValueError, KeyError, TypeError):
+            raise ValueError(f"{file} is damaged: begin anew in another folder or with --overwrite") from None
+    result = tune(
+        box.system,
+        start,
+        target=args.target,
+        schemes=None if args.scheme is None else [args.scheme],
+        platform=platform,
+        report=None if args.quiet else progress,
+    )
+    if result.chosen is None:
+        raise ValueError(f"{str(result).splitlines()[-1]} Give a larger --target, or a --step.")
+    if not args.quiet:
+        print(result.chosen, file=sys.stderr)
+    _keep(job, STEP, json.dumps({"scheme": result.chosen.method, "step": result.chosen.step}))
+    return result.chosen.method, result.chosen.step
+
+
+def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
+    integrator = openmm.LangevinMiddleIntegrator(args.temperature * unit.kelvin, _FRICTION, _STEP)
+    integrator.setRandomNumberSeed(args.seed)
+    simulation = app.Simulation(box.topology, box.system, integrator, platform)
+    if box.state is not None:
+        loadState(simulation, box.state)
+    else:
+        simulation.context.setPositions(box.positions)
+    if not _moves(simulation.context):
+        if box.state is None:
+            simulation.minimizeEnergy()
+        simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
+        _advance(simulation, args)
+    simulation.context.setTime(0.0)
+    simulation.context.setStepCount(0)
+    return simulation.context.getState(positions=True, velocities=True, parameters=True)
+
+
+def _moves(context: openmm.Context) -> bool:
+    return bool(np.any(context.getState(velocities=True).getVelocities(asNumpy=True)._value))
+
+
+def _advance(simulation: Any, args: argparse.Namespace) -> None:
+    step = simulation.integrator.getStepSize().value_in_unit(unit.picosecond)
+    steps = round(args.equilibration / step)
+    tell = Progress("equilibration", steps, step, args.quiet)
+    while (left := steps - simulation.currentStep) > 0:
+        simulation.step(min(_CHUNK, left))
+        tell(min(_CHUNK, left))
+    tell.close()
+
+
+def _keep(job: Run, name: str, text: str) -> None:
+    file = job.path(name)
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with written_whole(file) as out:
+        out.write(text)

@@ -1,0 +1,153 @@
+"""The subcommand ``exactrb run``: a trajectory of a user's own system."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import openmm
+from openmm import app
+
+from openmm_exactrb.command import arguments, boxes, ensembles, outcome, prepared
+from openmm_exactrb.command.progress import Progress
+from openmm_exactrb.reporters import EnergyReporter
+from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.runs import Run
+from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.states import loadState
+from openmm_exactrb.tuning import CANDIDATES
+
+#: What it is for, in one sentence.
+PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --resume goes on after any accident."
+
+_TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
+# What may differ where a run goes on: files and force field are known by the System that they make.
+_FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Give a command line its arguments and options."""
+    _add_what_moves(parser.add_argument_group("what moves"))
+    _add_how(parser.add_argument_group("how it moves"))
+    _add_files(parser)
+
+
+def _add_what_moves(group: Any) -> None:
+    add = group.add_argument
+    add("files", nargs="*", type=Path, metavar="FILE", help="a PDB or PDBx file, or system.xml and state.xml of OpenMM")
+    add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
+    add("--solvate", type=arguments.count, metavar="N", help="put N molecules of water around it; alone without a file")
+    add("--water", choices=boxes.WATERS, help="water model for --solvate (the one that a force field is named after)")
+    add(
+        "--cutoff",
+        type=arguments.positive,
+        default=0.9,
+        metavar="NM",
+        help="of PME, in a periodic box, nm (%(default)s)",
+    )
+    add(
+        "--ewald-tolerance",
+        type=arguments.positive,
+        default=1e-5,
+        metavar="X",
+        help="ewaldErrorTolerance (%(default)s)",
+    )
+    add("--constraints", choices=boxes.CONSTRAINTS, default="none", help="beside rigid water (%(default)s)")
+
+
+def _add_how(group: Any) -> None:
+    add = group.add_argument
+    add("--ensemble", choices=ensembles.ENSEMBLES, default="nve", help="constant energy, temperature, pressure (nve)")
+    add("--temperature", type=arguments.positive, default=300.0, metavar="K", help="K (%(default)s)")
+    add("--friction", type=arguments.positive, default=1.0, metavar="X", help="of nvt and npt, 1/ps (%(default)s)")
+    add("--pressure", type=arguments.positive, default=1.0, metavar="BAR", help="of npt, bar (%(default)s)")
+    add("--duration", type=arguments.time, default=10.0, metavar="T", help="ps, or such as 1ns (%(default)s)")
+    add(
+        "--step",
+        type=arguments.time_or_auto,
+        metavar="T",
+        help="a whole step of the scheme, ps, or such as 4fs; auto measures scheme and step (auto)",
+    )
+    add(
+        "--target",
+        type=arguments.positive,
+        default=1e-3,
+        metavar="X",
+        help="error for auto, kJ/mol per body (%(default)s)",
+    )
+    add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
+    add("--rotor", choices=ROTORS, default="exact", metavar="NAME", help=f"free rotation: {', '.join(ROTORS)} (exact)")
+    add(
+        "--equilibration",
+        type=arguments.not_negative,
+        default=5.0,
+        metavar="PS",
+        help="of a start without velocities, ps (%(default)s)",
+    )
+    add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities, noise and barostat (%(default)s)")
+    add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
+
+
+def _add_files(parser: argparse.ArgumentParser) -> None:
+    Run.add_options(parser, "out/run")
+    add = parser.add_argument
+    add("--trajectory", choices=_TRAJECTORIES, default="dcd", help="format (%(default)s)")
+    add("--interval", type=arguments.time, default=0.1, metavar="T", help="between frames and lines, ps (%(default)s)")
+    add("--no-picture", dest="picture", action="store_false", help="draw none at the end")
+    add("--quiet", action="store_true", help="nothing on stderr but errors")
+
+
+def carry_out(args: argparse.Namespace) -> int:
+    """Run what the options describe; return the exit status 0.
+
+    Raises
+    ------
+    ValueError, ArithmeticError, OSError, openmm.OpenMMException
+        With what is to be done, in one sentence.
+    SystemExit
+        After a signal, with a checkpoint written.
+    """
+    job = Run.from_options(args, free=_FREE)
+    if args.scheme is not None:
+        look_up(args.scheme)
+    platform = _platform(args.platform)
+    box = boxes.load(args)
+    ensembles.couple(box.system, args)
+    start = prepared.start_of(job, args, box, platform)
+    scheme, step = prepared.step_of(job, args, box, start, platform)
+    simulation = app.Simulation(box.topology, box.system, ensembles.integrator_of(args, scheme, step), platform)
+    loadState(simulation, start)
+
+    for name, maker in _reporters(args).items():
+        job.add_reporter(maker, name, max(1, round(args.interval / step)))
+    picture = job.path(outcome.PICTURE) if args.picture else None
+    steps = math.ceil(args.duration / step - 1e-9)
+    tell = Progress(f"{args.ensemble}, {simulation.integrator.getScheme().name}", steps, step, args.quiet)
+    job.advance(simulation, steps, tell)
+    tell.close()
+    print("\n".join(outcome.summary(simulation, job, args.ensemble)))
+    if picture is not None:
+        outcome.draw(job.folder, args.ensemble, simulation.integrator.degreesOfFreedom(), picture)
+    return 0
+
+
+def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
+    """Return what makes the reporter of each file."""
+    reporters = {f"trajectory.{args.trajectory}": _TRAJECTORIES[args.trajectory], outcome.ENERGIES: EnergyReporter}
+    if args.ensemble == "npt":
+        reporters[outcome.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
+    return reporters
+
+
+def _platform(name: str | None) -> openmm.Platform:
+    platforms = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
+    found = {platform.getName(): platform for platform in platforms}
+    if name is None:
+        return max(platforms, key=lambda platform: platform.getSpeed())
+    if name not in found:
+        raise ValueError(f"there is no platform {name!r} here: choose one of {', '.join(found)}")
+    return found[name]

@@ -1,0 +1,80 @@
+"""Where the engine on the device is right: what speaks against it, in one sentence each."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import openmm
+
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.device.emit import foreign
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes.scheme import Scheme
+
+#: Which engine carries the steps out.
+Engine = Literal["host", "device", "auto"]
+ENGINES: tuple[Engine, ...] = ("host", "device", "auto")
+_EXACT = ("exact", "exact_numpy", "exact_compiled")
+_DEVICES = ("CUDA", "HIP", "OpenCL")
+
+
+def named(engine: str) -> Engine:
+    """Return the engine of a name.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    for known in ENGINES:
+        if engine == known:
+            return known
+    raise ValueError(f"unknown engine {engine!r}: choose one of {', '.join(ENGINES)}")
+
+
+def against_program(scheme: Scheme, rotor: Rotor, nested: bool = False) -> str | None:
+    """Say why a scheme and a rotor cannot be a program of the device, or return None."""
+    if nested:
+        return "the device has no steps for forces within drifts (fast=)"
+    if rotor.name not in _EXACT:
+        return f"the device turns bodies by the exact rotor only, not by {rotor.name}"
+    letters = foreign(scheme)
+    if letters:
+        return f"the device cannot carry out the letter {letters[0]!r} of scheme {scheme.name}"
+    return None
+
+
+def against_context(context: Any, named: list[list[int]] | None = None) -> str | None:
+    """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
+    platform = context.getPlatform()
+    name = platform.getName()
+    if _has_clusters(context, named):
+        return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
+    if name == "CPU":
+        return "on the CPU platform the program would cost 12 times a Verlet step"
+    if name in _DEVICES:
+        if platform.getPropertyValue(context, "Precision") == "single":
+            return "in single precision the state of the bodies would be rounded: set Precision to mixed or double"
+        return None
+    if name != "Reference":
+        return f"nobody has tried the program on the platform {name}"
+    if _has_sites(context.getSystem()):
+        return "the Reference platform of OpenMM moves virtual sites at the end of a step only, not within a program"
+    return None
+
+
+def slower(context: Any) -> str | None:
+    """Say why the host is faster in a Context that could run a program, or return None."""
+    name = context.getPlatform().getName()
+    return None if name in _DEVICES else f"{name} is no device: there the host's compiled kernels are faster"
+
+
+def _has_clusters(context: Any, named: list[list[int]] | None) -> bool:
+    """Tell whether there are constrained clusters that are no rigid bodies; without positions nobody knows."""
+    x = arrays.positions(context.getState(positions=True))
+    return bool(x.any()) and len(find_bodies(context.getSystem(), x, named).clusters) > 0
+
+
+def _has_sites(system: openmm.System) -> bool:
+    return any(map(system.isVirtualSite, range(system.getNumParticles())))

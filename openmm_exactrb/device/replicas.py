@@ -1,0 +1,80 @@
+"""The bodies of a Context whose state lives on the device, in replicas on all of their particles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.session import Session
+from openmm_exactrb.device import load
+from openmm_exactrb.motion.state import State
+
+Array = NDArray[np.float64]
+
+
+class Replicas(Session):
+    """A `Session` that reads the state only where it is asked for, since the device goes on without."""
+
+    _behind = False
+    _replicated: State | None = None  # the state that the replicas hold
+
+    def take_up(self) -> None:
+        """Bring the state up to date, and the replicas where something was set in the Context.
+
+        Raises
+        ------
+        ValueError
+            As `Session.take_up`.
+        """
+        if self._behind:
+            self._seen = None
+        super().take_up()
+        self._behind = False
+        if self.state is not self._replicated:
+            self.publish()
+
+    @property
+    def behind(self) -> bool:
+        """Whether the device has moved on since `state` was read."""
+        return self._behind
+
+    def settle(self) -> tuple[Array, Array]:
+        """Have the replicas hold what the Context shows, and return its positions (nm) and velocities (nm/ps)."""
+        if self._seen is None or not all(map(np.array_equal, self._seen, self.held())):
+            self.take_up()
+        elif not self._behind and self.state is not self._replicated:
+            self.publish()
+        assert self._seen is not None
+        return self._seen
+
+    def moved_on(self) -> tuple[Array, Array]:
+        """Note that the device has moved the bodies, and return positions (nm) and velocities (nm/ps)."""
+        self._seen, self._behind = self.held(), True
+        return self._seen
+
+    def lose(self) -> None:
+        """Forget the state: the next one comes from what the Context shows."""
+        self._seen, self._replicated = None, None
+
+    def stored(self, x: Array) -> State | None:
+        """Return the state that the replicas hold, in the periodic images of positions x."""
+        known = load.read(self._integrator(), self.bodies)
+        if known is not None and self.context.getSystem().usesPeriodicBoundaryConditions():
+            known = self._in_images_of(known, x)
+        self._replicated = known
+        return known
+
+    def _in_images_of(self, known: State, x: Array) -> State:
+        """Return a state shifted by vectors of the lattice: OpenMM wraps molecules on the device, and shows them whole."""
+        state = known.rounded
+        first = self.bodies.first_particle
+        box = np.reshape(arrays.box(self.context.getState()), (3, 3))
+        apart = x[first] - self.bodies.positions(state, x.copy())[first]
+        shifts = np.rint(apart @ np.linalg.inv(box)) @ box
+        return known.renewed(state._replace(R=state.R + shifts.T)) if shifts.any() else known
+
+    def store(self) -> None:
+        """Write the state to the replicas."""
+        load.write(self._integrator(), self.bodies, self.state)
+        self._replicated, self._behind = self.state, False

@@ -1,0 +1,52 @@
+"""Bodies that a periodic box has split: their particles brought into one image again."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def joined(x: Array, particles: Indices, box: Array) -> Array:
+    """Return positions with the particles of each body in one image; the same array where they already are.
+
+    From the first particle on, the one that is nearest to those that have their place takes the image nearest to
+    them: bodies may be longer than half the box, if no gap in them is.
+
+    Parameters
+    ----------
+    x : (n_particles, 3) array
+        In nm.
+    particles : (n, k) array
+        Of each of the n bodies.
+    box : (3, 3) array
+        Vectors of the periodic box in nm, one a row.
+    """
+    X = x[particles]
+    apart = np.abs((X - X[:, :1]) @ np.linalg.inv(box)).max(axis=(1, 2))
+    wide = np.isfinite(apart) & (apart > 0.5)
+    if not wide.any():
+        return x
+    y = x.copy()
+    y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
+    return y
+
+
+def _images(X: Array, box: Array) -> Array:
+    """Return by how many vectors of the box each particle is to be shifted, (n, k, 3)."""
+    inverse = np.linalg.inv(box)
+    images, offered = np.zeros_like(X), np.zeros_like(X)
+    missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
+    rows, last = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
+    for _ in range(X.shape[1] - 1):
+        missing[rows, last] = False
+        gap = X - (X[rows, last] + images[rows, last] @ box)[:, None]
+        shift = -np.round(gap @ inverse)
+        length = np.linalg.norm(gap + shift @ box, axis=2)
+        closer = length < distance
+        distance[closer], offered[closer] = length[closer], shift[closer]
+        last = np.where(missing, distance, np.inf).argmin(axis=1)
+        images[rows, last] = offered[rows, last]
+    return images

@@ -1,0 +1,177 @@
+"""The bits of runs in a bath: they depend on the settings, the seed and the number of the step, and on nothing else."""
+
+import hashlib
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from bathed import droplet_of, molecules, simulation_of, snapshot
+
+H = 0.01
+
+
+def langevin(scheme="S2_2", **options):
+    return rb.ExactRigidBodyLangevinIntegrator(30.0, 2.0, H, scheme=scheme, **options)
+
+
+MAKERS = {
+    "S2_2": langevin,
+    "BAOAB": lambda: langevin("BAOAB"),
+    "ABOBA": lambda: langevin("ABOBA", rotationalFriction=7.0),
+    "rescaling": lambda: rb.ExactRigidBodyRescalingIntegrator(30.0, 0.1, H),
+    "hybrid": lambda: rb.ExactRigidBodyHybridIntegrator(30.0, 2.0, 30 * H, stepsPerProposal=2),
+}
+
+
+@pytest.fixture(params=MAKERS)
+def maker(request):
+    return MAKERS[request.param]
+
+
+def seeded(make, seed=3):
+    integrator = make()
+    integrator.setRandomNumberSeed(seed)
+    return integrator
+
+
+@pytest.mark.parametrize("rotor", ["exact", "mclachlan_reich"])
+@pytest.mark.parametrize("scheme", ["S2_2", "W2_4", "SRKN4_6b"])
+def test_without_friction_it_is_the_trajectory_of_constant_energy(scheme, rotor):
+    bathed = rb.ExactRigidBodyLangevinIntegrator(30.0, 0.0, H, scheme=scheme, rotor=rotor)
+    alone = rb.ExactRigidBodyIntegrator(H, scheme=scheme, rotor=rotor)
+    runs = [droplet_of(integrator) for integrator in (bathed, alone)]
+    for run in runs:
+        run.step(50)
+    assert snapshot(runs[0]) == snapshot(runs[1])
+    assert bathed.timings.evaluations == alone.timings.evaluations
+
+
+def test_ten_times_ten_steps_are_a_hundred(maker):
+    once, often = (droplet_of(seeded(maker)) for _ in range(2))
+    once.integrator.step(100)
+    for _ in range(10):
+        often.integrator.step(10)
+    assert snapshot(once) == snapshot(often)
+
+
+def test_another_seed_is_another_trajectory(maker):
+    runs = [droplet_of(seeded(maker, seed)) for seed in (3, 4)]
+    for run in runs:
+        run.integrator.step(2)
+    assert snapshot(runs[0]) != snapshot(runs[1])
+
+
+def test_each_bath_letter_has_noise_of_its_own():
+    """From rest a step gives T (1 - a⁴) if a half leaves a of momenta; with one noise for both T (1 - a²)(1 + a)²."""
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0 * np.log(2.0) / H, H)  # a = 1/2
+    simulation = simulation_of(integrator, *molecules(ions=4000))
+    simulation.step(1)
+    translational, _ = integrator.temperatures()
+    width = 300.0 * np.sqrt(2.0 / 12_000)
+    assert abs(translational._value - 300.0 * (1.0 - 1.0 / 16.0)) < 4.0 * width
+
+
+GO_ON = """
+import hashlib, pickle, sys
+sys.path[:0] = sys.argv[1:3]
+import test_bits
+from bathed import droplet_of, snapshot
+for name, (kind, saved) in pickle.load(open(sys.argv[3], "rb")).items():
+    run = droplet_of(test_bits.MAKERS[name]())
+    run.integrator.setVelocitiesToTemperature(500.0, 1)
+    test_bits.load(run, kind, saved)
+    run.step(7)
+    tally = run.integrator.tally() if name == "hybrid" else run.integrator.heat() if name == "rescaling" else None
+    print(name, kind, hashlib.sha256(snapshot(run)).hexdigest(), tally)
+"""
+
+
+def load(run, kind, saved):
+    if kind == "checkpoint":
+        run.context.loadCheckpoint(saved)
+    else:
+        run.context.setState(openmm.XmlSerializer.deserialize(saved))
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "State"])
+def test_a_new_process_goes_on_with_the_same_bits(kind, tmp_path):
+    """A drawn seed, the heat and the tally travel with checkpoints and States."""
+    saved, expected = {}, []
+    for name, make in MAKERS.items():
+        run = droplet_of(make())
+        run.integrator.step(6)
+        if kind == "checkpoint":
+            saved[name] = kind, run.context.createCheckpoint()
+        else:
+            everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+            saved[name] = kind, openmm.XmlSerializer.serialize(run.context.getState(**everything))
+        run.integrator.step(7)
+        own = {"hybrid": "tally", "rescaling": "heat"}
+        tally = getattr(run.integrator, own[name])() if name in own else None
+        expected.append(f"{name} {kind} {hashlib.sha256(snapshot(run)).hexdigest()} {tally}")
+    file = tmp_path / "saved"
+    file.write_bytes(pickle.dumps(saved))
+    here = Path(__file__).parent
+    arguments = [sys.executable, "-c", GO_ON, str(here), str(here.parent), str(file)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == expected
+
+
+def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_bath(tmp_path):
+    def advance(folder, until, temperature=30.0, friction=2.0, seed=3):
+        integrator = rb.ExactRigidBodyLangevinIntegrator(temperature, friction, H)
+        integrator.setRandomNumberSeed(seed)
+        run = rb.Run(tmp_path / folder, resume=True)
+        run.add_reporter(rb.EnergyReporter, "energies.csv", 7)
+        run.advance(droplet_of(integrator), until)
+
+    advance("whole", 40)
+    advance("parts", 22)
+    for change in ({"temperature": 31.0}, {"friction": 2.5}, {"seed": 4}):
+        with pytest.raises(ValueError, match="is of another run: integrator"):
+            advance("parts", 40, **change)
+    advance("parts", 40)
+    files = [(tmp_path / folder / "energies.csv").read_text() for folder in ("whole", "parts")]
+    assert files[0] == files[1]
+
+
+def test_a_seed_of_zero_is_drawn_once_and_kept():
+    runs = [droplet_of(langevin()) for _ in range(2)]
+    for run in runs:
+        assert run.integrator.getSeedInUse() == 0
+        run.integrator.step(1)
+    seeds = [run.integrator.getSeedInUse() for run in runs]
+    assert min(seeds) > 0
+    assert seeds[0] != seeds[1]
+    runs[0].integrator.step(3)
+    assert runs[0].integrator.getSeedInUse() == seeds[0]
+    assert runs[0].integrator.getRandomNumberSeed() == 0
+    again = droplet_of(seeded(langevin, seeds[0]))
+    again.integrator.step(4)
+    assert snapshot(again) == snapshot(runs[0])
+
+
+def test_a_reinitialised_context_has_the_seed_that_was_set():
+    run = droplet_of(langevin())
+    run.integrator.setRandomNumberSeed(9)
+    run.context.reinitialize(preserveState=True)
+    run.integrator.step(1)
+    assert run.integrator.getSeedInUse() == 9
+
+
+def test_baoab_and_aboba_need_one_force_a_step():
+    for scheme, evaluations in (("BAOAB", 21), ("ABOBA", 20), ("S2_2", 41)):
+        integrator = langevin(scheme)
+        simulation = droplet_of(integrator)
+        integrator.step(20)
+        assert integrator.timings.evaluations == evaluations
+        assert simulation.context.getStepCount() == 20
+        assert integrator.forceEvaluationsPerStep == evaluations // 20
+        assert integrator.getScheme().name == scheme

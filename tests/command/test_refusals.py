@@ -1,0 +1,93 @@
+"""What is wrong with a command line is told in one line, with status 2, and no file is touched."""
+
+import openmm
+import pytest
+from openmm import unit
+from processes_of_command import finish
+
+from openmm_exactrb.command.main import main
+
+CASES = [
+    (["droplet.pdb"], "name the force field"),
+    (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
+    (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
+    (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
+    (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
+    (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water is it? Add --water"),
+    (["cut.pdb", "--forcefield", "tip3p.xml"], "there is no line END"),
+    (["system.xml"], "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml"),
+    (["state.xml", "system.xml"], "holds a State, not a System"),
+    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
+    ([], "there is nothing to run"),
+    (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
+]
+
+
+@pytest.fixture
+def files(droplet, serialised, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = droplet.read_text().splitlines()
+    (tmp_path / "cut.pdb").write_text("\n".join(lines[:10]))
+
+
+@pytest.mark.parametrize(("arguments", "message"), CASES, ids=[message for _, message in CASES])
+@pytest.mark.usefixtures("files")
+def test_a_wrong_call_is_one_line(tmp_path, capsys, arguments, message):
+    assert main(["run", *arguments, "--out", "out", *([] if arguments else ["--forcefield", "tip3p.xml"])]) == 2
+    out, errors = capsys.readouterr()
+    assert errors.startswith("exactrb run: ")
+    assert message in errors
+    assert (errors.count("\n"), out) == (1, "")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--step", "4kg"], "'4kg' is not a positive time"),
+        (["--duration=-1"], "'-1' is not a positive time"),
+        (["--temperature", "nan"], "'nan' is not a positive number"),
+        (["--solvate", "2.5"], "'2.5' is not a number"),
+        (["--seed", "0"], "'0' is not a whole number of at least 1"),
+        (["--ensemble", "nvp"], "invalid choice: 'nvp'"),
+    ],
+)
+def test_a_wrong_option_is_one_line(capsys, arguments, message):
+    with pytest.raises(SystemExit) as ended:
+        main(["run", *arguments])
+    assert ended.value.code == 2
+    errors = capsys.readouterr().err
+    assert message in errors
+    assert errors.count("\n") == 1
+
+
+def test_a_barostat_of_the_system_is_not_one_of_the_command(serialised, tmp_path, capsys):
+    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+    system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, 300 * unit.kelvin))
+    serialised[0].write_text(openmm.XmlSerializer.serialize(system))
+    assert main(["run", *map(str, serialised), "--out", str(tmp_path / "out")]) == 2
+    assert "take the MonteCarloBarostat out of the System" in capsys.readouterr().err
+
+
+def test_a_run_is_not_replaced(serialised, tmp_path):
+    command = "run", *serialised, "--step", "2fs", "--duration", "0.004", "--platform", "Reference", "--no-picture"
+    assert finish(*command, "--out", tmp_path / "out")[0] == 0
+    before = {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()}
+    status, _, errors = finish(*command, "--out", tmp_path / "out")
+    assert status == 2
+    assert "add --overwrite" in errors
+    assert (errors.count("\n"), "Traceback" in errors) == (1, False)
+    assert {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()} == before
+
+
+def test_molecules_that_are_interleaved_need_a_topology():
+    from openmm_exactrb.command.boxes import topology_of
+
+    system = openmm.System()
+    for _ in range(4):
+        system.addParticle(1.0)
+    system.addConstraint(0, 2, 0.1)
+    system.addConstraint(1, 3, 0.1)
+    with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
+        topology_of(system, [openmm.Vec3(i, 0, 0) for i in range(4)])

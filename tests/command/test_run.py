@@ -1,0 +1,107 @@
+"""``exactrb run``: from files to a trajectory, as the same steps in Python, and on after a kill."""
+
+import json
+import time
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app
+from processes_of_command import finish, launch
+
+import openmm_exactrb as rb
+
+PLAIN = "--platform", "Reference", "--quiet"
+SHORT = "--step", "2fs", "--scheme", "S2_2", "--interval", "4fs", *PLAIN
+
+
+@pytest.mark.parametrize("trajectory", ["dcd", "xtc"])
+def test_a_pdb_file_becomes_a_trajectory(droplet, tmp_path, trajectory):
+    out = tmp_path / "out"
+    options = "--duration", "0.04", "--equilibration", "0.02", "--trajectory", trajectory, "--out", out
+    status, said, errors = finish("run", droplet, "--forcefield", "tip3p.xml", *SHORT, *options)
+    assert (status, errors) == (0, "")
+    assert "ns/day" in said
+    frames = mdtraj.load(str(out / f"trajectory.{trajectory}"), top=str(out / "topology.pdb"))
+    table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1)
+    assert (frames.n_atoms, len(frames), len(table)) == (24, 11, 11)
+    np.testing.assert_allclose(table[:, 1], 0.004 * np.arange(11), atol=1e-12)
+    assert (out / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path):
+    """The bits of the same steps without the command."""
+    options = "--duration", "0.02", "--no-picture", "--out", tmp_path / "out"
+    status, _, errors = finish("run", *serialised, *SHORT, *options)
+    assert (status, errors) == (0, "")
+    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+    context = openmm.Context(
+        system, rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2"), openmm.Platform.getPlatform("Reference")
+    )
+    rb.loadState(context, serialised[1])
+    context.getIntegrator().step(10)
+    energies = [energy._value for energy in context.getIntegrator().kineticEnergies()]
+    last = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)[-1]
+    np.testing.assert_allclose(last[[0, 1]], [10, 0.02], rtol=1e-12)
+    np.testing.assert_allclose(last[[2, 3]], energies, rtol=1e-12)  # in numpy there, compiled here
+    residues = [residue.name for residue in app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology.residues()]
+    assert residues == 8 * ["HOH"]
+
+
+@pytest.mark.parametrize("trajectory", ["dcd", "xtc"])
+def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, trajectory):
+    once, killed = tmp_path / "once", tmp_path / "killed"
+    command = "run", *serialised, *SHORT, "--checkpoint", 0, "--trajectory", trajectory, "--no-picture", "--out"
+    assert finish(*command, once, "--duration", "0.4")[0] == 0
+    process = launch(*command, killed, "--duration", "0.4")
+    energies = killed / "energies.csv"
+    while process.poll() is None and not (energies.exists() and energies.read_text().count("\n") > 8):
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert energies.read_text().count("\n") < 102, "it was killed too late"
+    status, _, errors = finish(*command, killed, "--duration", "0.4", "--resume")
+    assert (status, errors) == (0, "")
+    assert energies.read_bytes() == (once / "energies.csv").read_bytes()
+    top = str(once / "topology.pdb")
+    frames = [mdtraj.load(str(folder / f"trajectory.{trajectory}"), top=top).xyz for folder in (once, killed)]
+    np.testing.assert_array_equal(*frames)
+
+
+def test_a_run_can_be_made_longer(serialised, tmp_path):
+    command = "run", *serialised, *SHORT, "--no-picture", "--out", tmp_path / "out", "--duration"
+    assert finish(*command, "0.02")[0] == 0
+    assert finish(*command, "0.04")[0] == 2
+    assert finish(*command, "0.04", "--resume")[0] == 0
+    table = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(table[:, 0], np.arange(0, 21, 2))
+
+
+def test_the_measured_step_is_kept(serialised, tmp_path):
+    """It depends on how busy the machine was: a run that goes on must not measure again."""
+    options = "--scheme", "S2_2", "--target", "0.05", "--no-picture", "--out", tmp_path / "out", *PLAIN
+    assert finish("run", *serialised, "--duration", "0.05", *options)[0] == 0
+    kept = json.loads((tmp_path / "out" / "step.json").read_text())
+    assert kept["scheme"] == "S2_2"
+    status, said, errors = finish("run", *serialised, "--duration", "0.08", "--resume", *options)
+    assert (status, errors) == (0, "")
+    assert f"{kept['step']:g} ps" in said
+
+
+def test_water_is_made_in_a_box(tmp_path):
+    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture"
+    status, _, errors = finish(
+        "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *options, *SHORT, "--out", tmp_path / "out"
+    )
+    assert (status, errors) == (0, "")
+    topology = app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology
+    assert topology.getNumAtoms() == 4 * 27
+    assert topology.getUnitCellDimensions()[0]._value == pytest.approx(3 * 0.3104, abs=1e-3)
+
+
+def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path):
+    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture", "--solvate", 40
+    status, _, errors = finish("run", droplet, "--forcefield", "tip3p.xml", *options, *SHORT, "--out", tmp_path / "out")
+    assert (status, errors) == (0, "")
+    assert app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology.getNumResidues() == 48

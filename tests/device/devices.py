@@ -1,0 +1,84 @@
+"""Contexts whose steps the host or the device makes, and Systems with all kinds of bodies."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+def opencl():
+    """Return the OpenCL platform where there is a device for it, else skip."""
+    names = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
+    if "OpenCL" not in names:
+        pytest.skip("OpenMM has no OpenCL platform here")
+    platform = openmm.Platform.getPlatform("OpenCL")
+    system = openmm.System()
+    system.addParticle(1.0)
+    try:
+        openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+    except openmm.OpenMMException as error:
+        pytest.skip(f"no OpenCL device: {error}")
+    return platform
+
+
+def context_of(system, positions, engine, *, platform=REFERENCE, precision=None, kelvin=300.0, h=0.001, **options):
+    """Return a Context of a copy of a System, with bodies at a temperature."""
+    integrator = rb.ExactRigidBodyIntegrator(h, engine=engine, **options)
+    properties = {"Precision": precision} if precision else {}
+    context = openmm.Context(copy.deepcopy(system), integrator, platform, properties)
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    return context
+
+
+def pair(*arguments, **options):
+    """Return Contexts of the host and of the device."""
+    return tuple(context_of(*arguments, engine, **options) for engine in ("host", "device"))
+
+
+def shown(context):
+    """Return positions and velocities."""
+    state = context.getState(positions=True, velocities=True)
+    return np.array([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
+
+
+def stepped(context, n):
+    """Make n steps and return positions and velocities."""
+    context.getIntegrator().step(n)
+    return shown(context)
+
+
+def all_kinds():
+    """Return a System of water, a linear body, two ions and two named bodies, its positions and the named bodies."""
+    _, system, positions = rb.rigid_water(2)
+    (nonbonded,) = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
+    places = [tuple(place) for place in positions._value]
+
+    def add(mass, charge, place):
+        nonbonded.addParticle(charge, 0.3, 0.5)
+        places.append(tuple(place))
+        return system.addParticle(mass)
+
+    def apart(particles):
+        for k, i in enumerate(particles):
+            for j in particles[:k]:
+                nonbonded.addException(i, j, 0.0, 1.0, 0.0)
+
+    nitrogen = [add(14.0, 0.1, (0.0, 0.6, 0.0)), add(14.0, -0.1, (0.11, 0.6, 0.0))]
+    system.addConstraint(*nitrogen, 0.11)
+    ions = [add(23.0, 1.0, (0.0, 0.0, 0.7)), add(35.0, -1.0, (0.0, 0.4, 0.7))]
+    linear = [add(12.0, 0.0, (0.8, 0.0, 0.0)), add(16.0, 0.1, (0.8, 0.116, 0.0)), add(16.0, -0.1, (0.8, -0.116, 0.0))]
+    corners = 0.06 * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    spherical = [add(1.0, 0.1 * (-1) ** k, corner + 0.7) for k, corner in enumerate(corners)] + [
+        add(12.0, 0.0, [0.7] * 3)
+    ]
+    for particles in (nitrogen, linear, spherical):
+        apart(particles)
+    assert len(ions) == 2
+    return system, places, [linear, spherical]

@@ -1,0 +1,297 @@
+"""The program of the device against the host, on the Reference platform."""
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
+
+
+@pytest.fixture(scope="module")
+def droplet():
+    _, system, positions = rb.rigid_water(4)
+    return system, positions
+
+
+@pytest.mark.parametrize("name", rb.SCHEMES)
+def test_every_scheme_moves_as_on_the_host(name, droplet):
+    host, device = pair(*droplet, scheme=name)
+    (x, v), (x1, v1) = stepped(host, 20), stepped(device, 20)
+    assert np.abs(x1 - x).max() <= 1e-13
+    assert np.abs(v1 - v).max() <= 1e-12
+    assert np.abs(x - droplet[1]._value).max() > 1e-3
+    assert device.getTime()._value == pytest.approx(0.02)
+    assert device.getStepCount() == 20
+
+
+def test_all_kinds_of_bodies_move_as_on_the_host():
+    system, positions, bodies = all_kinds()
+    host, device = pair(system, positions, bodies=bodies, scheme="PEFRL")
+    np.testing.assert_allclose(stepped(device, 20), stepped(host, 20), rtol=0.0, atol=1e-12)
+    for one, other in zip(*(context.getIntegrator().bodyState()[1] for context in (host, device)), strict=True):
+        np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12)
+    assert host.getIntegrator().degreesOfFreedom() == device.getIntegrator().degreesOfFreedom()
+
+
+def test_bodies_at_rest_and_spins_about_axes_are_no_exceptions(droplet):
+    host, device = pair(*droplet)
+    bodies, state = host.getIntegrator().bodyState()
+    state.P[:] = 0.0
+    state.m[:] = np.diag([0.3, 0.3, 0.3, 0.0])[:3]
+    for context in (host, device):
+        context.getIntegrator().setBodyState(state)
+    np.testing.assert_allclose(stepped(device, 5), stepped(host, 5), rtol=0.0, atol=1e-13)
+
+
+def test_the_system_is_the_same_to_all_who_look(droplet):
+    host, device = pair(*droplet)
+    for context in (host, device):
+        context.getIntegrator().step(1)
+    device.setPositions(shown(host)[0])
+    states = [context.getState(energy=True, forces=True) for context in (host, device)]
+    assert states[0].getPotentialEnergy() == states[1].getPotentialEnergy()
+    np.testing.assert_array_equal(*(state.getForces(asNumpy=True)._value for state in states))
+    gathered = device.getState(energy=True, forces=True, groups={31})
+    assert gathered.getPotentialEnergy()._value == 0.0
+    assert not gathered.getForces(asNumpy=True)._value.any()
+    kinetic = device.getState(energy=True).getKineticEnergy()._value
+    assert kinetic == pytest.approx(sum(e._value for e in device.getIntegrator().kineticEnergies()), rel=1e-12)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_minimising_works(own, droplet):
+    device = context_of(*droplet, "device")
+    integrator = device.getIntegrator()
+    integrator.step(2)
+    before = device.getState(energy=True).getPotentialEnergy()
+    if own:
+        integrator.minimizeEnergy(maxIterations=20)
+    else:
+        openmm.LocalEnergyMinimizer.minimize(device, 10.0, 20)
+    assert device.getState(energy=True).getPotentialEnergy() < before - 1.0 * unit.kilojoule_per_mole
+    integrator.step(2)
+
+
+def test_what_is_set_between_calls_is_taken_up(droplet):
+    both = pair(*droplet)
+    x, v = shown(both[0])
+
+    def steps():
+        one, other = (stepped(context, 3) for context in both)
+        np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12)
+
+    steps()
+    for context in both:
+        context.setPositions(x + 0.01)
+    steps()
+    for context in both:
+        context.setVelocities(-v)
+    steps()
+    for context in both:
+        context.getIntegrator().setStepSize(0.0017)
+    steps()
+    for context in both:
+        context.getIntegrator().setVelocitiesToTemperature(100.0, 7)
+    steps()
+    for context in both:
+        context.setPositions(x[:, ::-1])
+    steps()
+
+
+def test_the_state_that_is_read_is_the_one_that_moves(droplet):
+    device = context_of(*droplet, "device")
+    twin = context_of(*droplet, "device")
+    for _ in range(3):
+        twin.getIntegrator().step(2)
+        twin.getIntegrator().bodyState()
+        device.getIntegrator().step(2)
+    np.testing.assert_array_equal(shown(twin), shown(device))
+
+
+def test_a_parameter_acts_from_the_next_call_on():
+    system = openmm.System()
+    for _ in range(2):
+        system.addParticle(1.0)
+    force = openmm.CustomExternalForce("strength*(x*x+y*y+z*z)")
+    force.addGlobalParameter("strength", 1.0)
+    for i in range(2):
+        force.addParticle(i)
+    system.addForce(force)
+    both = pair(system, [(0.1, 0.2, 0.3), (0.5, 0.1, 0.2)], scheme="S2_2", h=0.02)
+    for strength in (1.0, 40.0):
+        for context in both:
+            context.setParameter("strength", strength)
+        np.testing.assert_allclose(*(stepped(context, 5) for context in both), rtol=0.0, atol=1e-13)
+
+
+def test_long_steps_are_made_of_several_rotations(droplet):
+    system, positions = droplet
+    for force in system.getForces():
+        assert not isinstance(force, openmm.CMMotionRemover)
+    free = openmm.System()
+    for i in range(system.getNumParticles()):
+        free.addParticle(system.getParticleMass(i))
+    for i in range(system.getNumConstraints()):
+        free.addConstraint(*system.getConstraintParameters(i))
+    both = pair(free, positions, scheme="V2_drift", h=0.05, kelvin=1000.0)
+    np.testing.assert_allclose(*(stepped(context, 10) for context in both), rtol=0.0, atol=1e-11)
+
+
+def test_a_body_beyond_the_range_of_the_series_is_noticed(droplet):
+    system, positions = droplet
+    device = context_of(system, positions, "device", h=0.002, scheme="V2_drift")
+    force = openmm.CustomExternalForce("-push*x")
+    force.addGlobalParameter("push", 0.0)
+    for i in range(0, system.getNumParticles(), 3):
+        force.addParticle(i)
+    device.getSystem().addForce(force)
+    device.reinitialize(preserveState=True)
+    integrator = device.getIntegrator()
+    integrator.step(2)
+    before, time = shown(device), device.getTime()
+    device.setParameter("push", 1e6)
+    with pytest.raises(rb.NonFiniteError, match="fewer steps a call"):
+        integrator.step(50)
+    np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
+    assert (device.getTime(), device.getStepCount()) == (time, 2)
+    device.setParameter("push", 0.0)
+    integrator.step(2)
+    assert np.isfinite(shown(device)).all()
+
+
+def liquid(*forces):
+    """Return 27 molecules in a box, with more forces."""
+    _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+    for force in forces:
+        system.addForce(force)
+    return system, positions
+
+
+def one_step_alone(device, host):
+    """Make a step on the device, and the same step of the host without what OpenMM does behind it."""
+    x, v = shown(device)
+    host.setPeriodicBoxVectors(*device.getState().getPeriodicBoxVectors())
+    host.setPositions(x)
+    host.setVelocities(v)
+    return stepped(device, 1), stepped(host, 1)
+
+
+def box_of(context):
+    return np.array(context.getState().getPeriodicBoxVectors()._value)
+
+
+def test_the_motion_of_the_centre_of_mass_is_removed():
+    host, device = pair(*liquid(openmm.CMMotionRemover(2)), scheme="S2_2")
+    for context in (host, device):
+        context.setVelocities(shown(context)[1] + [1.0, 2.0, 3.0])
+    (x, v), (x1, v1) = stepped(host, 10), stepped(device, 10)
+    system = device.getSystem()
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    assert np.abs(masses @ v1).max() < 1e-8
+    # The host removes it behind steps 2, 4, ...; OpenMM counts from zero, so that the device does behind 1, 3, ...
+    drift = (x1 - x).mean(axis=0)
+    np.testing.assert_allclose(x1 - drift, x, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(v1, v, rtol=0.0, atol=1e-9)
+
+
+def test_a_barostat_moves_whole_bodies():
+    system, positions = liquid()
+    host = context_of(system, positions, "host", scheme="S2_2")
+    device = context_of(*liquid(openmm.MonteCarloBarostat(5000.0, 300.0, 2)), "device", scheme="S2_2")
+    boxes = []
+    for _ in range(16):
+        (x1, v1), (x, v) = one_step_alone(device, host)
+        bodies = (x1.reshape(-1, 3, 3), x.reshape(-1, 3, 3))
+        shifts = (bodies[0] - bodies[1]).mean(axis=1, keepdims=True)
+        np.testing.assert_allclose(bodies[0] - shifts, bodies[1], rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(v1, v, rtol=0.0, atol=1e-10)
+        boxes.append(box_of(device)[0, 0])
+    assert len(set(boxes)) > 2
+
+
+def test_a_thermostat_pushes_whole_bodies():
+    system, positions = liquid()
+    host = context_of(system, positions, "host", scheme="S2_2")
+    device = context_of(*liquid(openmm.AndersenThermostat(300.0, 200.0)), "device", scheme="S2_2")
+    pushed = 0
+    for _ in range(5):
+        (x1, v1), (x, v) = one_step_alone(device, host)
+        np.testing.assert_allclose(x1, x, rtol=0.0, atol=1e-12)
+        bodies, state = device.getIntegrator().bodyState()
+        np.testing.assert_allclose(v1, bodies.velocities(state, v1.copy()), rtol=0.0, atol=1e-12)
+        same = np.abs(v1 - v).reshape(-1, 9).max(axis=1) < 1e-10
+        pushed += np.count_nonzero(~same)
+        assert same.any()
+    assert pushed > 5
+
+
+def test_checkpoints_and_states_go_on(droplet):
+    device = context_of(*droplet, "device")
+    integrator = device.getIntegrator()
+    integrator.step(3)
+    checkpoint = device.createCheckpoint()
+    state = device.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    after = stepped(device, 5)
+    device.loadCheckpoint(checkpoint)
+    np.testing.assert_array_equal(stepped(device, 5), after)
+    device.setState(state)
+    np.testing.assert_array_equal(stepped(device, 5), after)
+
+
+def test_refusals(droplet):
+    system, positions = droplet
+    with pytest.raises(ValueError, match="unknown engine 'gpu': choose one of host, device, auto"):
+        rb.ExactRigidBodyIntegrator(0.001, engine="gpu")
+    with pytest.raises(ValueError, match="exact rotor only"):
+        rb.ExactRigidBodyIntegrator(0.001, rotor="mclachlan_reich", engine="device")
+    cpu = openmm.Platform.getPlatform("CPU")
+    with pytest.raises(ValueError, match="12 times a Verlet step"):
+        context_of(system, positions, "device", platform=cpu)
+    _, with_sites, places = rb.rigid_water(2, model="tip4pew")
+    with pytest.raises(ValueError, match="virtual sites at the end of a step only"):
+        context_of(with_sites, places, "device")
+    taken = rb.rigid_water(2)[1]
+    taken.getForce(0).setForceGroup(31)
+    with pytest.raises(ValueError, match="needs force group 31 for itself"):
+        context_of(taken, rb.rigid_water(2)[2], "device")
+
+
+def test_auto_takes_the_host_where_there_is_no_device(droplet):
+    host = context_of(*droplet, "host", scheme="S2_2")
+    auto = context_of(*droplet, "auto", scheme="S2_2")
+    integrator = auto.getIntegrator()
+    assert integrator.getEngine() == "host"
+    assert "Reference is no device" in integrator.engineNote()
+    np.testing.assert_array_equal(stepped(auto, 3), stepped(host, 3))
+    assert auto.getSystem().getNumForces() == host.getSystem().getNumForces()
+    other = rb.ExactRigidBodyIntegrator(0.001, rotor="mclachlan_reich", engine="auto")
+    assert "exact rotor only" in other.engineNote()
+    assert context_of(*droplet, "device").getIntegrator().getEngine() == "device"
+    assert context_of(*droplet, "host").getIntegrator().getEngine() == "host"
+
+
+def test_force_groups_are_respected(droplet):
+    system, positions = droplet
+    both = pair(system, positions)
+    for context in both:
+        context.getIntegrator().setIntegrationForceGroups({1, 2})
+    x = shown(both[0])[0]
+    np.testing.assert_allclose(*(stepped(context, 5) for context in both), rtol=0.0, atol=1e-13)
+    assert np.abs(shown(both[1])[0] - x).max() > 0.0
+    integrator = both[1].getIntegrator()
+    integrator.setIntegrationForceGroups(0xFFFFFFFF)
+    assert not integrator.getIntegrationForceGroups() >> 31 & 1
+
+
+def test_a_second_context_of_the_same_system(droplet):
+    first = context_of(*droplet, "device", scheme="S2_2")
+    system = first.getSystem()
+    forces = system.getNumForces()
+    integrator = rb.ExactRigidBodyIntegrator(0.001, "S2_2", engine="device")
+    second = openmm.Context(system, integrator, REFERENCE)
+    second.setPositions(shown(first)[0])
+    second.setVelocities(shown(first)[1])
+    np.testing.assert_allclose(stepped(second, 3), stepped(first, 3), rtol=0.0, atol=1e-13)
+    assert system.getNumForces() == forces

@@ -1,0 +1,194 @@
+"""What a script changes between steps: parameters, groups, masses, constraints, the whole Context."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from boxes import (
+    FEMTOSECONDS,
+    REFERENCE,
+    coordinates,
+    energy,
+    misfit,
+    quietly,
+    simulation_of,
+    solvent,
+    swing,
+    water,
+    water_system,
+)
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+
+def heavier(simulation):
+    for i in range(simulation.system.getNumParticles()):
+        simulation.system.setParticleMass(i, 2 * simulation.system.getParticleMass(i))
+
+
+def longer(simulation):
+    for i in range(simulation.system.getNumConstraints()):
+        p, q, length = simulation.system.getConstraintParameters(i)
+        simulation.system.setConstraintParameters(i, p, q, 1.01 * length)
+
+
+@pytest.mark.parametrize("change", [heavier, longer])
+def test_reinitialize_takes_up_what_was_changed(change):
+    simulation = water(rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS))
+    quietly(simulation.step, 2)
+    change(simulation)
+    simulation.context.reinitialize(preserveState=True)
+    quietly(simulation.step, 1)
+    ours = sum(simulation.integrator.kineticEnergies(), 0 * unit.kilojoule_per_mole)
+    theirs = simulation.context.getState(energy=True).getKineticEnergy()
+    assert ours._value == pytest.approx(theirs._value, rel=1e-9)
+    assert misfit(simulation) < 1e-6
+    assert swing(simulation, 20) < 1e-3
+
+
+def test_reinitialize_and_new_positions_begin_anew():
+    simulation = water()
+    quietly(simulation.step, 2)
+    x = coordinates(simulation)
+    simulation.context.reinitialize()
+    simulation.context.setPositions(x)
+    simulation.context.setVelocitiesToTemperature(300, 1)
+    assert quietly(swing, simulation) < 1e-3
+
+
+def test_parameters_act_from_the_next_step_on():
+    topology, positions = solvent()
+    system = water_system(topology)
+    field = openmm.CustomExternalForce("-pull*x")
+    field.addGlobalParameter("pull", 0.0)
+    for i in range(0, system.getNumParticles(), 3):
+        field.addParticle(i, [])
+    system.addForce(field)
+    simulation = simulation_of(topology, system, positions)
+    quietly(simulation.step, 2)
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+    def momentum():
+        v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
+        return masses @ v[:, 0]
+
+    before = momentum()
+    simulation.context.setParameter("pull", 100.0)
+    simulation.step(5)
+    pushed = 100.0 * topology.getNumResidues() * 5 * 0.002
+    assert momentum() - before == pytest.approx(pushed, rel=0.02)  # PME gives a few per mille of its own
+    field.setParticleParameters(0, 0, [])
+    field.updateParametersInContext(simulation.context)
+    simulation.step(1)
+
+
+def test_force_groups_select_what_acts():
+    topology, positions = solvent()
+    system = water_system(topology)
+    for force in system.getForces():
+        force.setForceGroup(1 if isinstance(force, openmm.NonbondedForce) else 0)
+    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
+    integrator.setIntegrationForceGroups({0})
+    simulation = simulation_of(topology, system, positions, integrator)
+    quietly(simulation.step, 1)
+    kinetic = [simulation.integrator.kineticEnergies()[k]._value for k in (0, 1)]
+    simulation.step(5)  # nothing acts: both parts are kept
+    np.testing.assert_allclose([e._value for e in simulation.integrator.kineticEnergies()], kinetic, rtol=1e-12)
+    integrator.setIntegrationForceGroups({0, 1})
+    simulation.step(5)
+    assert abs(simulation.integrator.kineticEnergies()[0]._value - kinetic[0]) > 1e-3
+
+
+def test_copies_keep_the_tolerance_of_constraints_and_the_groups():
+    integrator = rb.ExactRigidBodyIntegrator(0.002, scheme="V2")
+    integrator.setConstraintTolerance(1e-9)
+    integrator.setIntegrationForceGroups({0, 3})
+    twin = copy.copy(integrator)
+    assert twin.getConstraintTolerance() == 1e-9
+    assert twin.getIntegrationForceGroups() == integrator.getIntegrationForceGroups()
+    assert twin.getScheme() is integrator.getScheme()
+
+
+# -- copies in C++ ----------------------------------------------------------------------------------------------
+
+
+def droplet(topology):
+    """Return a System without PME: that of the Reference platform ends the process at positions that are nan."""
+    return app.ForceField("tip3p.xml").createSystem(topology, removeCMMotion=False)
+
+
+def read_back(integrator):
+    return openmm.XmlSerializer.clone(integrator)
+
+
+def in_a_compound(integrator):
+    compound = openmm.CompoundIntegrator()
+    compound.addIntegrator(copy.copy(integrator))
+    return compound
+
+
+@pytest.mark.parametrize("way", [read_back, in_a_compound])
+@pytest.mark.parametrize("platform", ["Reference", "CPU"])
+def test_copies_in_c_plus_plus_fail_loudly(way, platform):
+    """They would let the clock run while nothing moves."""
+    topology, positions = solvent()
+    integrator = way(rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS))
+    context = openmm.Context(droplet(topology), integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(300, 1)
+    stands_still_in_silence(context, lambda: context.getIntegrator().step(2))
+
+
+def test_the_step_of_the_base_class_fails_loudly():
+    topology, positions = solvent()
+    simulation = simulation_of(topology, droplet(topology), positions)
+    quietly(simulation.step, 1)
+    stands_still_in_silence(simulation.context, lambda: openmm.CustomIntegrator.step(simulation.integrator, 2))
+
+
+def test_a_cluster_job_that_reads_everything_from_xml_fails_loudly(tmp_path):
+    topology, positions = solvent()
+    simulation = simulation_of(topology, droplet(topology), positions)
+    quietly(simulation.step, 1)
+    simulation.saveState(str(tmp_path / "state.xml"))
+    for name, what in (("system", simulation.system), ("integrator", simulation.integrator)):
+        (tmp_path / f"{name}.xml").write_text(openmm.XmlSerializer.serialize(what))
+    system, integrator = (
+        openmm.XmlSerializer.deserialize((tmp_path / f"{name}.xml").read_text()) for name in ("system", "integrator")
+    )
+    job = app.Simulation(simulation.topology, system, integrator, REFERENCE)
+    job.loadState(str(tmp_path / "state.xml"))
+    stands_still_in_silence(job.context, lambda: job.step(2))
+
+
+def stands_still_in_silence(context, step):
+    """Check that it does not: an error, or positions that nobody takes for a result."""
+    try:
+        step()
+        state = context.getState(positions=True, energy=True)
+    except openmm.OpenMMException:
+        return
+    assert np.isnan(state.getPositions(asNumpy=True)._value).any()
+    assert np.isnan(state.getKineticEnergy()._value)
+
+
+# -- other integrators ------------------------------------------------------------------------------------------
+
+
+def test_from_langevin_to_ours_and_back(tmp_path):
+    langevin = water(openmm.LangevinMiddleIntegrator(300, 1, 0.002))
+    langevin.step(5)
+    file = str(tmp_path / "equilibrated.xml")
+    langevin.saveState(file)
+    simulation = water(minimise=0)
+    rb.loadState(simulation, file)
+    np.testing.assert_allclose(coordinates(simulation), coordinates(langevin), atol=1e-12)
+    assert simulation.currentStep == 5
+    assert quietly(swing, simulation) < 1e-3
+    simulation.saveState(file)
+    langevin.loadState(file)
+    np.testing.assert_allclose(coordinates(langevin), coordinates(simulation), atol=1e-12)
+    assert energy(langevin) == pytest.approx(energy(simulation), abs=1e-6)
+    langevin.step(2)

@@ -1,0 +1,137 @@
+"""What acts between steps: all four barostats, and the remover of the motion of the centre."""
+
+import time
+
+import numpy as np
+import openmm
+import pytest
+from boxes import FEMTOSECONDS, coordinates, misfit, quietly, simulation_of, solvent, swing, water, water_system
+from openmm import unit
+
+import openmm_exactrb as rb
+
+BAR, KELVIN = unit.bar, unit.kelvin
+MEMBRANE = openmm.MonteCarloMembraneBarostat
+BAROSTATS = {
+    "isotropic": lambda n: openmm.MonteCarloBarostat(1 * BAR, 300 * KELVIN, n),
+    "anisotropic": lambda n: openmm.MonteCarloAnisotropicBarostat(
+        openmm.Vec3(1, 1, 1) * BAR, 300 * KELVIN, True, True, True, n
+    ),
+    "membrane": lambda n: MEMBRANE(
+        1 * BAR, 0 * BAR * unit.nanometer, 300 * KELVIN, MEMBRANE.XYIsotropic, MEMBRANE.ZFree, n
+    ),
+    "flexible": lambda n: openmm.MonteCarloFlexibleBarostat(1 * BAR, 300 * KELVIN, n),
+}
+
+
+def in_a_barostat(name, interval, integrator=None):
+    topology, positions = solvent()
+    system = water_system(topology)
+    barostat = BAROSTATS[name](interval)
+    barostat.setRandomNumberSeed(1)
+    system.addForce(barostat)
+    return simulation_of(topology, system, positions, integrator)
+
+
+def sides(simulation):
+    return np.array(simulation.context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
+
+
+@pytest.mark.parametrize("name", BAROSTATS)
+def test_a_barostat_changes_the_box_and_no_molecule(name):
+    simulation = in_a_barostat(name, 2)
+    before = sides(simulation)
+    for _ in range(10):
+        quietly(simulation.step, 2)
+        assert misfit(simulation) < 1e-6
+    assert np.abs(sides(simulation) - before).max() > 1e-4
+    assert np.isfinite(simulation.integrator.totalEnergy()._value)
+
+
+@pytest.mark.parametrize("name", BAROSTATS)
+def test_a_barostat_that_does_not_act_changes_nothing(name):
+    """Steps between its moves are those without it, at their cost: no force more, the same bits."""
+    with_it, without = in_a_barostat(name, 1000), water()
+    for one in (with_it, without):
+        quietly(one.step, 1)
+        one.integrator.timings.evaluations = 0
+        quietly(one.step, 10)
+    np.testing.assert_array_equal(coordinates(with_it), coordinates(without))
+    assert with_it.integrator.timings.evaluations == without.integrator.timings.evaluations
+
+
+def test_without_motion_of_the_centre():
+    topology, positions = solvent()
+    simulation = simulation_of(topology, water_system(topology, removeCMMotion=True), positions)
+    masses = np.array([simulation.system.getParticleMass(i)._value for i in range(simulation.system.getNumParticles())])
+    v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    simulation.context.setVelocities(v + np.array([1.0, -2.0, 3.0]))
+    quietly(simulation.step, 3)
+    v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    assert np.abs(masses @ v).max() < 1e-2 * masses.sum()
+    assert simulation.integrator.degreesOfFreedom()[0] == 3 * topology.getNumResidues() - 3
+    assert swing(simulation) < 1e-3
+
+
+def test_a_remover_of_motion_costs_no_force():
+    """createSystem adds one by default."""
+    topology, positions = solvent()
+    counts = []
+    for remover in (False, True):
+        integrator = rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, scheme="V2")
+        simulation = simulation_of(topology, water_system(topology, removeCMMotion=remover), positions, integrator)
+        quietly(simulation.step, 1)
+        integrator.timings.evaluations = 0
+        simulation.step(10)
+        counts.append(integrator.timings.evaluations)
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.validate
+def test_what_acts_rarely_costs_next_to_nothing():
+    topology, positions = solvent()
+    seconds = {}
+    kinds = {"nothing": None, "remover": openmm.CMMotionRemover, "barostat": lambda: BAROSTATS["isotropic"](1000)}
+    for name, make in kinds.items():
+        system = water_system(topology)
+        if make is not None:
+            system.addForce(make())
+        simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "V2"))
+        quietly(simulation.step, 20)
+        best = []
+        for _ in range(7):
+            began = time.process_time()
+            simulation.step(30)
+            best.append(time.process_time() - began)
+        seconds[name] = min(best)
+    assert seconds["remover"] < 1.1 * seconds["nothing"]
+    assert seconds["barostat"] < 1.1 * seconds["nothing"]
+
+
+def test_bodies_named_after_a_flexible_minimisation_are_of_one_kind():
+    """A kind a molecule makes a step many times as long; `minimizeEnergy` of ours keeps bodies rigid."""
+    topology, positions = solvent()
+    bodies = [[a.index for a in residue.atoms()] for residue in topology.residues()]
+    system = water_system(topology, rigidWater=False)
+    simulation = simulation_of(
+        topology, system, positions, rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "V2", bodies=bodies)
+    )
+    quietly(simulation.step, 2)
+    found, _ = simulation.integrator.bodyState()
+    assert len(found.kinds) == 1
+
+
+def test_bodies_named_by_hand_are_minimised_as_rigid_ones():
+    topology, positions = solvent()
+    bodies = [[a.index for a in residue.atoms()] for residue in topology.residues()]
+    system = water_system(topology, rigidWater=False)
+    for i in reversed(range(system.getNumConstraints())):
+        system.removeConstraint(i)
+    integrator = rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "V2", bodies=bodies)
+    simulation = simulation_of(topology, system, positions, integrator, minimise=0)
+    before = simulation.context.getState(energy=True).getPotentialEnergy()._value
+    lengths = np.linalg.norm(np.diff(coordinates(simulation).reshape(-1, 3, 3), axis=1), axis=2)
+    integrator.minimizeEnergy(maxIterations=5)
+    assert simulation.context.getState(energy=True).getPotentialEnergy()._value < before - 10.0
+    after = np.linalg.norm(np.diff(coordinates(simulation).reshape(-1, 3, 3), axis=1), axis=2)
+    np.testing.assert_allclose(after, lengths, atol=2e-4)
