@@ -85,10 +85,9 @@ def _matrix(coupling: Array, r: Array, r0: Array) -> Array:
 
 def _solved(matrix: Array, right: Array) -> Array:
     try:
-        solution: Array = np.linalg.solve(matrix, right[..., None])[..., 0]
+        return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=np.float64)
     except np.linalg.LinAlgError as error:
         raise OutOfReachError("atoms were moved to where constraints cannot be told apart") from error
-    return solution
 
 
 def _add_on_atoms(x: Array, columns: NDArray[np.int64], pairs: NDArray[np.int64], F: Array, weights: Array) -> None:
