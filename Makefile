@@ -9,7 +9,7 @@ ARGS ?=
 .PHONY: run test lowest lint docs linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
-	$(BIN)/python examples/dipole_fluid.py --overwrite $(ARGS)
+	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto $(ARGS)

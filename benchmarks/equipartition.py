@@ -10,7 +10,7 @@ applyVelocityConstraints, which leaves the linear and angular momentum of each m
 
 A point is made of several runs with their own seeds, and each is one recipe of an ensemble: the command goes on where
 it stopped. Results go to out/equipartition, a table and a picture beside them. The whole study, 1 ns a point of 216
-molecules, is two days of one core; --intervals, --models, --ensembles, --runs and --length choose a part of it.
+molecules, takes 50 million forces; --intervals, --models, --ensembles, --runs and --length choose a part of it.
 """
 
 from __future__ import annotations

@@ -224,16 +224,19 @@ def report(runs: list[Outcome], out: Path) -> None:
 
 
 def draw(runs: list[Outcome], file: Path) -> None:
-    """Draw the relative energy error over time."""
-    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
-    for run, colour, width in zip(runs, ("#0072B2", "#D55E00"), (1.6, 1.0), strict=False):
-        label = f"{run.scheme} + {run.rotor}, step {run.h:.4g} ps, {run.evaluations} force evaluations"
-        axes.semilogy(run.times[1:], np.abs(run.errors[1:]), color=colour, lw=width, label=label)
-    axes.set_xlabel("time (ps)")
-    axes.set_ylabel("relative energy error")
-    axes.set_title("Soft dipolar spheres: error of the total energy")
-    axes.grid(True, which="major", alpha=0.3)
-    axes.legend(loc="best", fontsize=9)
+    """Draw the relative energy error over time: as it is, and its size in decades."""
+    figure, (upper, lower) = plt.subplots(2, figsize=(7.0, 5.6), sharex=True, layout="constrained")
+    for run, colour, over in zip(runs, ("#0072B2", "#D55E00"), (2, 1), strict=False):
+        label = f"{run.scheme} + {run.rotor}: step {run.h:.2g} ps, {run.evaluations} force evaluations"
+        upper.plot(run.times, 1e5 * run.errors, color=colour, lw=1.4, label=label, zorder=over)
+        lower.semilogy(run.times[1:], np.abs(run.errors[1:]), color=colour, lw=1.0, zorder=over)
+    upper.set_ylabel("relative energy error, $10^{-5}$")
+    lower.set_ylabel("its size")
+    lower.set_xlabel("time (ps)")
+    figure.suptitle("Soft dipolar spheres: error of the total energy")
+    for axes in (upper, lower):
+        axes.grid(True, which="major", alpha=0.3)
+    figure.legend(*upper.get_legend_handles_labels(), loc="outside lower center", fontsize=9)
     figure.savefig(file, dpi=150)
 
 

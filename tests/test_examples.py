@@ -66,13 +66,13 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
 @pytest.mark.parametrize(
     ("example", "arguments", "files"),
     [
-        ("water_box.py", ["--duration", "0.2"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
+        ("water_box.py", ["--duration", "0.1"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
         ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "temperatures.png"]),
         ("solvated_peptide.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "energy.png"]),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "cluster.png"]),
         (
             "dielectric_constant.py",
-            ["-n", "27", "--equilibration", "0.5", "--duration", "2"],
+            ["-n", "8", "--equilibration", "0.5", "--duration", "1"],
             ["moments.csv", "energies.csv", "dielectric_constant.png"],
         ),
     ],

@@ -44,7 +44,7 @@ WHEN = """\
 - The potential is as large as the kinetic energy (T0 = ε; dipoles; every liquid): those schemes lose what they were
   made for. `SRKN4_6b` serves from loose to middle tolerances, `SRKN6_14a` or `S6_10` at tight ones.
 - Large steps, a few evaluations in the shortest period (rigid water at 2 to 4 fs): the minimal-error schemes of low
-  order, `S2_2`, `S2_3`, `W2_6`; see `rb.tune`, which measures it on your system.
+  order, `S2_2`, `S2_3`, `W2_5`; see `rb.tune`, which measures it on your system.
 - McLachlan-Reich in place of the exact flow brings every scheme down to order 2, but for compositions of Verlet steps
   (`Y4_3`, `Y6_7`, `KL8_17`), which pay with large error constants.
 """

@@ -16,6 +16,7 @@ from openmm_exactrb.systems import rigid_water
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
+#: What ForceField.createSystem constrains beside rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
 _READERS = {".pdb": app.PDBFile, ".ent": app.PDBFile, ".cif": app.PDBxFile, ".pdbx": app.PDBxFile}
@@ -78,7 +79,7 @@ def _serialised(args: argparse.Namespace) -> Box:
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
         raise ValueError(f"the State has {len(positions)} particles, but the System {system.getNumParticles()}")
-    return Box(topology_of(system, positions), system, positions, state)
+    return Box(topology_of(system, state), system, positions, state)
 
 
 def _solvated(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
@@ -163,17 +164,22 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
         raise ValueError(f"{what} was not understood: {' '.join(str(error).split())}") from error
 
 
-def topology_of(system: openmm.System, positions: Any) -> app.Topology:
+def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     """Return a topology for a System without one: a residue per molecule, elements by mass.
 
     Parameters
     ----------
     system : openmm.System
-    positions : Quantity
-        (n, 3).
+    state : openmm.State
+        With positions; its box is that of the topology.
+
+    Raises
+    ------
+    ValueError
+        If molecules are interleaved.
     """
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context.setPositions(state.getPositions())
     topology, chain = app.Topology(), None
     residues: dict[int, Any] = {}
     for molecule in map(tuple, context.getMolecules()):
@@ -185,7 +191,7 @@ def topology_of(system: openmm.System, positions: Any) -> app.Topology:
         first, second, _ = system.getConstraintParameters(constraint)
         topology.addBond(atoms[first], atoms[second])
     if system.usesPeriodicBoundaryConditions():
-        topology.setPeriodicBoxVectors(system.getDefaultPeriodicBoxVectors())
+        topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
     return topology
 
 

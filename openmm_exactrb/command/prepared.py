@@ -22,6 +22,7 @@ from openmm_exactrb.tuning.advice import progress, tune
 START, STEP = "start.xml", "step.json"
 
 _CHUNK = 50
+_ITERATIONS = 100  # of the minimisation: clashes are gone then, the thermostat does the rest
 _STEP = 1.0 * unit.femtosecond  # of the equilibration: also free hydrogen atoms take it
 _FRICTION = 5.0 / unit.picosecond
 
@@ -79,7 +80,7 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
         simulation.context.setPositions(box.positions)
     if not _moves(simulation.context):
         if box.state is None:
-            simulation.minimizeEnergy()
+            simulation.minimizeEnergy(maxIterations=_ITERATIONS)
         simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
         _advance(simulation, args)
     simulation.context.setTime(0.0)

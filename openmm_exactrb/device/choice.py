@@ -14,6 +14,7 @@ from openmm_exactrb.schemes.scheme import Scheme
 
 #: Which engine carries the steps out.
 Engine = Literal["host", "device", "auto"]
+#: What carries words out.
 ENGINES: tuple[Engine, ...] = ("host", "device", "auto")
 _EXACT = ("exact", "exact_numpy", "exact_compiled")
 _DEVICES = ("CUDA", "HIP", "OpenCL")

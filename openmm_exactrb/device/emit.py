@@ -85,11 +85,11 @@ def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, optional: bool)
 
 
 def _declare_variables(program: Program) -> None:
-    program.variables((*names.STATE, *names.CONSTANTS, *names.FORCES, *names.TEMPORARY))
-    program.variables(**dict.fromkeys((names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED), 0.0))
-    program.variables(**dict.fromkeys((names.INDEX, names.STAGE, names.KICK_TIME, names.TIME, names.NEEDED), 0.0))
-    program.variables(**dict.fromkeys((names.ENTER, names.LEAVE, names.TURNS), 1.0))
-    program.variables(**dict.fromkeys((names.KNOWN, names.MOVED, names.FASTEST), 0.0))
+    program.vectors(*names.STATE, *names.CONSTANTS, *names.FORCES, *names.TEMPORARY)
+    program.numbers(0.0, names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
+    program.numbers(0.0, names.INDEX, names.STAGE, names.KICK_TIME, names.TIME, names.NEEDED)
+    program.numbers(0.0, names.KNOWN, names.MOVED, names.FASTEST)
+    program.numbers(1.0, names.ENTER, names.LEAVE, names.TURNS)
 
 
 def _step(program: Program, scheme: Scheme) -> None:

@@ -24,8 +24,8 @@ from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import DRIFT
 
-# Bodies may turn this much faster within a call than at its start before the rotor's range ends.
-_HASTE = 1.75
+# How much faster bodies may come to turn within a call than at its start: first, and when that was not enough.
+_HASTE = (1.75, 5.0, 20.0)
 
 
 @dataclass
@@ -40,61 +40,79 @@ class Device(Host):
 
     rate: float | None = None
 
+    @property
+    def _replicas(self) -> Replicas:
+        assert isinstance(self.session, Replicas)
+        return self.session
+
     def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
+
+        Where bodies come to turn too fast for the rotor's range, the steps are made again with shorter rotations.
 
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, or a body turns faster than the rotor's range.
+            If numbers become infinite, or a body turns faster than that too.
         """
-        session, scheme = self.session, plan.scheme
-        assert isinstance(session, Replicas)
-        context, (x, v) = session.context, session.settle()
+        scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
         before = x, v, context.getTime(), context.getStepCount()
-        self._set_turns(integrator, scheme)
+        for haste in _HASTE:
+            self._set_turns(integrator, scheme, haste)
+            try:
+                if self._attempt(integrator, scheme, n):
+                    return
+            except BaseException:
+                self._go_back(integrator, *before)
+                raise
+            self._go_back(integrator, *before)
+        raise NonFiniteError(
+            f"within the {n} steps after step {before[3]} positions became infinite, or a body turned more than "
+            f"{_HASTE[-1]:g} times as fast as the fastest one before. The Context keeps the state before this call: "
+            "take a smaller step size or fewer steps a call, or minimise the energy first"
+        )
+
+    def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int) -> bool:
+        """Make n steps, and tell whether they led to finite numbers."""
         try:
             for steps, settings in _calls(n, bool(scheme.processor) and not self.couplings.act):
                 for name, value in settings.items():
                     integrator.setGlobalVariableByName(name, value)
                 openmm.CustomIntegrator.step(integrator, steps)
-            finite = all(np.isfinite(a).all() for a in session.moved_on())
-        except BaseException as error:
-            self._go_back(integrator, *before)
-            if isinstance(error, openmm.OpenMMException) and "NaN" in str(error):
-                raise NonFiniteError(_complaint(before[3], n)) from error
-            raise
+            finite = all(np.isfinite(a).all() for a in self._replicas.moved_on())
+        except openmm.OpenMMException as error:
+            if "NaN" not in str(error):
+                raise
+            return False
         finally:
             for name, value in {names.ENTER: 1.0, names.LEAVE: 1.0, names.ASKED: 0.0, names.KNOWN: 0.0}.items():
                 integrator.setGlobalVariableByName(name, value)
-        if not finite:
-            self._go_back(integrator, *before)
-            raise NonFiniteError(_complaint(before[3], n))
-        if n:
+        if finite and n:
             self.rate = integrator.getGlobalVariableByName(names.FASTEST) ** (1.0 / names.POWER)
             self.timings.evaluations += n * scheme.forces + scheme.processing
+        return finite
 
-    def _set_turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme) -> None:
-        """Choose how many rotations a drift is made of."""
-        session = self.session
+    def _set_turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> None:
+        """Choose how many rotations a drift is made of, for bodies that will turn so many times as fast as now."""
+        session = self._replicas
         if self.rate is None or not session.behind:
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
         h = integrator.getStepSize().value_in_unit(unit.picosecond)
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        turns = max(1, math.ceil(_HASTE * self.rate * abs(h) * longest / RANGE))
+        turns = max(1, math.ceil(haste * self.rate * abs(h) * longest / RANGE))
         if integrator.getGlobalVariableByName(names.TURNS) != turns:
             integrator.setGlobalVariableByName(names.TURNS, float(turns))
 
     def _go_back(self, integrator: openmm.CustomIntegrator, x: Any, v: Any, time: Any, step: int) -> None:
         """Bring the Context back to what it held."""
-        context = self.session.context
+        context = self._replicas.context
         integrator.setGlobalVariableByName(names.LOADED, 0.0)
         context.setPositions(x)
         context.setVelocities(v)
         context.setTime(time)
         context.setStepCount(step)
-        self.session.lose()
-        self.session.take_up()
+        self._replicas.lose()
+        self._replicas.take_up()
 
 
 def device(
@@ -137,11 +155,3 @@ def _calls(n: int, processed: bool) -> Iterator[tuple[int, dict[str, float]]]:
         yield n - 1, inner
     if n > 0:
         yield 1, inner | {names.LEAVE: 1.0, names.ASKED: 1.0}
-
-
-def _complaint(step: int, n: int) -> str:
-    return (
-        f"within the {n} steps after step {step} positions became infinite, or a body turned more than {_HASTE} times "
-        "as fast as the fastest one before. The Context keeps the state before this call: take a smaller step size or "
-        "fewer steps a call, or minimise the energy first"
-    )

@@ -9,8 +9,8 @@ from __future__ import annotations
 #: the scalar part three times), the place of the particle about the centre, and what x differs by from centre + place:
 #: vectors of the lattice by which OpenMM wrapped the molecule, and what a barostat moved it.
 STATE = ("R", "P", "L", "q", "w", "d", "image")
-#: Constants of a body: the particle's place in its principal axes; (b, rho, sigma) of the rotor; (1/I3, 1/M, 1/number of
-#: particles); the axes about which it can turn; 1 where there is no other particle, else 0.
+#: Constants of a body: the particle's place in its principal axes; (b, rho, sigma) of the rotor; 1/I3, 1/M and
+#: 1/number of particles; the axes about which it can turn; 1 where there is no other particle, else 0.
 CONSTANTS = ("s", "abc", "inverse", "axes", "alone")
 #: Force and torque in space, as long as they are known.
 FORCES = ("F", "N")

@@ -19,11 +19,14 @@ class Program:
     def __init__(self, integrator: openmm.CustomIntegrator) -> None:
         self.integrator = integrator
 
-    def variables(self, particles: Sequence[str] = (), **numbers: float) -> None:
-        """Declare per-DOF variables, all zero, and global ones."""
+    def vectors(self, *particles: str) -> None:
+        """Declare per-DOF variables, all zero."""
         for name in particles:
             self.integrator.addPerDofVariable(name, 0.0)
-        for name, value in numbers.items():
+
+    def numbers(self, value: float, *names: str) -> None:
+        """Declare global variables of one value."""
+        for name in names:
             self.integrator.addGlobalVariable(name, value)
 
     def table(self, name: str, values: Sequence[float]) -> None:

@@ -66,7 +66,7 @@ class Replicas(Session):
         return known
 
     def _in_images_of(self, known: State, x: Array) -> State:
-        """Return a state shifted by vectors of the lattice: OpenMM wraps molecules on the device, and shows them whole."""
+        """Return a state shifted by vectors of the lattice: OpenMM wraps molecules, and shows them where they were."""
         state = known.rounded
         first = self.bodies.first_particle
         box = np.reshape(arrays.box(self.context.getState()), (3, 3))

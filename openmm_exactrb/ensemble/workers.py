@@ -137,7 +137,7 @@ def dask_distributed() -> Any:
         import distributed
         import tqdm  # noqa: F401
     except ImportError as error:
-        raise ImportError(f"ensembles need dask ({error}): pip install openmm-exactrb[ensemble]") from error
+        raise ImportError(f"ensembles need dask ({error}): python -m pip install 'dask[distributed]' tqdm") from error
     return distributed
 
 

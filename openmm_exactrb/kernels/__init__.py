@@ -138,6 +138,4 @@ def chosen(kernel: str) -> bool:
 def require() -> None:
     """Raise ModuleNotFoundError if numba is not installed."""
     if find_spec("numba") is None:
-        raise ModuleNotFoundError(
-            'compiled kernels need numba: python -m pip install "openmm-exactrb[fast]"', name="numba"
-        )
+        raise ModuleNotFoundError("compiled kernels need numba: python -m pip install numba", name="numba")

@@ -51,6 +51,17 @@ _SCHEMES = (
         b=(0.08477656200969587785212352836804759, 0.65654407453874424357010313964426243),
         reference=_TUNED.format(1),
     ),
+    # SRKN4_6b with a smaller error at steps that are not short.
+    symmetric(
+        "W4_6",
+        order=4,
+        stages=6,
+        kind="nystroem",
+        first="kick",
+        a=(0.24584, 0.60817),
+        b=(0.08367, 0.3914955154373213, -0.036229470113921206),
+        reference=_TUNED.format(0.5),
+    ),
     symmetric(
         "PEFRL",
         order=4,

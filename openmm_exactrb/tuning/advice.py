@@ -22,7 +22,7 @@ from openmm_exactrb.tuning.thermal import thermalised
 
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
-CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "Chin4A", "W2_5", "W4_5", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
+CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "Chin4A", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
 
 # Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
 # for which errors are promised, in units of that.

@@ -23,7 +23,7 @@ def draw(record: Record, file: str | os.PathLike[str]) -> None:
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
-            "the picture needs matplotlib: install it, or openmm-exactrb[plot]", name="matplotlib"
+            "the picture needs matplotlib: python -m pip install matplotlib", name="matplotlib"
         ) from None
     figure = Figure(figsize=(8.5, 5.0), layout="constrained")
     FigureCanvasAgg(figure)

@@ -2,9 +2,11 @@
 
 import openmm
 import pytest
-from openmm import unit
+from openmm import app, unit
 from processes_of_command import finish
 
+import openmm_exactrb as rb
+from openmm_exactrb.command.boxes import topology_of
 from openmm_exactrb.command.main import main
 
 CASES = [
@@ -62,11 +64,15 @@ def test_a_wrong_option_is_one_line(capsys, arguments, message):
     assert errors.count("\n") == 1
 
 
-def test_a_barostat_of_the_system_is_not_one_of_the_command(serialised, tmp_path, capsys):
-    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+def test_a_barostat_of_the_system_is_not_one_of_the_command(tmp_path, capsys):
+    _, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
     system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, 300 * unit.kelvin))
-    serialised[0].write_text(openmm.XmlSerializer.serialize(system))
-    assert main(["run", *map(str, serialised), "--out", str(tmp_path / "out")]) == 2
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    files = tmp_path / "system.xml", tmp_path / "state.xml"
+    for file, content in zip(files, (system, context.getState(positions=True)), strict=True):
+        file.write_text(openmm.XmlSerializer.serialize(content))
+    assert main(["run", *map(str, files), "--out", str(tmp_path / "out")]) == 2
     assert "take the MonteCarloBarostat out of the System" in capsys.readouterr().err
 
 
@@ -82,12 +88,12 @@ def test_a_run_is_not_replaced(serialised, tmp_path):
 
 
 def test_molecules_that_are_interleaved_need_a_topology():
-    from openmm_exactrb.command.boxes import topology_of
-
     system = openmm.System()
     for _ in range(4):
         system.addParticle(1.0)
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions([openmm.Vec3(i, 0, 0) for i in range(4)])
     with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
-        topology_of(system, [openmm.Vec3(i, 0, 0) for i in range(4)])
+        topology_of(system, context.getState(positions=True))

@@ -7,10 +7,17 @@ import mdtraj
 import numpy as np
 import openmm
 import pytest
-from openmm import app
+from openmm import app, unit
 from processes_of_command import finish, launch
 
 import openmm_exactrb as rb
+from openmm_exactrb.command.main import main
+
+
+def carry_out(capsys, *arguments):
+    """Carry out the command in this process; return its exit status, output and errors."""
+    return main(list(map(str, arguments))), *capsys.readouterr()
+
 
 PLAIN = "--platform", "Reference", "--quiet"
 SHORT = "--step", "2fs", "--scheme", "S2_2", "--interval", "4fs", *PLAIN
@@ -30,10 +37,10 @@ def test_a_pdb_file_becomes_a_trajectory(droplet, tmp_path, trajectory):
     assert (out / "picture.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path):
-    """The bits of the same steps without the command."""
+def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path, capsys):
+    """The same steps without the command."""
     options = "--duration", "0.02", "--no-picture", "--out", tmp_path / "out"
-    status, _, errors = finish("run", *serialised, *SHORT, *options)
+    status, _, errors = carry_out(capsys, "run", *serialised, *SHORT, *options)
     assert (status, errors) == (0, "")
     system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
     context = openmm.Context(
@@ -44,7 +51,7 @@ def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path):
     energies = [energy._value for energy in context.getIntegrator().kineticEnergies()]
     last = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)[-1]
     np.testing.assert_allclose(last[[0, 1]], [10, 0.02], rtol=1e-12)
-    np.testing.assert_allclose(last[[2, 3]], energies, rtol=1e-12)  # in numpy there, compiled here
+    np.testing.assert_allclose(last[[2, 3]], energies, rtol=1e-15)
     residues = [residue.name for residue in app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology.residues()]
     assert residues == 8 * ["HOH"]
 
@@ -69,30 +76,40 @@ def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, traj
     np.testing.assert_array_equal(*frames)
 
 
-def test_a_run_can_be_made_longer(serialised, tmp_path):
+def test_a_run_can_be_made_longer(serialised, tmp_path, capsys):
     command = "run", *serialised, *SHORT, "--no-picture", "--out", tmp_path / "out", "--duration"
-    assert finish(*command, "0.02")[0] == 0
-    assert finish(*command, "0.04")[0] == 2
-    assert finish(*command, "0.04", "--resume")[0] == 0
+    assert carry_out(capsys, *command, "0.02")[0] == 0
+    assert carry_out(capsys, *command, "0.04")[0] == 2
+    assert carry_out(capsys, *command, "0.04", "--resume")[0] == 0
     table = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(table[:, 0], np.arange(0, 21, 2))
 
 
-def test_the_measured_step_is_kept(serialised, tmp_path):
+def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
     """It depends on how busy the machine was: a run that goes on must not measure again."""
     options = "--scheme", "S2_2", "--target", "0.05", "--no-picture", "--out", tmp_path / "out", *PLAIN
-    assert finish("run", *serialised, "--duration", "0.05", *options)[0] == 0
+    assert carry_out(capsys, "run", *serialised, "--duration", "0.05", *options)[0] == 0
     kept = json.loads((tmp_path / "out" / "step.json").read_text())
     assert kept["scheme"] == "S2_2"
-    status, said, errors = finish("run", *serialised, "--duration", "0.08", "--resume", *options)
+    status, said, errors = carry_out(capsys, "run", *serialised, "--duration", "0.08", "--resume", *options)
     assert (status, errors) == (0, "")
     assert f"{kept['step']:g} ps" in said
 
 
-def test_water_is_made_in_a_box(tmp_path):
-    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture"
-    status, _, errors = finish(
-        "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *options, *SHORT, "--out", tmp_path / "out"
+def test_water_is_made_in_a_box(tmp_path, capsys):
+    options = (
+        "--cutoff",
+        "0.4",
+        "--ewald-tolerance",
+        "0.01",
+        "--equilibration",
+        "0.01",
+        "--duration",
+        "0.01",
+        "--no-picture",
+    )
+    status, _, errors = carry_out(
+        capsys, "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *options, *SHORT, "--out", tmp_path / "out"
     )
     assert (status, errors) == (0, "")
     topology = app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology
@@ -100,8 +117,54 @@ def test_water_is_made_in_a_box(tmp_path):
     assert topology.getUnitCellDimensions()[0]._value == pytest.approx(3 * 0.3104, abs=1e-3)
 
 
-def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path):
-    options = "--cutoff", "0.4", "--equilibration", "0.01", "--duration", "0.01", "--no-picture", "--solvate", 40
-    status, _, errors = finish("run", droplet, "--forcefield", "tip3p.xml", *options, *SHORT, "--out", tmp_path / "out")
+def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
+    options = (
+        "--cutoff",
+        "0.4",
+        "--ewald-tolerance",
+        "0.01",
+        "--equilibration",
+        "0.01",
+        "--duration",
+        "0.01",
+        "--no-picture",
+        "--solvate",
+        40,
+    )
+    status, _, errors = carry_out(
+        capsys, "run", droplet, "--forcefield", "tip3p.xml", *options, *SHORT, "--out", tmp_path / "out"
+    )
     assert (status, errors) == (0, "")
     assert app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology.getNumResidues() == 48
+
+
+@pytest.mark.parametrize("ensemble", ["nvt", "npt"])
+def test_ensembles_move_as_in_python(tmp_path, capsys, ensemble):
+    """The last energies are those of the integrator and the barostat of the Python functions."""
+    topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    context.setVelocitiesToTemperature(280 * unit.kelvin, 2)
+    state = context.getState(positions=True, velocities=True)
+    files = tmp_path / "system.xml", tmp_path / "state.xml"
+    for file, content in zip(files, (system, state), strict=True):
+        file.write_text(openmm.XmlSerializer.serialize(content))
+    settings = "--temperature", "280", "--pressure", "500", "--friction", "2", "--seed", "7"
+    options = "--ensemble", ensemble, *settings, "--duration", "0.1", "--out", tmp_path / "out"
+    status, said, errors = carry_out(capsys, "run", *files, *SHORT, *options)
+    assert (status, errors) == (0, "")
+
+    if ensemble == "npt":
+        barostat = openmm.MonteCarloBarostat(500 * unit.bar, 280 * unit.kelvin)
+        barostat.setRandomNumberSeed(7)
+        system.addForce(barostat)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(280.0, 2.0, 0.002, scheme="S2_2")
+    integrator.setRandomNumberSeed(7)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    rb.loadState(simulation, state)
+    simulation.step(50)
+    energies = [energy._value for energy in integrator.kineticEnergies()]
+    last = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)[-1]
+    np.testing.assert_allclose(last[[2, 3]], energies, rtol=1e-12)
+    assert (tmp_path / "out" / "picture.png").exists()
+    assert ("density" in said) == ((tmp_path / "out" / "volume.csv").exists()) == (ensemble == "npt")

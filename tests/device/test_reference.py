@@ -3,10 +3,10 @@
 import numpy as np
 import openmm
 import pytest
+from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_all_kinds_of_bodies_move_as_on_the_host():
 
 def test_bodies_at_rest_and_spins_about_axes_are_no_exceptions(droplet):
     host, device = pair(*droplet)
-    bodies, state = host.getIntegrator().bodyState()
+    _, state = host.getIntegrator().bodyState()
     state.P[:] = 0.0
     state.m[:] = np.diag([0.3, 0.3, 0.3, 0.0])[:3]
     for context in (host, device):
@@ -137,6 +137,13 @@ def test_long_steps_are_made_of_several_rotations(droplet):
         free.addConstraint(*system.getConstraintParameters(i))
     both = pair(free, positions, scheme="V2_drift", h=0.05, kelvin=1000.0)
     np.testing.assert_allclose(*(stepped(context, 10) for context in both), rtol=0.0, atol=1e-11)
+
+
+def test_bodies_that_come_to_turn_fast_are_turned_in_shorter_rotations(droplet):
+    both = pair(*droplet, h=0.004, scheme="V2_drift", kelvin=1.0)
+    one, other = (stepped(context, 12) for context in both)
+    assert both[1].getIntegrator().getGlobalVariableByName("exactrb_turns") >= 1.0
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
 
 
 def test_a_body_beyond_the_range_of_the_series_is_noticed(droplet):

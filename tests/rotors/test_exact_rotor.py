@@ -34,7 +34,7 @@ def twin(request):
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("regime", oracle.REGIMES)
 def test_error_is_roundoff(regime, steps, pytestconfig):
-    n = 100 if pytestconfig.getoption("--validate") else 50
+    n = 100 if pytestconfig.getoption("--validate") else 30
     inertia, m = oracle.random_bodies(regime, n)
     rng = np.random.default_rng(n)
     rate = np.exp(rng.uniform(*np.log(STEPS[steps]), n))

@@ -1,0 +1,109 @@
+"""The program of the device on OpenCL, a processor's own (PoCL) where there is no other."""
+
+import numpy as np
+import openmm
+import pytest
+from devices import all_kinds, context_of, opencl, pair, shown, stepped
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+
+@pytest.fixture(scope="module")
+def platform():
+    return opencl()
+
+
+def boxed(n, method=app.CutoffPeriodic, **options):
+    _, system, positions = rb.rigid_water(n, nonbondedMethod=method, nonbondedCutoff=0.4, **options)
+    return system, positions
+
+
+def test_all_kinds_of_bodies_in_double_precision(platform):
+    system, positions, bodies = all_kinds()
+    host, device = pair(system, positions, bodies=bodies, platform=platform, precision="double", scheme="S2_2")
+    assert device.getIntegrator().getEngine() == "device"
+    np.testing.assert_allclose(stepped(device, 20)[0], stepped(host, 20)[0], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["tip4pew", "dipoles"])
+def test_virtual_sites_in_double_precision(model, platform):
+    if model == "dipoles":
+        _, system, positions = rb.dipole_fluid(8, kernel="openmm")
+        options = {"h": 0.005, "kelvin": 100.0}
+    else:
+        system, positions = boxed(27, app.PME, model=model)
+        options = {}
+    both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", **options)
+    one, other = (stepped(context, 20) for context in both)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
+    energies = [context.getState(energy=True).getPotentialEnergy()._value for context in both]
+    assert abs(energies[1] - energies[0]) < 1e-5
+
+
+def triclinic(system):
+    """Lean the box of a System over."""
+    a, b, c = (np.array(vector._value) for vector in system.getDefaultPeriodicBoxVectors())
+    system.setDefaultPeriodicBoxVectors(a, b + 0.3 * a, c - 0.2 * a + 0.1 * b)
+
+
+def test_molecules_that_openmm_wraps_and_sorts_anew(platform):
+    system, positions = boxed(27)
+    triclinic(system)
+    context = context_of(system, positions, "device", platform=platform, precision="double", scheme="V2", h=0.002)
+    integrator = context.getIntegrator()
+    integrator.minimizeEnergy(maxIterations=30)  # OpenMM's own crashes on PoCL
+    context.setVelocities(shown(context)[1] + [4.0, 3.0, 2.0])  # all molecules leave the box
+    before = integrator.totalEnergy()._value
+    x = shown(context)[0]
+    for _ in range(6):
+        x0, (x, _) = x, stepped(context, 50)
+        assert np.abs(x - x0).max() < 0.1 * 10.0  # no molecule jumps
+        across = np.linalg.norm(x[1::3] - x[::3], axis=1)
+        np.testing.assert_allclose(across, 0.09572, rtol=0.0, atol=1e-10)
+    images = np.array(integrator.getPerDofVariableByName("image"), dtype=float)
+    assert np.abs(images).max() > 0.5
+    for name in ("R", "P", "L", "q", "w", "image"):
+        values = np.array(integrator.getPerDofVariableByName(name), dtype=float).reshape(-1, 3, 3)
+        np.testing.assert_array_equal(values, np.repeat(values[:, :1], 3, axis=1))
+    kinetic = sum(energy._value for energy in integrator.kineticEnergies())
+    assert abs(integrator.totalEnergy()._value - before) < 0.01 * kinetic
+
+
+def test_the_floor_of_the_energy_error_in_mixed_precision_is_that_of_the_host(platform):
+    system, positions = boxed(27, app.PME)
+    floors = []
+    for engine in ("host", "device"):
+        context = context_of(system, positions, engine, platform=platform, precision="mixed", scheme="S6_10", h=0.001)
+        integrator, energies = context.getIntegrator(), []
+        for _ in range(40):
+            integrator.step(1)
+            energies.append(integrator.totalEnergy()._value)
+        floors.append(np.std(energies))
+    assert floors[1] <= 1.1 * floors[0], floors
+
+
+def test_a_barostat_moves_whole_bodies(platform):
+    system, positions = boxed(27)
+    system.addForce(openmm.MonteCarloBarostat(5000.0, 300.0, 2))
+    context = context_of(system, positions, "device", platform=platform, precision="mixed", scheme="V2")
+    edges = []
+    for _ in range(20):
+        x, _ = stepped(context, 1)
+        edges.append(context.getState().getPeriodicBoxVectors()[0][0] / unit.nanometer)
+        np.testing.assert_allclose(np.linalg.norm(x[1::3] - x[::3], axis=1), 0.09572, rtol=0.0, atol=1e-7)
+    assert len(set(edges)) > 2
+
+
+def test_auto_takes_the_device_but_not_in_single_precision(platform):
+    _, system, positions = rb.rigid_water(4)
+    notes = {}
+    for precision, engine in (("mixed", "device"), ("single", "host")):
+        context = context_of(system, positions, "auto", platform=platform, precision=precision, scheme="S2_2")
+        assert context.getIntegrator().getEngine() == engine
+        notes[precision] = context.getIntegrator().engineNote()
+        context.getIntegrator().step(1)
+    assert notes["mixed"] == "OpenCL can make the whole step"
+    assert "set Precision to mixed or double" in notes["single"]
+    with pytest.raises(ValueError, match="set Precision to mixed or double"):
+        context_of(system, positions, "device", platform=platform, precision="single")

@@ -1,0 +1,75 @@
+"""A run that is written as XML goes on in plain OpenMM."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import openmm
+import pytest
+from devices import REFERENCE, context_of, opencl, shown, stepped
+from openmm import app
+
+import openmm_exactrb as rb
+
+
+def written(context, folder):
+    """Write System, integrator and State of a Context."""
+    state = context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    parts = {"system": context.getSystem(), "integrator": context.getIntegrator(), "state": state}
+    for name, part in parts.items():
+        (folder / f"{name}.xml").write_text(openmm.XmlSerializer.serialize(part))
+
+
+def continued(folder, platform, precision, steps):
+    """Go on in a process without the package, and return positions and velocities."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    program = Path(__file__).parent / "plain_openmm.py"
+    subprocess.run(
+        [sys.executable, "-I", program, folder, platform, precision, str(steps)],
+        cwd=folder,
+        env=environment,
+        check=True,
+    )
+    return np.load(folder / "plain.npy")
+
+
+@pytest.mark.parametrize("scheme", ["S2_2", "S4_6", "V2_C17"])
+def test_the_same_bits_in_plain_openmm(scheme, tmp_path):
+    _, system, positions = rb.rigid_water(4)
+    context = context_of(system, positions, "device", scheme=scheme)
+    context.getIntegrator().step(3)
+    written(context, tmp_path)
+    before = shown(context)
+    if rb.SCHEMES[scheme].processor:  # in plain OpenMM each step is prepared and finished
+        for _ in range(4):
+            context.getIntegrator().step(1)
+        after = shown(context)
+    else:
+        after = stepped(context, 4)
+    assert np.abs(after - before).max() > 1e-4
+    np.testing.assert_array_equal(continued(tmp_path, "Reference", "-", 4), after)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_plain_openmm_on_opencl(periodic, tmp_path):
+    options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": 0.4} if periodic else {}
+    _, system, positions = rb.rigid_water(27, **options)
+    context = context_of(system, positions, "device", platform=opencl(), precision="double", scheme="S2_2")
+    context.getIntegrator().step(3)
+    written(context, tmp_path)
+    there, here = continued(tmp_path, "OpenCL", "double", 5), stepped(context, 5)
+    if periodic:  # a new Context wraps molecules and sorts them anew, which rounds otherwise
+        np.testing.assert_allclose(there[0], here[0], rtol=0.0, atol=1e-10)
+    else:
+        np.testing.assert_array_equal(there, here)
+
+
+def test_a_program_without_bodies_is_loud():
+    _, system, positions = rb.rigid_water(2)
+    text = openmm.XmlSerializer.serialize(rb.ExactRigidBodyIntegrator(0.001, engine="device"))
+    context = openmm.Context(system, openmm.XmlSerializer.deserialize(text), REFERENCE)
+    context.setPositions(positions)
+    context.getIntegrator().step(1)
+    assert not np.isfinite(shown(context)[0]).any()
