@@ -2,8 +2,8 @@
 A peptide in rigid water
 ========================
 
-From a PDB file to a trajectory: alanine dipeptide with constrained bonds to hydrogen, in a box of rigid water. A step of
-4 fs evaluates the nonbonded forces twice; bonds, angles and torsions have steps of their own within it. The script
+From a PDB file to a trajectory: alanine dipeptide with constrained bonds to hydrogen, in a box of rigid water. A step
+of 4 fs evaluates the nonbonded forces twice; bonds, angles and torsions have steps of their own within it. The script
 writes a trajectory and its energies, and draws the total energy. After an accident the same command with ``--resume``
 goes on.
 
