@@ -126,7 +126,7 @@ def test_a_kinetic_flow_is_a_record(rng):
     plane, space = typed("A kinetic flow")["on_a_plane"](bodies.mass, rotation), rigid(bodies.mass, rotation)
 
     def end(kinetic):
-        flows = {"A": kinetic.drift, "B": kick(lambda state: (np.ones((3, 1)), np.zeros((3, 1))), kinetic)}
+        flows = {"A": kinetic.drift, "B": kick(lambda state: (np.ones((3, 1)), np.zeros((3, 1))))}
         return run(rb.SCHEMES["V2"].word * 5, flows, kinetic.tangent(state), 0.1)
 
     ours, theirs = end(plane), end(space)
@@ -140,7 +140,7 @@ def test_an_engine_is_a_loop_over_letters(rng):
     simulation = simulation_of(4)
     bodies, state = simulation.integrator.fullState()
     kinetic = rigid(bodies.mass, rotor_of_sums("exact", bodies.inertia))
-    flows = {"A": kinetic.drift, "B": kick(lambda s: (-s.R[0], -s.m[0]), kinetic)}
+    flows = {"A": kinetic.drift, "B": kick(lambda s: (-s.R[0], -s.m[0]))}
     word, seen = rb.SCHEMES["SRKN4_6b"].word, []
     end = traced(word, flows, state, 0.1, lambda *shown: seen.append(shown))
     for a, b in zip(end, run(word, flows, state, 0.1), strict=True):
