@@ -16,6 +16,7 @@ from openmm_exactrb import checks
 from openmm_exactrb.context import host, ledger
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
+from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
 from openmm_exactrb.device import choice, emit, names
@@ -50,10 +51,18 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     bodies : sequence of sequences of int, optional
         Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
         step; what acts within them only adds a constant to the energy.
-
+    fast : "bonded" or sequence of int, optional
+        Forces with steps of their own within the drifts of the scheme: those of some force groups, or all bonds, angles
+        and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
+        forces, which are what costs, as often as before.
+    inner : str or Scheme, optional
+        Scheme of the inner steps: S2_2 in a scheme of order 2 and SRKN4_6b in others if it is not given.
+    innerSteps : int, optional
+        Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
+        inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
-        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL
+        forces come back. "device": the whole step is a program of OpenMM's CustomIntegrator, on CUDA, HIP or OpenCL
         in mixed or double precision, and on Reference where there are no virtual sites. At the first use the System
         gets forces in group 31, which add exactly 0 to its energy and forces, and the Context is reinitialised once,
         with its state. "auto": the device where it can be, else the host; `engineNote` says why.
@@ -61,8 +70,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Raises
     ------
     ValueError
-        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles, or
-        scheme or rotor are not for the device that was asked for.
+        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles,
+        what is to be nested are no force groups, or scheme or rotor are not for the device that was asked for.
 
     Attributes
     ----------
@@ -75,9 +84,13 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
         engine: choice.Engine = "host",
     ) -> None:
         _refuse_temperature(stepSize, scheme)
+        self._nesting = Nesting.of(fast, inner, innerSteps)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
@@ -107,9 +120,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return the particles of the bodies beside those that constraints make, as they were handed over."""
         return copy.deepcopy(self._bodies)
 
+    def getNesting(self) -> Nesting | None:
+        """Return what has steps of its own within the drifts, or None."""
+        return self._nesting
+
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""
+        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`.
+
+        Those of nested forces are not counted.
+        """
         return self._scheme.forces
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
@@ -221,7 +241,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """
         parts = self._up_to_date()
         bodies = parts.session.bodies
-        return 3 * len(bodies) - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
+        return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational temperature of the bodies."""
@@ -290,7 +310,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
-        return session.bodies, BodyState(*(a.copy() for a in session.state.rounded))
+        return session.bodies, BodyState(*(a.copy() for a in session.bodies.tangent(session.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
         """Return the bodies and their state in sums high + low of `openmm_exactrb.compensated`: all that is known."""
@@ -333,7 +353,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        return {"engine": self._asked_engine}
+        within = self._nesting
+        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
+        return {"engine": self._asked_engine, **nested}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""
@@ -351,13 +373,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             context = self._context and self._context()
             context = context or find_context(self)
             self._choose(context)
-            make = device if self._on_device else host.host
-            self._host = make(context, self, self._rotor, self._bodies, self.timings)
+            if self._on_device:
+                self._host = device(context, self, self._rotor, self._bodies, self.timings)
+            else:
+                self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         return self._host
 
     def _declare(self) -> None:
         """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
-        against = choice.against_program(self._scheme, self._rotor)
+        against = choice.against_program(self._scheme, self._rotor, self._nesting is not None)
         if self._asked_engine == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
         self._note = f'engine="{self._asked_engine}" was asked for' if self._asked_engine != "auto" else against or ""
@@ -388,7 +412,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """
         if not self._programmed:
             return
-        against = choice.against_context(context)
+        against = choice.against_context(context, self._bodies)
         if self._asked_engine == "device" and against:
             raise ValueError(f"{against}; engine='host' can do it")
         if self._asked_engine == "auto":
