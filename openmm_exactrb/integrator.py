@@ -62,7 +62,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
-        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL
+        forces come back. "device": the whole step is a program of OpenMM's CustomIntegrator, on CUDA, HIP or OpenCL
         in mixed or double precision, and on Reference where there are no virtual sites. At the first use the System
         gets forces in group 31, which add exactly 0 to its energy and forces, and the Context is reinitialised once,
         with its state. "auto": the device where it can be, else the host; `engineNote` says why.

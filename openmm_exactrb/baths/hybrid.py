@@ -51,7 +51,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     ------
     ValueError
         As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme is not symmetric or
-        `stepsPerProposal` no whole number above zero.
+        ``stepsPerProposal`` no whole number above zero.
     """
 
     tallies: ClassVar[tuple[str, ...]] = (_ACCEPTED, _PROPOSED)

@@ -91,7 +91,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def getSeedInUse(self) -> int:
         """Return the seed that the noise has: that of a checkpoint that was loaded, or the drawn one; 0 before it is.
 
-        `getRandomNumberSeed` returns what was asked for.
+        ``getRandomNumberSeed`` returns what was asked for.
         """
         return int(account.read(self, _SEED)) or int(self.getRandomNumberSeed())
 

@@ -28,6 +28,12 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     return checks.number(quantity, what, in_unit.get_symbol())
 
 
+def stripped(value: Any, in_unit: unit.Unit) -> Any:
+    """Return a Quantity of this kind as a number in the unit, and everything else as it is, for a check to look at."""
+    fits = unit.is_quantity(value) and value.unit.is_compatible(in_unit)
+    return value.value_in_unit(in_unit) if fits else value
+
+
 def picoseconds(size: float | unit.Quantity) -> float:
     """Return a time step in ps."""
     return plain(size, unit.picosecond, "a time step")

@@ -56,6 +56,7 @@ class Device(Host):
             If numbers become infinite, or a body turns faster than that too.
         """
         scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
+        scheme = plan.scheme
         before = x, v, context.getTime(), context.getStepCount()
         for haste in _HASTE:
             self._set_turns(integrator, scheme, haste)
