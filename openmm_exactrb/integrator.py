@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb import checks
-from openmm_exactrb.context import host, ledger
+from openmm_exactrb.context import host
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
-from openmm_exactrb.device import choice, emit, names
+from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain, refuse_temperature
+from openmm_exactrb.device import names
+from openmm_exactrb.device.choice import Engine
+from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.engine import Device, device
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
@@ -88,17 +90,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: choice.Engine = "host",
+        engine: Engine = "host",
     ) -> None:
-        _refuse_temperature(stepSize, scheme)
+        refuse_temperature(stepSize, scheme)
         self._nesting = Nesting.of(fast, inner, innerSteps)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._asked_engine = choice.named(engine)
-        self._declare()
+        self._engine = Chosen(engine, self._scheme, self._rotor, self._nesting is not None)
+        self._engine.declare(self, self._scheme)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._host: host.Host | None = None
@@ -140,19 +142,21 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
         bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
-        super().setIntegrationForceGroups(bits & names.OTHERS if self._programmed else bits)
+        super().setIntegrationForceGroups(bits & names.OTHERS if self._engine.programmed else bits)
         if isinstance(self._host, Device):
             self._host = None  # OpenMM reads the groups where it makes the kernels
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        self._decide()
-        return "device" if self._on_device else "host"
+        if self._engine.open:
+            self._present()
+        return "device" if self._engine.on_device else "host"
 
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        self._decide()
-        return self._note
+        if self._engine.open:
+            self._present()
+        return self._engine.note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
         """Tell what a letter of the scheme's word does.
@@ -240,8 +244,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         A linear body has two rotational ones, a single particle none. Where the System has a CMMotionRemover, three
         translational ones are missing.
         """
-        parts = self._up_to_date()
-        bodies = parts.session.bodies
+        parts, bodies = self._up_to_date(), self._present().session.bodies
         return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
@@ -269,10 +272,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ValueError
             If the temperature is negative, not finite or has a unit that does not fit.
         """
-        parts, kT = self._up_to_date(), gas_constant_times(temperature)
-        session, rng = parts.session, np.random.default_rng(randomSeed)
-        at_rest = parts.couplings.removes_motion
-        session.replace(canonical(session.bodies, session.state.rounded, kT, rng, at_rest))
+        parts, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(randomSeed)
+        bodies, state = parts.session.bodies, parts.session.state.rounded
+        parts.session.replace(canonical(bodies, state, kT, rng, parts.couplings.removes_motion))
 
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Bring the bodies to a minimum of the potential energy.
@@ -344,9 +346,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
-        factory, arguments = self.__reduce__()
-        twin: ExactRigidBodyIntegrator = factory(*arguments)
-        return twin
+        return _restored(type(self), *self.getSettings().values())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -356,7 +356,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return what a copy is made with, beside the arguments that all have."""
         within = self._nesting
         nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
-        return {"engine": self._asked_engine, **nested}
+        return {"engine": self._engine.asked, **nested}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""
@@ -373,64 +373,12 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._choose(context)
-            if self._on_device:
+            self._engine.settle(context, self._bodies)
+            if self._engine.on_device:
                 self._host = device(context, self, self._rotor, self._bodies, self.timings)
             else:
                 self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         return self._host
-
-    def _declare(self) -> None:
-        """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
-        against = choice.against_program(self._scheme, self._rotor, self._nesting is not None)
-        if self._asked_engine == "device" and against:
-            raise ValueError(f"{against}: take engine='host'")
-        self._note = f'engine="{self._asked_engine}" was asked for' if self._asked_engine != "auto" else against or ""
-        self._programmed = self._asked_engine != "host" and not against
-        self._on_device = self._asked_engine == "device"
-        if not self._programmed:
-            ledger.declare(self)
-            return
-        emit.declare(self, self._scheme, optional=self._asked_engine == "auto")
-        if self._asked_engine == "auto":
-            self.beginIfBlock(f"{names.LOADED} < 1")
-            ledger.declare(self)
-            self.endBlock()
-        super().setIntegrationForceGroups(names.OTHERS)
-
-    def _decide(self) -> None:
-        """Choose the engine where that is left to the Context."""
-        if self._programmed and self._asked_engine == "auto":
-            self._present()
-
-    def _choose(self, context: openmm.Context) -> None:
-        """Choose the engine for a Context, and note why.
-
-        Raises
-        ------
-        ValueError
-            If engine="device" was asked for, and is not right there.
-        """
-        if not self._programmed:
-            return
-        against = choice.against_context(context, self._bodies)
-        if self._asked_engine == "device" and against:
-            raise ValueError(f"{against}; engine='host' can do it")
-        if self._asked_engine == "auto":
-            against = against or choice.slower(context)
-            self._on_device = against is None
-            self._note = against or f"{context.getPlatform().getName()} can make the whole step"
-
-
-def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
-    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
-    warm = unit.is_quantity(stepSize) and stepSize.unit.is_compatible(unit.kelvin)
-    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
-        raise ValueError(
-            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
-            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
-            "ExactRigidBodyLangevinIntegrator takes those"
-        )
 
 
 # What OpenMM's integrators are told by methods: getX and setX.
@@ -442,7 +390,7 @@ def _restored(
     arguments: dict[str, Any],
     settings: dict[str, Any],
     makers: dict[str, Maker],
-) -> Any:
+) -> ExactRigidBodyIntegrator:
     """Return an integrator with the settings of another one."""
     integrator = kind(**arguments)
     for name, value in settings.items():

@@ -55,3 +55,14 @@ def kelvin(temperature: float | unit.Quantity) -> float:
 def gas_constant_times(temperature: float | unit.Quantity) -> float:
     """Return RT in kJ/mol of a temperature in K."""
     return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
+def refuse_temperature(step: Any, scheme: Any) -> None:
+    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )
