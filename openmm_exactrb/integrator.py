@@ -40,8 +40,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
     without constraints, and clusters whose constraints leave them a motion of their own, along these to roundoff. After
     every step(n) the Context holds the positions, velocities, time and step count of the bodies; what is set in the
-    Context between calls is taken up. A call evaluates the forces of its first positions anew, since parameters may have
-    been changed; within a call no force is evaluated twice.
+    Context between calls is taken up. A call evaluates the forces of its first positions anew, since parameters may
+    have been changed; within a call no force is evaluated twice.
 
     Parameters
     ----------
