@@ -87,7 +87,7 @@ class Verlet:
         self._h = h
         self._integrator.setStepSize(h)
         self._context.setPositions(self._x)
-        self._context.applyConstraints(1e-10)
+        self._context.computeVirtualSites()
         forces = self._context.getState(forces=True).getForces(asNumpy=True)._value
         self._context.setVelocities(self._start.velocities - 0.5 * h * forces * self._inverse_masses)
         self._context.applyVelocityConstraints(1e-10)
