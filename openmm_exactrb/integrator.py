@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb import checks
-from openmm_exactrb.context import host, ledger
+from openmm_exactrb.context import host
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
-from openmm_exactrb.device import choice, emit, names
+from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.device.engine import Device, device
+from openmm_exactrb.device.selection import Selection
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
 from openmm_exactrb.motion.state import BodyState, State
@@ -75,7 +76,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
-        engine: choice.Engine = "host",
+        engine: Engine = "host",
     ) -> None:
         _refuse_temperature(stepSize, scheme)
         self._scheme = look_up(scheme)
@@ -83,8 +84,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._asked_engine = choice.named(engine)
-        self._declare()
+        self._engine = Selection(engine, self._scheme, self._rotor)
+        self._engine.declare(self, self._scheme)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._host: host.Host | None = None
@@ -119,19 +120,21 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
         bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
-        super().setIntegrationForceGroups(bits & names.OTHERS if self._programmed else bits)
+        super().setIntegrationForceGroups(self._engine.groups(bits))
         if isinstance(self._host, Device):
             self._host = None  # OpenMM reads the groups where it makes the kernels
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        self._decide()
-        return "device" if self._on_device else "host"
+        if self._engine.depends:
+            self._present()
+        return "device" if self._engine.on_device else "host"
 
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        self._decide()
-        return self._note
+        if self._engine.depends:
+            self._present()
+        return self._engine.note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
         """Tell what a letter of the scheme's word does.
@@ -333,7 +336,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        return {"engine": self._asked_engine}
+        return {"engine": self._engine.asked}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""
@@ -350,51 +353,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._choose(context)
-            make = device if self._on_device else host.host
+            make = device if self._engine.decide(context) else host.host
             self._host = make(context, self, self._rotor, self._bodies, self.timings)
         return self._host
-
-    def _declare(self) -> None:
-        """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
-        against = choice.against_program(self._scheme, self._rotor)
-        if self._asked_engine == "device" and against:
-            raise ValueError(f"{against}: take engine='host'")
-        self._note = f'engine="{self._asked_engine}" was asked for' if self._asked_engine != "auto" else against or ""
-        self._programmed = self._asked_engine != "host" and not against
-        self._on_device = self._asked_engine == "device"
-        if not self._programmed:
-            ledger.declare(self)
-            return
-        emit.declare(self, self._scheme, optional=self._asked_engine == "auto")
-        if self._asked_engine == "auto":
-            self.beginIfBlock(f"{names.LOADED} < 1")
-            ledger.declare(self)
-            self.endBlock()
-        super().setIntegrationForceGroups(names.OTHERS)
-
-    def _decide(self) -> None:
-        """Choose the engine where that is left to the Context."""
-        if self._programmed and self._asked_engine == "auto":
-            self._present()
-
-    def _choose(self, context: openmm.Context) -> None:
-        """Choose the engine for a Context, and note why.
-
-        Raises
-        ------
-        ValueError
-            If engine="device" was asked for, and is not right there.
-        """
-        if not self._programmed:
-            return
-        against = choice.against_context(context)
-        if self._asked_engine == "device" and against:
-            raise ValueError(f"{against}; engine='host' can do it")
-        if self._asked_engine == "auto":
-            against = against or choice.slower(context)
-            self._on_device = against is None
-            self._note = against or f"{context.getPlatform().getName()} can make the whole step"
 
 
 def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
