@@ -39,6 +39,7 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
+	$(BIN)/python benchmarks/peptide.py
 	$(BIN)/python benchmarks/dipole_precision.py
 	$(BIN)/python benchmarks/roundoff.py
 

@@ -201,19 +201,19 @@ def run(model, state, scheme, h, duration, interval=0.02):
     R, P, q, m = (np.ascontiguousarray(a).copy() for a in state)
     q, m = q[None], m[None]
     every = max(1, round(interval / h))
-    samples = max(2, round(duration / (every * h)))
+    samples = max(1, round(duration / (every * h)))
     body = constants(model.inertia[:, None].copy())
     energies = _run(R, P, q, m, *model[:5], model.inertia, body, *table(scheme), h, every, samples)
     return energies / R.shape[1], BodyState(R, P, q[0], m[0])
 
 
 @cache
-def start(n: int, name: str, seed: int, temperature: float = 300.0, picoseconds: float = 30.0) -> BodyState:
-    """Return a canonical start: momenta are drawn anew twice a picosecond, at steps of 2 fs."""
+def start(n: int, name: str, seed: int, temperature: float = 300.0, picoseconds: int = 60) -> BodyState:
+    """Return a canonical start: momenta are drawn anew every picosecond, at steps of 2 fs."""
     model, _, integrator, _ = prepared(n, name)
     bodies, state = integrator.bodyState()
     rng = np.random.default_rng([seed, n])
-    for _ in range(round(2.0 * picoseconds)):
+    for _ in range(picoseconds):
         state = canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)
-        _, state = run(model, state, rb.SCHEMES["V2"], 0.002, 0.5, 0.5)
+        _, state = run(model, state, rb.SCHEMES["V2"], 0.002, 1.0, 0.5)
     return canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)

@@ -7,6 +7,7 @@ from openmm_exactrb.baths import (
     ExactRigidBodyLangevinIntegrator,
     ExactRigidBodyRescalingIntegrator,
 )
+from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -48,6 +49,7 @@ __all__ = [
     "free_rotor",
     "loadState",
     "rigid_water",
+    "separate_bonded",
     "soft_dipole_force",
     "tune",
     "written_whole",

@@ -16,11 +16,13 @@ from openmm_exactrb import checks
 from openmm_exactrb.context import host
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.letters import LETTERS, Maker
+from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain
+from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain, refuse_temperature
+from openmm_exactrb.device import names
 from openmm_exactrb.device.choice import Engine
+from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.engine import Device, device
-from openmm_exactrb.device.selection import Selection
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.momenta import canonical
 from openmm_exactrb.motion.state import BodyState, State
@@ -35,8 +37,8 @@ Array = NDArray[np.float64]
 class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
-    Rigid bodies are the clusters of particles that constraints of the System hold rigid; particles without constraints
-    move beside them. After every step(n) the Context holds the positions, velocities, time and step count of the
+    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
+    without constraints, and clusters whose constraints leave them a motion of their own, along these to roundoff. After every step(n) the Context holds the positions, velocities, time and step count of the
     bodies; what is set in the Context between calls is taken up. A call evaluates the forces of its first positions
     anew, since parameters may have been changed; within a call no force is evaluated twice.
 
@@ -51,10 +53,18 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     bodies : sequence of sequences of int, optional
         Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
         step; what acts within them only adds a constant to the energy.
-
+    fast : "bonded" or sequence of int, optional
+        Forces with steps of their own within the drifts of the scheme: those of some force groups, or all bonds, angles
+        and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
+        forces, which are what costs, as often as before.
+    inner : str or Scheme, optional
+        Scheme of the inner steps: S2_2 in a scheme of order 2 and SRKN4_6b in others if it is not given.
+    innerSteps : int, optional
+        Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
+        inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
-        forces come back. "device": the whole step is a program of OpenMM's `CustomIntegrator`, on CUDA, HIP or OpenCL
+        forces come back. "device": the whole step is a program of OpenMM's CustomIntegrator, on CUDA, HIP or OpenCL
         in mixed or double precision, and on Reference where there are no virtual sites. At the first use the System
         gets forces in group 31, which add exactly 0 to its energy and forces, and the Context is reinitialised once,
         with its state. "auto": the device where it can be, else the host; `engineNote` says why.
@@ -62,8 +72,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     Raises
     ------
     ValueError
-        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles, or
-        scheme or rotor are not for the device that was asked for.
+        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles,
+        what is to be nested are no force groups, or scheme or rotor are not for the device that was asked for.
 
     Attributes
     ----------
@@ -76,15 +86,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
         engine: Engine = "host",
     ) -> None:
-        _refuse_temperature(stepSize, scheme)
+        refuse_temperature(stepSize, scheme)
+        self._nesting = Nesting.of(fast, inner, innerSteps)
         self._scheme = look_up(scheme)
         self._rotor = look_up_rotor(rotor)
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._engine = Selection(engine, self._scheme, self._rotor)
+        self._engine = Chosen(engine, self._scheme, self._rotor, self._nesting is not None)
         self._engine.declare(self, self._scheme)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
@@ -108,9 +122,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return the particles of the bodies beside those that constraints make, as they were handed over."""
         return copy.deepcopy(self._bodies)
 
+    def getNesting(self) -> Nesting | None:
+        """Return what has steps of its own within the drifts, or None."""
+        return self._nesting
+
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`."""
+        """Force evaluations that a step costs; a processed scheme needs `Scheme.processing` more a call of `step`.
+
+        Those of nested forces are not counted.
+        """
         return self._scheme.forces
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
@@ -120,19 +141,19 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
         bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
-        super().setIntegrationForceGroups(self._engine.groups(bits))
+        super().setIntegrationForceGroups(bits & names.OTHERS if self._engine.programmed else bits)
         if isinstance(self._host, Device):
             self._host = None  # OpenMM reads the groups where it makes the kernels
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        if self._engine.depends:
+        if self._engine.open:
             self._present()
         return "device" if self._engine.on_device else "host"
 
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        if self._engine.depends:
+        if self._engine.open:
             self._present()
         return self._engine.note
 
@@ -222,9 +243,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         A linear body has two rotational ones, a single particle none. Where the System has a CMMotionRemover, three
         translational ones are missing.
         """
-        parts = self._up_to_date()
-        bodies = parts.session.bodies
-        return 3 * len(bodies) - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
+        parts, bodies = self._up_to_date(), self._present().session.bodies
+        return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational temperature of the bodies."""
@@ -251,10 +271,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ValueError
             If the temperature is negative, not finite or has a unit that does not fit.
         """
-        parts, kT = self._up_to_date(), gas_constant_times(temperature)
-        session, rng = parts.session, np.random.default_rng(randomSeed)
-        at_rest = parts.couplings.removes_motion
-        session.replace(canonical(session.bodies, session.state.rounded, kT, rng, at_rest))
+        parts, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(randomSeed)
+        bodies, state = parts.session.bodies, parts.session.state.rounded
+        parts.session.replace(canonical(bodies, state, kT, rng, parts.couplings.removes_motion))
 
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Bring the bodies to a minimum of the potential energy.
@@ -293,7 +312,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""
         session = self._up_to_date().session
-        return session.bodies, BodyState(*(a.copy() for a in session.state.rounded))
+        return session.bodies, BodyState(*(a.copy() for a in session.bodies.tangent(session.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
         """Return the bodies and their state in sums high + low of `openmm_exactrb.compensated`: all that is known."""
@@ -326,9 +345,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def __copy__(self) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
-        factory, arguments = self.__reduce__()
-        twin: ExactRigidBodyIntegrator = factory(*arguments)
-        return twin
+        return _restored(type(self), *self.getSettings().values())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
         """Return an integrator with the same settings and no Context."""
@@ -336,7 +353,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        return {"engine": self._engine.asked}
+        within = self._nesting
+        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
+        return {"engine": self._engine.asked, **nested}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""
@@ -353,20 +372,12 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            make = device if self._engine.decide(context) else host.host
-            self._host = make(context, self, self._rotor, self._bodies, self.timings)
+            self._engine.settle(context, self._bodies)
+            if self._engine.on_device:
+                self._host = device(context, self, self._rotor, self._bodies, self.timings)
+            else:
+                self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
         return self._host
-
-
-def _refuse_temperature(stepSize: Any, scheme: Any) -> None:
-    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
-    warm = unit.is_quantity(stepSize) and stepSize.unit.is_compatible(unit.kelvin)
-    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
-        raise ValueError(
-            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
-            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
-            "ExactRigidBodyLangevinIntegrator takes those"
-        )
 
 
 # What OpenMM's integrators are told by methods: getX and setX.
@@ -378,7 +389,7 @@ def _restored(
     arguments: dict[str, Any],
     settings: dict[str, Any],
     makers: dict[str, Maker],
-) -> Any:
+) -> ExactRigidBodyIntegrator:
     """Return an integrator with the settings of another one."""
     integrator = kind(**arguments)
     for name, value in settings.items():

@@ -102,8 +102,8 @@ def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> di
     def gradient(state: State) -> tuple[Array, Array]:
         return nothing, problem.gradient_torque(state.q[0])
 
-    kicks = {letter: exact_gradient_kick(forces, gradient, kinetic, strength) for letter, strength in scheme.gradients}
-    return {DRIFT: kinetic.drift, KICK: kick(forces, kinetic), **kicks}
+    kicks = {letter: exact_gradient_kick(forces, gradient, strength) for letter, strength in scheme.gradients}
+    return {DRIFT: kinetic.drift, KICK: kick(forces), **kicks}
 
 
 @dataclass(frozen=True)

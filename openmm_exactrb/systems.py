@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from openmm import app, unit
 
 from openmm_exactrb import checks, quaternions
+from openmm_exactrb.context.units import stripped
 from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 
 Array = NDArray[np.float64]
 
+_STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
 #: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
 
@@ -66,21 +68,23 @@ def dipole_fluid(
     n: int = 125,
     seed: int = 0,
     *,
-    mass: float = 1.0,
-    inertia: ArrayLike = (1.0, 1.88, 2.88),
+    mass: float | unit.Quantity = 1.0,
+    inertia: ArrayLike | unit.Quantity = (1.0, 1.88, 2.88),
     dipole: ArrayLike = (0.0, 1.0, 1.0),
-    sigma: float = 1.0,
-    epsilon: float = 1.0,
+    sigma: float | unit.Quantity = 1.0,
+    epsilon: float | unit.Quantity = 1.0,
     attraction: float = 0.0,
     wca: bool = False,
-    spacing: float = BINDING_DISTANCE,
+    spacing: float | unit.Quantity = BINDING_DISTANCE,
     perturbation: float = 0.01,
-    trap: float = 0.0,
+    trap: float | unit.Quantity = 0.0,
     boundary: Boundary = OPEN,
-    density: float | None = None,
+    density: float | unit.Quantity | None = None,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
+
+    Numbers have the units that are named, or are Quantities.
 
     Parameters
     ----------
@@ -130,6 +134,10 @@ def dipole_fluid(
     ModuleNotFoundError
         If the compiled kernel is asked for and numba is not installed.
     """
+    sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
+    mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
+    inertia, trap = stripped(inertia, unit.dalton * unit.nanometer**2), stripped(trap, _STIFFNESS)
+    density = stripped(density, unit.nanometer**-3)
     vector = _dipole_vector(dipole)
     n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
     checks.positive(epsilon, "epsilon", "kJ/mol")
@@ -270,7 +278,7 @@ _WATER_MODELS = {
 
 
 def rigid_water(
-    n: int = 64, seed: int = 0, *, model: str = "tip3p", spacing: float = 0.3104, **options: Any
+    n: int = 64, seed: int = 0, *, model: str = "tip3p", spacing: float | unit.Quantity = 0.3104, **options: Any
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build rigid water on a cubic lattice with random orientations.
 
@@ -281,7 +289,7 @@ def rigid_water(
     seed : int
     model : {"tip3p", "spce", "tip4pew", "tip5p"}
         A force field file that comes with OpenMM.
-    spacing : float
+    spacing : float or Quantity
         Lattice constant in nm; the default has the density of water.
     **options
         For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
@@ -301,7 +309,7 @@ def rigid_water(
     """
     if model not in _WATER_MODELS:
         raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
-    n, spacing = checks.whole(n, "n"), checks.positive(spacing, "spacing", "nm")
+    n, spacing = checks.whole(n, "n"), checks.positive(stripped(spacing, unit.nanometer), "spacing", "nm")
     file, distance, angle = _WATER_MODELS[model]
     topology = app.Topology()
     chain = topology.addChain()

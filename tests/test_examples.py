@@ -68,6 +68,7 @@ def test_a_wrong_value_is_one_clear_line(tmp_path, arguments, message):
     [
         ("water_box.py", ["--duration", "0.1"], ["topology.pdb", "trajectory.dcd", "energies.csv", "energy_error.png"]),
         ("ions_in_rigid_water.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "temperatures.png"]),
+        ("solvated_peptide.py", ["--steps", "20"], ["topology.pdb", "trajectory.dcd", "energy.png"]),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["topology.pdb", "trajectory.dcd", "cluster.png"]),
         (
             "dielectric_constant.py",

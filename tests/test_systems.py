@@ -137,3 +137,14 @@ def test_mdtraj_reads_the_pdb_with_its_arrows(droplet, tmp_path):
     assert read.topology.n_residues == 11
     assert sum({a.name, b.name} == {"C", "D"} for a, b in read.topology.bonds) == 11
     np.testing.assert_allclose(read.xyz[0], positions._value, atol=1e-4)
+
+
+def test_quantities_are_taken_as_their_numbers():
+    nm, kJ = unit.nanometer, unit.kilojoule_per_mole
+    plain = rb.dipole_fluid(8, mass=2.0, sigma=1.1, epsilon=0.5, spacing=1.3, trap=0.4)
+    units = {"mass": 2.0 * unit.dalton, "sigma": 11 * unit.angstrom, "epsilon": 0.5 * kJ, "spacing": 1.3 * nm}
+    same = rb.dipole_fluid(8, **units, trap=0.4 * kJ / nm**2)
+    np.testing.assert_allclose(same[2]._value, plain[2]._value, rtol=1e-14)
+    assert openmm.XmlSerializer.serialize(same[1]) == openmm.XmlSerializer.serialize(plain[1])
+    with pytest.raises(ValueError, match="sigma must be a positive number of nm, not 3 K"):
+        rb.dipole_fluid(8, sigma=3 * unit.kelvin)

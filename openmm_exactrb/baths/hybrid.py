@@ -51,7 +51,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     ------
     ValueError
         As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme is not symmetric or
-        `stepsPerProposal` no whole number above zero.
+        ``stepsPerProposal`` no whole number above zero.
     """
 
     tallies: ClassVar[tuple[str, ...]] = (_ACCEPTED, _PROPOSED)
@@ -116,7 +116,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def _proposals(self, parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
         """Make the flow that proposes and decides."""
-        parts = replace(parts, scheme=self._proposal, forces=parts.forces.with_energies())
+        forces = parts.forces.with_energies()
+        parts = replace(parts, scheme=self._proposal, forces=forces, slow=forces)
         word, moves = self._proposal.word, flows(self._proposal.word, parts, self._makers)
         kT, seed, draws = gas_constant_times(self._temperature), self.getSeedInUse(), Draws(kernels.twins().noise)
 

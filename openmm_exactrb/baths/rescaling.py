@@ -51,7 +51,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     -----
     Momenta that are all zero have no direction and stay: draw some with `setVelocitiesToTemperature` first. The degrees
     of freedom are those of `degreesOfFreedom`. As this bath keeps a total momentum of zero at zero, add a
-    `CMMotionRemover` to a System whose forces do so too: it lets the three missing ones be counted as missing.
+    ``CMMotionRemover`` to a System whose forces do so too: it lets the three missing ones be counted as missing.
     """
 
     tallies: ClassVar[tuple[str, ...]] = (_HEAT,)
@@ -90,7 +90,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         """Return the total energy less the heat.
 
         It is as constant as the total energy of the splitting without a bath: what it drifts or swings is the error of
-        the step. A barostat or a `CMMotionRemover` changes it too.
+        the step. A barostat or a ``CMMotionRemover`` changes it too.
         """
         return self.totalEnergy() - self.heat()
 

@@ -91,7 +91,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def getSeedInUse(self) -> int:
         """Return the seed that the noise has: that of a checkpoint that was loaded, or the drawn one; 0 before it is.
 
-        `getRandomNumberSeed` returns what was asked for.
+        ``getRandomNumberSeed`` returns what was asked for.
         """
         return int(account.read(self, _SEED)) or int(self.getRandomNumberSeed())
 
@@ -148,8 +148,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         seed = self.getSeedInUse()
 
         def flow(state: State, tau: float) -> State:
-            P, m = exchange(state.P, state.m, tau, Instant(seed, parts.clock.number, place))
-            same = P is state.P and m is state.m
+            along = parts.kinetic.tangent(state)
+            P, m = exchange(along.P, along.m, tau, Instant(seed, parts.clock.number, place))
+            same = P is along.P and m is along.m
             after = state if same else parts.kinetic.tangent(state._replace(P=P, m=m))
             self._around = parts.clock.number + 1, state, after
             return after

@@ -129,9 +129,9 @@ def carry_out(args: argparse.Namespace) -> int:
     tell = Progress(f"{args.ensemble}, {simulation.integrator.getScheme().name}", steps, step, args.quiet)
     job.advance(simulation, steps, tell)
     tell.close()
-    print("\n".join(outcome.summary(simulation, job, args.ensemble)))
     if picture is not None:
         outcome.draw(job.folder, args.ensemble, simulation.integrator.degreesOfFreedom(), picture)
+    print("\n".join(outcome.summary(simulation, job, args.ensemble)))
     return 0
 
 

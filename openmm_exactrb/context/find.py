@@ -1,4 +1,4 @@
-"""The rigid bodies of an OpenMM System: which particles belong together."""
+"""The rigid bodies and constrained clusters of an OpenMM System: which particles belong together."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.context.shapes import kinds_from_distances, kinds_from_positions
+from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
+from openmm_exactrb.motion.clusters import Clusters, find_clusters
 from openmm_exactrb.motion.images import joined
 
 Array = NDArray[np.float64]
@@ -25,7 +26,9 @@ def find_bodies(
     bodies: Sequence[Sequence[int]] | None = None,
     box: Array | None = None,
 ) -> RigidBodies:
-    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its free particles.
+    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
+
+    Those are free, or of clusters whose constraints leave them a motion of their own.
 
     Parameters
     ----------
@@ -40,8 +43,8 @@ def find_bodies(
     Raises
     ------
     ValueError
-        If nothing can move, constraints do not fix a cluster fully or lead out of a body, a body is named wrongly, or
-        the System has Drude particles.
+        If nothing can move, constraints follow from each other or lead out of a body, a body is named wrongly, or the
+        System has Drude particles.
     """
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     _refuse_drude_particles(system)
@@ -50,21 +53,44 @@ def find_bodies(
     for particles, distances in _clusters(system, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
     shapes: list[Kind] = []
+    floppy: list[tuple[list[Indices], Array]] = []
     for (mass_bytes, distance_bytes), members in groups.items():
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
+        if not held_rigid(distances, positions[members[0]]):
+            floppy.append((members, distances))
+            continue
         make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
         particles = np.stack(members)
         whole = positions if box is None else joined(positions, particles, box)
         shapes += make(particles, body_masses, distances, whole)
-    if not shapes:
-        raise ValueError("the System has no particle with mass: there is nothing to move")
+    clusters = _floppy_clusters(masses, floppy)
+    turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
     kinds, start = [], 0
-    for shape in sorted(shapes, key=lambda shape: not shape.turns):
+    for shape in (*turning, *_atoms_of(clusters), *single):
         stop = start + len(shape.particles)
         kinds.append(replace(shape, bodies=slice(start, stop)))
         start = stop
-    return RigidBodies(kinds, len(masses))
+    if not kinds:
+        raise ValueError("the System has no particle with mass: there is nothing to move")
+    return RigidBodies(kinds, len(masses), clusters)
+
+
+def _floppy_clusters(masses: Array, floppy: list[tuple[list[Indices], Array]]) -> Clusters:
+    """Return the clusters whose particles, and those of whose distances that are constrained, are given."""
+    pairs, lengths = [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
+    for members, distances in floppy:
+        ends = np.argwhere(np.triu(~np.isnan(distances), 1))
+        pairs += [particles[ends] for particles in members]
+        lengths += len(members) * [distances[ends[:, 0], ends[:, 1]]]
+    return find_clusters(masses, np.concatenate(pairs), np.concatenate(lengths))
+
+
+def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
+    """Yield the particles of clusters as single ones, in the order of the clusters; neighbours of one mass together."""
+    starts = np.flatnonzero(np.diff(clusters.mass, prepend=np.nan) != 0.0)
+    for particles, mass in zip(np.split(clusters.particles, starts[1:]), clusters.mass[starts], strict=False):
+        yield Kind(particles[:, None], slice(0), np.array([mass]), np.zeros((1, 1, 3)), float(mass), np.zeros((1, 3)))
 
 
 def _refuse_drude_particles(system: openmm.System) -> None:

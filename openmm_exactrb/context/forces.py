@@ -55,6 +55,8 @@ class Forces:
     groups : int
         Bits of the force groups that act.
     timings : Timings
+    counter : str, optional
+        Which number of the timings counts the evaluations.
     steady : bool
         Whether nothing within the call can change box or parameters: they are not looked at then, which would cost 30
         microseconds a step.
@@ -63,10 +65,16 @@ class Forces:
     """
 
     def __init__(
-        self, places: Places, groups: int, timings: Timings, steady: bool = False, energies: bool = False
+        self,
+        places: Places,
+        groups: int,
+        timings: Timings,
+        steady: bool = False,
+        energies: bool = False,
+        counter: str = "evaluations",
     ) -> None:
         self._places, self._groups, self._timings, self._steady = places, groups, timings, steady
-        self._energies = energies
+        self._energies, self._counter = energies, counter
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
         self._value = (np.zeros(0), np.zeros(0))
@@ -81,18 +89,18 @@ class Forces:
             )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
-            self._timings.evaluations += 1
+            self._timings.count(self._counter)
             self._value = self._places.bodies.forces(state.rounded, forces)
             self._at = state
         return self._value
 
     def twin(self) -> Forces:
         """Return the same forces with a memory of their own."""
-        return Forces(self._places, self._groups, self._timings, self._steady)
+        return Forces(self._places, self._groups, self._timings, self._steady, counter=self._counter)
 
-    def of(self, groups: int) -> Forces:
+    def of(self, groups: int, counter: str = "evaluations") -> Forces:
         """Return those of some of the groups, given by their bits."""
-        return Forces(self._places, self._groups & groups, self._timings, self._steady)
+        return Forces(self._places, self._groups & groups, self._timings, self._steady, counter=counter)
 
     def landscape(self, state: State) -> tuple[float, Array, Array]:
         """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
@@ -103,7 +111,7 @@ class Forces:
 
     def with_energies(self) -> Forces:
         """Return the same forces, with a memory of the potential energy too."""
-        return Forces(self._places, self._groups, self._timings, self._steady, energies=True)
+        return Forces(self._places, self._groups, self._timings, self._steady, True, self._counter)
 
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol."""

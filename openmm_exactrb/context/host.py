@@ -14,11 +14,12 @@ from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
 from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
+from openmm_exactrb.context.nesting import Nested, Nesting, nested_in
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
 from openmm_exactrb.motion.guard import Guard
-from openmm_exactrb.motion.kinetic import Kinetic, rigid
+from openmm_exactrb.motion.kinetic import Kinetic, of_bodies
 from openmm_exactrb.motion.minimise import minimised
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
@@ -58,12 +59,15 @@ class Host:
     couplings : Couplings
     kinetic : Kinetic
     timings : Timings
+    nested : Nested or None
+        What stands within the drifts.
     """
 
     session: Session
     couplings: Couplings
     kinetic: Kinetic
     timings: Timings
+    nested: Nested | None = None
 
     def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps; what happens, the Context then holds the last state that is one of the bodies.
@@ -81,9 +85,13 @@ class Host:
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
+        slow, fast = forces, forces.of(0)
+        if self.nested is not None:
+            scheme = self.nested.put_into(scheme, h)
+            slow, fast = forces.of(~self.nested.bits), forces.of(self.nested.bits, "fast_evaluations")
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        parts = Parts(session.bodies, self.kinetic, forces, guard, scheme, clock, account)
+        parts = Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
@@ -126,8 +134,11 @@ def host(
     rotor: Rotor,
     named: list[list[int]] | None,
     timings: Timings,
+    nesting: Nesting | None = None,
 ) -> Host:
     """Find the bodies of a Context, and what moves them."""
     session = Session(context, integrator, named)
     rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
-    return Host(session, Couplings(context, named or []), rigid(session.bodies.mass, rotation, rotor.order), timings)
+    kinetic = of_bodies(session.bodies, rotation, rotor.order)
+    nested = None if nesting is None else nested_in(context.getSystem(), nesting)
+    return Host(session, Couplings(context, named or []), kinetic, timings, nested)

@@ -16,7 +16,7 @@ from openmm_exactrb.motion.kick import gradient_kick, kick
 from openmm_exactrb.motion.kinetic import Kinetic
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word
+from openmm_exactrb.schemes.word import DRIFT, FAST, GRADIENT, KICK, Word
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,8 @@ class Parts:
     kinetic : Kinetic
     forces : Forces
         Those of all force groups that act.
+    slow, fast : Forces
+        Those of the kicks of a scheme, and those that are nested in its drifts; without any the slow ones are all.
     guard : Guard
     scheme : Scheme
     clock : Clock
@@ -40,6 +42,8 @@ class Parts:
     bodies: RigidBodies
     kinetic: Kinetic
     forces: Forces
+    slow: Forces
+    fast: Forces
     guard: Guard
     scheme: Scheme
     clock: Clock
@@ -55,17 +59,17 @@ def _drifts(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
 
 
 def _kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
-    """Make "B", a kick of all forces that act, and "B3", one of the forces of group 3."""
-    forces = {letter: parts.forces if letter == KICK else parts.forces.of(1 << int(letter[1:])) for letter in letters}
-    return {letter: parts.guard.finite(kick(forces[letter], parts.kinetic)) for letter in letters}
+    """Make "B", a kick of the forces that are not nested, "Bfast" of those that are, and "B3" of those of group 3."""
+    named = {KICK: parts.slow, FAST: parts.fast}
+    forces = {letter: named.get(letter) or parts.forces.of(1 << int(letter[1:])) for letter in letters}
+    return {letter: parts.guard.finite(kick(forces[letter])) for letter in letters}
 
 
 def _gradient_kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
     strengths, bodies = dict(parts.scheme.gradients), parts.bodies
-    here, there = parts.forces, parts.forces.twin()
+    here, there = parts.slow, parts.slow.twin()
     kicks = {
-        letter: gradient_kick(here, there, parts.kinetic, bodies.mass, bodies.inertia.T, strengths[letter])
-        for letter in letters
+        letter: gradient_kick(here, there, parts.kinetic, bodies.inertia.T, strengths[letter]) for letter in letters
     }
     return {letter: parts.guard.finite(flow) for letter, flow in kicks.items()}
 

@@ -96,8 +96,9 @@ class Session:
         """Return positions without what the periodic box split."""
         box = _box(self.context)
         if box is not None:
-            for kind in self.bodies.kinds:
-                x = joined(x, kind.particles, box)
+            clusters = self.bodies.clusters.kinds
+            for particles in [*(kind.particles for kind in self.bodies.kinds), *(kind.particles for kind in clusters)]:
+                x = joined(x, particles, box)
         return x
 
     def compared(self, known: State, x: Array, v: Array) -> State:

@@ -41,7 +41,6 @@ def kinds_from_positions(particles: Indices, masses: Array, distances: Array, po
     X = positions[particles]
     if not np.isfinite(X).all():
         raise ValueError("positions are not finite: set them before the first step")
-    _refuse_floppy(particles[0], distances, X[0])
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)
@@ -68,21 +67,26 @@ def _joined(kinds: list[Kind]) -> Kind:
     return replace(kinds[0], particles=particles, sites=sites, inertia=inertia)
 
 
-def _refuse_floppy(particles: Indices, distances: Array, x: Array) -> None:
-    """Refuse constraints that leave a cluster a motion beside those of a rigid body."""
+def held_rigid(distances: Array, x: Array) -> bool:
+    """Tell whether constraints leave a cluster no motion beside those of a rigid body.
+
+    Parameters
+    ----------
+    distances : (k, k) array
+        Those that are constrained, and nan; no one is where a user named the body.
+    x : (k, 3) array
+        Places of the particles.
+    """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
-    if not len(i):  # named by the user
-        return
+    every = len(i) == len(x) * (len(x) - 1) // 2
+    if not len(i) or every or len(i) < 3 * len(x) - 6:
+        return not len(i) or every
     rows = np.zeros((len(i), len(x), 3))
     direction = x[i] - x[j]
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
     rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
-    rank = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
-    if rank < 3 * len(x) - 6:
-        raise ValueError(
-            f"the constraints between particles {', '.join(map(str, particles))} do not hold them rigid: constrain "
-            "every distance between them, or none, or name them with bodies="
-        )
+    rank: int = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
+    return bool(rank >= 3 * len(x) - 6)
 
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:

@@ -22,18 +22,25 @@ class Timings:
     total : float
         Everything inside step().
     evaluations : int
-        Force evaluations.
+        Force evaluations, but for those of nested forces.
+    fast_evaluations : int
+        Evaluations of the forces that are nested in the drifts.
     """
 
     forces: float = 0.0
     rotor: float = 0.0
     total: float = 0.0
     evaluations: int = 0
+    fast_evaluations: int = 0
 
     def reset(self) -> None:
         """Begin again at zero."""
         self.forces = self.rotor = self.total = 0.0
-        self.evaluations = 0
+        self.evaluations = self.fast_evaluations = 0
+
+    def count(self, counter: str) -> None:
+        """Add one to a number of evaluations, given by its name."""
+        setattr(self, counter, getattr(self, counter) + 1)
 
     @contextmanager
     def measuring(self) -> Iterator[None]:

@@ -28,6 +28,12 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     return checks.number(quantity, what, in_unit.get_symbol())
 
 
+def stripped(value: Any, in_unit: unit.Unit) -> Any:
+    """Return a Quantity of this kind as a number in the unit, and everything else as it is, for a check to look at."""
+    fits = unit.is_quantity(value) and value.unit.is_compatible(in_unit)
+    return value.value_in_unit(in_unit) if fits else value
+
+
 def picoseconds(size: float | unit.Quantity) -> float:
     """Return a time step in ps."""
     return plain(size, unit.picosecond, "a time step")
@@ -49,3 +55,14 @@ def kelvin(temperature: float | unit.Quantity) -> float:
 def gas_constant_times(temperature: float | unit.Quantity) -> float:
     """Return RT in kJ/mol of a temperature in K."""
     return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
+def refuse_temperature(step: Any, scheme: Any) -> None:
+    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )

@@ -6,6 +6,8 @@ from typing import Any, Literal
 
 import openmm
 
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.device.emit import foreign
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
@@ -32,8 +34,10 @@ def named(engine: str) -> Engine:
     raise ValueError(f"unknown engine {engine!r}: choose one of {', '.join(ENGINES)}")
 
 
-def against_program(scheme: Scheme, rotor: Rotor) -> str | None:
+def against_program(scheme: Scheme, rotor: Rotor, nested: bool = False) -> str | None:
     """Say why a scheme and a rotor cannot be a program of the device, or return None."""
+    if nested:
+        return "the device has no steps for forces within drifts (fast=)"
     if rotor.name not in _EXACT:
         return f"the device turns bodies by the exact rotor only, not by {rotor.name}"
     letters = foreign(scheme)
@@ -42,10 +46,12 @@ def against_program(scheme: Scheme, rotor: Rotor) -> str | None:
     return None
 
 
-def against_context(context: Any) -> str | None:
-    """Say why a Context cannot run a program, or return None."""
+def against_context(context: Any, named: list[list[int]] | None = None) -> str | None:
+    """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
     platform = context.getPlatform()
     name = platform.getName()
+    if _has_clusters(context, named):
+        return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
     if name == "CPU":
         return "on the CPU platform the program would cost 12 times a Verlet step"
     if name in _DEVICES:
@@ -63,6 +69,12 @@ def slower(context: Any) -> str | None:
     """Say why the host is faster in a Context that could run a program, or return None."""
     name = context.getPlatform().getName()
     return None if name in _DEVICES else f"{name} is no device: there the host's compiled kernels are faster"
+
+
+def _has_clusters(context: Any, named: list[list[int]] | None) -> bool:
+    """Tell whether there are constrained clusters that are no rigid bodies; without positions nobody knows."""
+    x = arrays.positions(context.getState(positions=True))
+    return bool(x.any()) and len(find_bodies(context.getSystem(), x, named).clusters) > 0
 
 
 def _has_sites(system: openmm.System) -> bool:

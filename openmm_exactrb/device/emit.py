@@ -4,7 +4,7 @@ A stage is a kick and the drift behind it. The word itself is data, two tables o
 scheme has the same kernels, and their compilation does not take longer the longer the word is.
 
 Two things of OpenMM decide the order of statements. Where the System has constraints, positions that are written before
-the last `addConstrainPositions` of a program are kept as differences, which forces do not see; so the one that makes
+the last ``addConstrainPositions`` of a program are kept as differences, which forces do not see; so the one that makes
 virtual sites stands at the begin of the loop, and nothing writes positions before it. And OpenMM goes through all paths
 through two rounds of a program, two rounds of its loop in each: with a block more there are several times as many, so
 numbers are multiplied by conditions where that will do.

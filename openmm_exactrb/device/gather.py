@@ -48,7 +48,7 @@ def install(system: openmm.System, bodies: RigidBodies) -> None:
 def make_kernels(context: Any) -> None:
     """Reinitialise a Context with its state, and make the kernels of its program.
 
-    The program makes virtual sites by `addConstrainPositions`. OpenMM asks, when it makes the kernels, whether the
+    The program makes virtual sites by ``addConstrainPositions``. OpenMM asks, when it makes the kernels, whether the
     System has constraints; as it has none then, they are not applied to what is rigid anyway.
     """
     system = context.getSystem()

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import openmm
+from openmm import unit
 
+from openmm_exactrb.context.units import picoseconds
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
 
@@ -19,11 +21,11 @@ _DETERMINISTIC = {"CPU": {"Threads": "1", "DeterministicForces": "true"}}
 def energies(
     build: Callable[..., Any],
     *,
-    step: float,
-    duration: float,
+    step: float | unit.Quantity,
+    duration: float | unit.Quantity,
     scheme: str | Scheme = "SRKN4_6b",
     rotor: str = "exact",
-    temperature: float | None = None,
+    temperature: float | unit.Quantity | None = None,
     seed: int = 0,
     frames: int = 100,
     platform: str = "Reference",
@@ -36,12 +38,12 @@ def energies(
     build : callable
         ``build(**arguments)`` returns (topology, system, positions) or (topology, system, positions, velocities), as
         `openmm_exactrb.dipole_fluid` and `openmm_exactrb.rigid_water` do. It gets the seed too if it takes one.
-    step, duration : float
-        In ps.
+    step, duration : float or Quantity
+        In ps if without a unit.
     scheme, rotor
         As `ExactRigidBodyIntegrator` takes them.
-    temperature : float, optional
-        In K. Momenta are drawn with the seed; without it they are those of the velocities, or zero.
+    temperature : float or Quantity, optional
+        In K if without a unit. Momenta are drawn with the seed; without it they are those of the velocities, or zero.
     seed : int, optional
     frames : int, optional
         Samples after the first one, evenly spread over the steps.
@@ -60,6 +62,7 @@ def energies(
     NonFiniteError
         If the run blows up.
     """
+    step, duration = picoseconds(step), picoseconds(duration)
     seeded = {"seed": seed} if "seed" in inspect.signature(build).parameters else {}
     _, system, positions, *velocities = build(**arguments, **seeded)
     integrator = ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor)

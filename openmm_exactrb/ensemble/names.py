@@ -85,6 +85,8 @@ def _tagged(value: Any, where: str) -> tuple[str, Any]:
         return type(value).__qualname__, canonical(value.getSettings(), where)
     if isinstance(value, _SERIALISABLE):
         return "openmm", hashlib.sha256(openmm.XmlSerializer.serialize(value).encode()).hexdigest()
+    if isinstance(value, Scheme):
+        return "Scheme", canonical(_coefficients(value), where)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
         return type(value).__qualname__, canonical(fields, where)
@@ -93,6 +95,16 @@ def _tagged(value: Any, where: str) -> tuple[str, Any]:
     if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # PME, HBonds and the like
         return "option", repr(value)
     raise TypeError(f"argument {where} of a recipe cannot be {value!r}: hand over numbers, texts, or a file's path")
+
+
+def _coefficients(scheme: Scheme) -> dict[str, Any]:
+    """Return what a scheme is by its coefficients; folders of results know it by these names."""
+    names = ("name", "order", "stages", "kind", "first", "a", "b", "reference", "generalised", "c")
+    fields = {name: getattr(scheme, name) for name in names}
+    fields["processor"] = tuple(({"A": "drift", "B": "kick"}.get(letter, letter), c) for letter, c in scheme.processor)
+    if any(letter not in "ABC" for letter, _ in scheme.word):
+        fields["word"] = scheme.word
+    return fields
 
 
 def shown(value: Any) -> str:

@@ -1,7 +1,8 @@
 """Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
 
 The state of N bodies is one set of component-first float64 arrays. Bodies of one kind are neighbours, and kinds that
-turn come before single particles, which have no attitude.
+turn come before single particles, which have no attitude. Of those, the atoms of clusters that constraints hold without
+making them rigid come first, in the order of `openmm_exactrb.motion.clusters`.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
+from openmm_exactrb.motion.clusters import Clusters, ClusterState
 from openmm_exactrb.motion.state import BodyState
 from openmm_exactrb.quaternions import matrix
 
@@ -57,13 +59,15 @@ class Kind:
 
 
 class RigidBodies:
-    """The rigid bodies of a System and its free particles.
+    """The rigid bodies of a System, and its particles that belong to none.
 
     Parameters
     ----------
     kinds : sequence of Kind
     n_particles : int
         Particles of the System, virtual sites and those without mass included.
+    clusters : Clusters, optional
+        Of single particles that constraints hold. Their kinds are the first behind those that turn.
 
     Attributes
     ----------
@@ -74,18 +78,29 @@ class RigidBodies:
     first_particle : (N,) array of int
     n_turning : int
         K, the number of bodies that turn.
+    clusters : Clusters
+    clustered : slice
+        Where the atoms of clusters stand among all bodies.
     """
 
-    def __init__(self, kinds: Sequence[Kind], n_particles: int) -> None:
+    def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
         self.kinds = tuple(kinds)
         self.n_particles = n_particles
+        self.clusters = Clusters([]) if clusters is None else clusters
         self.n_turning = sum(len(kind.particles) for kind in kinds if kind.turns)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
         self.first_particle: Indices = np.concatenate(
             [np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)]
         )
+        self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
         self.inertia = _moments([kind for kind in kinds if kind.turns])
+        self._single = self.first_particle[self.n_turning :]
         self._particles_of = kernels.twins().bodies
+
+    @property
+    def translational_freedom(self) -> int:
+        """Degrees of freedom of centres of mass and single particles, which constraints diminish."""
+        return 3 * (len(self) - len(self.clusters.mass)) + self.clusters.degrees_of_freedom
 
     @property
     def rotational_freedom(self) -> int:
@@ -108,14 +123,13 @@ class RigidBodies:
         for kind in self.kinds:
             if kind.turns:
                 self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
-            else:
-                out[kind.particles[:, 0]] = state.R.T[kind.bodies]
+        out[self._single] = state.R.T[self.n_turning :]
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
         """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
         Q = matrix(state.q)
-        V = (state.P / self.mass).T
+        V = (self.tangent(state).P / self.mass).T
         omega = state.m.T / self.inertia
         for kind in self.kinds:
             velocity = V[kind.bodies, None]
@@ -133,17 +147,30 @@ class RigidBodies:
                 self._particles_of.collect(
                     state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque
                 )
-            else:
-                total[:, kind.bodies] = forces[kind.particles[:, 0]].T
+        total[:, self.n_turning :] = forces[self._single].T
         return total, torque
 
+    def tangent(self, state: BodyState) -> BodyState:
+        """Return the state without those parts of the momenta that constraints do not allow."""
+        if not len(self.clusters):
+            return state
+        x, p = (np.ascontiguousarray(a[None, :, self.clustered]) for a in (state.R, state.P))
+        P = state.P.copy()
+        P[:, self.clustered] = self.clusters.tangent(ClusterState(x, p)).p[0]
+        return state._replace(P=P)
+
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energies in kJ/mol."""
-        translational = 0.5 * float(np.sum(state.P * state.P / self.mass))
+        """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow."""
+        P = self.tangent(state).P
+        translational = 0.5 * float(np.sum(P * P / self.mass))
         return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
 
     def name(self, body: int) -> str:
-        """Say which particles a body consists of."""
+        """Say which particles a body consists of, or the cluster that it is in."""
+        for of_clusters, columns in self.clusters.columns():
+            (cluster,) = np.nonzero((columns == body - self.n_turning).any(axis=1))
+            if len(cluster):
+                return of_clusters.name(int(cluster[0]))
         for kind in self.kinds:
             if kind.bodies.start <= body < kind.bodies.stop:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"

@@ -70,7 +70,7 @@ class Clusters:
         #: Particles (M,) and masses (M,) of the columns of a state.
         self.particles: Indices = np.concatenate([np.empty(0, np.int64), *(k.particles.T.ravel() for k in self.kinds)])
         self.mass: Array = np.concatenate([np.empty(0), *(np.repeat(k.masses, len(k.particles)) for k in self.kinds)])
-        self._kernel = kernels.twins(kernel).clusters
+        self._twins = kernels.twins(kernel)
 
     def __len__(self) -> int:
         """Return the number of clusters."""
@@ -81,6 +81,12 @@ class Clusters:
         """Coordinates less constraints; motions of the whole System are not subtracted."""
         return sum(kind.freedom * len(kind.particles) for kind in self.kinds)
 
+    def columns(self) -> Iterable[tuple[ClusterKind, Indices]]:
+        """Yield the kinds and, for each, the columns (N, n) of the atoms of its clusters."""
+        for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
+            count, n = kind.particles.shape
+            yield kind, first + np.arange(count)[:, None] + count * np.arange(n)
+
     def drift(self, state: ClusterState, tau: float) -> ClusterState:
         """Return the state after free motion for a time, of any sign.
 
@@ -89,14 +95,14 @@ class Clusters:
         """
         moved = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
-            self._kernel.drift(*state, tau, first, len(kind.particles), *kind.graph, *moved)
+            self._twins.clusters.drift(*state, tau, first, len(kind.particles), *kind.graph, *moved)
         return moved
 
     def tangent(self, state: ClusterState) -> ClusterState:
         """Return the state with the part of the momenta removed that no motion along the constraints has."""
         p = np.empty(state.p.shape)
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
-            self._kernel.project(*state, first, len(kind.particles), *kind.graph, p)
+            self._twins.clusters.project(*state, first, len(kind.particles), *kind.graph, p)
         return state._replace(p=p)
 
     def kinetic_energy(self, state: ClusterState) -> float:
@@ -240,7 +246,20 @@ def _check_places(kind: ClusterKind, x: Array, v: Array) -> None:
             f"a constraint of {kind.name(worst)} is missed by {misfit[worst]:.2g} nm, more than {MISFIT:g} nm: call "
             "context.applyConstraints(1e-6) after setPositions, and do not let a periodic box split molecules"
         )
+    refuse_singular(kind, x)
+
+
+def refuse_singular(kind: ClusterKind, x: Array, chosen: NDArray[np.bool_] | None = None) -> None:
+    """Refuse places (N, n, 3) of clusters, or of some (N,) of them, where a constraint follows from the others.
+
+    Raises
+    ------
+    ValueError
+        If there is one.
+    """
     independence, constraint = kind.most_dependent(x)
+    if chosen is not None:
+        independence = np.where(chosen, independence, 1.0)
     if (independence < INDEPENDENT).any():
         worst = int(np.argmin(independence))
         i, j = kind.particles[worst, kind.graph.pairs[constraint[worst]]]

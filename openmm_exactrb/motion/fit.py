@@ -1,4 +1,4 @@
-"""The state of bodies from the positions and velocities of their particles."""
+"""The state of bodies and constrained clusters from the positions and velocities of their particles."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.plain.bodies import turned
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
+from openmm_exactrb.motion.cluster_fit import missed, put_on_constraints
 from openmm_exactrb.motion.state import BodyState
 from openmm_exactrb.quaternions import from_matrix, matrix
 
@@ -44,7 +45,8 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     Warns
     -----
     ShapeWarning
-        If they are further than `RIGIDITY` from one; the best fit keeps centre and attitude.
+        If they are further than `RIGIDITY` from one; the best fit keeps centre and attitude. Constraints of clusters
+        that are no rigid bodies may be missed by as much; their atoms are moved along the constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))
@@ -89,6 +91,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             q[:, of_kind] = best_attitudes(kind.masses, sites, relative)
             misfit = relative - turned(_attitudes(q, of_kind), sites)
             misfits.append((of_kind, np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))))
+    misfits.append(missed(bodies, R, moved))
     _judge(bodies, *map(np.concatenate, zip(*misfits, strict=True)))
     for kind in bodies.kinds:
         of_kind, particles, sites = _chosen(kind, pushed)
@@ -101,6 +104,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             m[:, of_kind] = np.einsum("s,nsi->in", kind.masses, np.cross(sites, in_body))
             if kind.linear:
                 m[0, of_kind] = 0.0
+    put_on_constraints(bodies, R, P, np.union1d(moved, pushed))
     return BodyState(R, P, q, m)
 
 
@@ -149,7 +153,7 @@ def _judge(bodies: RigidBodies, chosen: Indices, distance: Array) -> None:
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         raise ValueError(
-            f"{name} is {distance[worst]:.2g} nm away from its rigid shape, more than {REFUSED:g} nm: do not let a "
+            f"{name} is {distance[worst]:.2g} nm away from its shape, more than {REFUSED:g} nm: do not let a "
             "periodic box split molecules, and set positions whose distances are about those of the constraints"
         )
     warnings.warn(

@@ -19,21 +19,22 @@ Array = NDArray[np.float64]
 Forces = Callable[[State], tuple[Array, Array]]
 
 
-def kick(forces: Forces, kinetic: Kinetic) -> Flow[State]:
-    """Return the flow of a potential."""
+def kick(forces: Forces) -> Flow[State]:
+    """Return the flow of a potential.
+
+    It leaves in the momenta what constraints do not allow: a drift takes that away.
+    """
     advance = advancing()
 
     def flow(state: State, tau: float) -> State:
         force, torque = forces(state)
-        return kinetic.tangent(
-            state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau)),
-        )
+        return state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
 
     return flow
 
 
 def gradient_kick(
-    forces: Forces, at_displaced: Forces, kinetic: Kinetic, mass: Array, inertia: Array, strength: float
+    forces: Forces, at_displaced: Forces, kinetic: Kinetic, inertia: Array, strength: float
 ) -> Flow[State]:
     """Return a kick with a force-gradient term, by forces at displaced places.
 
@@ -41,14 +42,15 @@ def gradient_kick(
     R + e F/M and at q exp(e I^-1 N), where e = strength tau², and e (I^-1 N) x N is added to the torque, the commutator
     of the body axes. It is time-reversible, and symplectic up to those orders. It keeps the linear momentum, and the
     angular momentum up to those orders. For particles this is the Hessian-free
-    kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025).
+    kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025). Atoms
+    under constraints are displaced along the geodesic of F, and the force there, along the constraints, is what acts:
+    to first order that is the covariant derivative of F along itself.
 
     Parameters
     ----------
     forces, at_displaced : callable
         The forces; the second one is asked at displaced places, so that neither forgets the other's.
     kinetic : Kinetic
-    mass : (N,) array
     inertia : (3, 1) or (3, K) array
     strength : float
     """
@@ -59,15 +61,16 @@ def gradient_kick(
         force, torque = forces(state)
         turn = e * torque / inertia
         q = multiply(state.q[0], exponential(turn))
-        displaced = state._replace(R=exactly(state.R[0] + e * force / mass), q=exactly(q))
+        displaced = kinetic.displaced(state, e * force)._replace(q=exactly(q))
         force, displaced_torque = at_displaced(displaced)
+        force = kinetic.tangent(displaced._replace(P=exactly(force))).P[0]
         twisted = displaced_torque + np.cross(turn, torque, axis=0)
-        return kinetic.tangent(state._replace(P=advance(state.P, force, tau), m=advance(state.m, twisted, tau)))
+        return state._replace(P=advance(state.P, force, tau), m=advance(state.m, twisted, tau))
 
     return flow
 
 
-def exact_gradient_kick(forces: Forces, gradient: Forces, kinetic: Kinetic, strength: float) -> Flow[State]:
+def exact_gradient_kick(forces: Forces, gradient: Forces, strength: float) -> Flow[State]:
     """Return a kick with a force-gradient term that a problem supplies.
 
     Over tau it is the flow of V - (strength/2) tau² f . M^-1 f.
@@ -78,10 +81,9 @@ def exact_gradient_kick(forces: Forces, gradient: Forces, kinetic: Kinetic, stre
         Of V.
     gradient : callable
         Of the potential f . M^-1 f.
-    kinetic : Kinetic
     strength : float
     """
-    plain, correction = kick(forces, kinetic), kick(gradient, kinetic)
+    plain, correction = kick(forces), kick(gradient)
 
     def flow(state: State, tau: float) -> State:
         return correction(plain(state, tau), -0.5 * strength * tau**3)

@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.motion.clusters import Clusters, ClusterState
 from openmm_exactrb.motion.engine import Flow
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Flow as Rotation
 
 Array = NDArray[np.float64]
-
-
-def unchanged(state: State) -> State:
-    """Return the state itself."""
-    return state
 
 
 @dataclass(frozen=True)
@@ -29,16 +27,19 @@ class Kinetic:
     ----------
     drift : callable
         drift(state, tau) -> state: the flow of the kinetic energy.
-    order : int or None
-        Order of this flow; None if it is exact.
+    displaced : callable
+        displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
     tangent : callable
-        tangent(state) -> state, called after kicks: it takes away what constraints do not allow of the momenta.
-        Nothing for rigid bodies.
+        tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
+        before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
+    order : int or None
+        Order of the drift; None if it is exact.
     """
 
     drift: Flow[State]
+    displaced: Callable[[State, Array], State]
+    tangent: Callable[[State], State]
     order: int | None = None
-    tangent: Callable[[State], State] = unchanged
 
 
 def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
@@ -58,7 +59,53 @@ def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
         q, m = rotation(state.q, state.m, tau)
         return State(advance(state.R, state.P[0] / mass, tau), state.P, q, m)
 
-    return Kinetic(drift, order)
+    def displaced(state: State, push: Array) -> State:
+        return state._replace(R=exactly(state.R[0] + push / mass))
+
+    def tangent(state: State) -> State:
+        return state
+
+    return Kinetic(drift, displaced, tangent, order)
+
+
+def constrained(free: Kinetic, clusters: Clusters, columns: slice) -> Kinetic:
+    """Return a kinetic flow where some single particles move along the geodesics of their constraints.
+
+    Parameters
+    ----------
+    free : Kinetic
+        Of all bodies, without these constraints.
+    clusters : Clusters
+    columns : slice
+        Where their atoms stand in R and P.
+    """
+
+    def part(state: State) -> ClusterState:
+        return ClusterState(*(np.ascontiguousarray(a[:, :, columns]) for a in (state.R, state.P)))
+
+    def joined(state: State, moved: ClusterState) -> State:
+        R, P = state.R.copy(), state.P.copy()
+        R[:, :, columns], P[:, :, columns] = moved
+        return state._replace(R=R, P=P)
+
+    def drift(state: State, tau: float) -> State:
+        return joined(free.drift(state, tau), clusters.drift(part(state), tau))
+
+    def displaced(state: State, push: Array) -> State:
+        return joined(free.displaced(state, push), clusters.drift(part(state._replace(P=exactly(push))), 1.0))
+
+    def tangent(state: State) -> State:
+        P = state.P.copy()
+        P[:, :, columns] = clusters.tangent(part(state)).p
+        return state._replace(P=P)
+
+    return Kinetic(drift, displaced, tangent, free.order)
+
+
+def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None) -> Kinetic:
+    """Return the kinetic flow of rigid bodies and constrained clusters; arguments as of `rigid`."""
+    free = rigid(bodies.mass, rotation, order)
+    return constrained(free, bodies.clusters, bodies.clustered) if len(bodies.clusters) else free
 
 
 def advancing() -> Callable[[Array, Array, float], Array]:

@@ -11,7 +11,10 @@ from openmm_exactrb.motion.state import BodyState
 def canonical(
     bodies: RigidBodies, state: BodyState, kT: float, rng: np.random.Generator, at_rest: bool = False
 ) -> BodyState:
-    """Return a state with momenta drawn at a temperature.
+    """Return a state with momenta drawn at a temperature, those of constrained clusters along their constraints.
+
+    What is left of independent momenta by the projection that is orthogonal in the metric of the masses has the
+    canonical distribution on the constraints.
 
     Parameters
     ----------
@@ -30,4 +33,4 @@ def canonical(
     for kind in bodies.kinds:
         if kind.linear:
             m[0, kind.bodies] = 0.0
-    return state._replace(P=P, m=m)
+    return bodies.tangent(state._replace(P=P, m=m))

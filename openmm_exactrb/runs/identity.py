@@ -47,6 +47,9 @@ def _settings(integrator: Any) -> str:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
+        if (nesting := integrator.getNesting()) is not None:
+            inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
+            text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
     if isinstance(integrator, ThermostattedIntegrator):
         text += "".join(f", {name} {value}" for name, value in integrator.getBathSettings().items())
     return text

@@ -2,6 +2,7 @@
 
 import json
 import time
+from argparse import Namespace
 
 import mdtraj
 import numpy as np
@@ -11,6 +12,7 @@ from openmm import app, unit
 from processes_of_command import finish, launch
 
 import openmm_exactrb as rb
+from openmm_exactrb.command.ensembles import couple
 from openmm_exactrb.command.main import main
 
 
@@ -138,9 +140,9 @@ def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
     assert app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology.getNumResidues() == 48
 
 
-@pytest.mark.parametrize("ensemble", ["nvt", "npt"])
-def test_ensembles_move_as_in_python(tmp_path, capsys, ensemble):
-    """The last energies are those of the integrator and the barostat of the Python functions."""
+@pytest.fixture
+def box(tmp_path):
+    """27 molecules in motion in a periodic box, and the files of their System and State."""
     topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
@@ -149,15 +151,14 @@ def test_ensembles_move_as_in_python(tmp_path, capsys, ensemble):
     files = tmp_path / "system.xml", tmp_path / "state.xml"
     for file, content in zip(files, (system, state), strict=True):
         file.write_text(openmm.XmlSerializer.serialize(content))
-    settings = "--temperature", "280", "--pressure", "500", "--friction", "2", "--seed", "7"
-    options = "--ensemble", ensemble, *settings, "--duration", "0.1", "--out", tmp_path / "out"
-    status, said, errors = carry_out(capsys, "run", *files, *SHORT, *options)
-    assert (status, errors) == (0, "")
+    return topology, system, state, files
 
-    if ensemble == "npt":
-        barostat = openmm.MonteCarloBarostat(500 * unit.bar, 280 * unit.kelvin)
-        barostat.setRandomNumberSeed(7)
-        system.addForce(barostat)
+
+def test_constant_temperature_is_that_of_the_integrator(box, tmp_path, capsys):
+    topology, system, state, files = box
+    options = "--ensemble", "nvt", "--temperature", "280", "--friction", "2", "--seed", "7", "--duration", "0.1"
+    status, _, errors = carry_out(capsys, "run", *files, *SHORT, *options, "--out", tmp_path / "out")
+    assert (status, errors) == (0, "")
     integrator = rb.ExactRigidBodyLangevinIntegrator(280.0, 2.0, 0.002, scheme="S2_2")
     integrator.setRandomNumberSeed(7)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
@@ -167,4 +168,23 @@ def test_ensembles_move_as_in_python(tmp_path, capsys, ensemble):
     last = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)[-1]
     np.testing.assert_allclose(last[[2, 3]], energies, rtol=1e-12)
     assert (tmp_path / "out" / "picture.png").exists()
-    assert ("density" in said) == ((tmp_path / "out" / "volume.csv").exists()) == (ensemble == "npt")
+
+
+def test_constant_pressure_moves_the_box(box, tmp_path, capsys):
+    *_, files = box
+    options = "--ensemble", "npt", "--pressure", "500", "--duration", "0.2", "--out", tmp_path / "out"
+    status, said, errors = carry_out(capsys, "run", *files, *SHORT, *options)
+    assert (status, errors) == (0, "")
+    assert "density" in said
+    volume = np.loadtxt(tmp_path / "out" / "volume.csv", delimiter=",", skiprows=1)[:, 2]
+    assert volume[0] == pytest.approx((3 * 0.3104) ** 3, rel=1e-6)
+    assert 1 < len(set(volume)) <= 1 + 100 // 25  # an attempt every 25 steps
+
+
+def test_the_barostat_has_the_settings_of_the_options(box):
+    _, system, _, _ = box
+    couple(system, Namespace(ensemble="npt", pressure=500.0, temperature=280.0, seed=7))
+    barostat = system.getForce(system.getNumForces() - 1)
+    assert barostat.getDefaultPressure() == 500 * unit.bar
+    assert barostat.getDefaultTemperature() == 280 * unit.kelvin
+    assert barostat.getRandomNumberSeed() == 7

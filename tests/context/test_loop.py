@@ -39,9 +39,9 @@ def test_the_integrator_is_the_loop_bit_for_bit(pairing):
     forces, displaced = (OpenMMForces(simulation.system, bodies, x) for _ in range(2))
     kinetic = rigid(bodies.mass, rotor_of_sums(method, bodies.inertia))
     word = scheme.processor + scheme.word * n + scheme.postprocessor
-    flows = {"A": kinetic.drift, "B": kick(forces, kinetic)}
+    flows = {"A": kinetic.drift, "B": kick(forces)}
     for letter, strength in scheme.gradients:
-        flows[letter] = gradient_kick(forces, displaced, kinetic, bodies.mass, bodies.inertia.T, strength)
+        flows[letter] = gradient_kick(forces, displaced, kinetic, bodies.inertia.T, strength)
     with np.errstate(all="ignore"):
         end = run(word, flows, state, h)
 

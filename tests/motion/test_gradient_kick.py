@@ -39,10 +39,9 @@ def displaced(problem, gradients=CHIN.gradients):
         return NOTHING, problem.torque(state.q[0])
 
     kicks = {
-        letter: gradient_kick(forces, forces, kinetic, np.zeros(0), problem.inertia, strength)
-        for letter, strength in gradients
+        letter: gradient_kick(forces, forces, kinetic, problem.inertia, strength) for letter, strength in gradients
     }
-    return {"A": kinetic.drift, "B": kick(forces, kinetic), **kicks}
+    return {"A": kinetic.drift, "B": kick(forces), **kicks}
 
 
 def moved(problem, state, h, n, scheme=CHIN):

@@ -125,7 +125,7 @@ def test_a_run_refused_for_broken_molecules_can_be_mended(tmp_path):
         run = rb.Run(tmp_path)
         run.add_reporter(app.DCDReporter, "a.dcd", 1)
         if x is None:
-            one_sentence("from its rigid shape", lambda r=run: r.advance(simulation, 2))
+            one_sentence("from its shape", lambda r=run: r.advance(simulation, 2))
         else:
             simulation.context.setPositions(x)
             run.advance(simulation, 2)

@@ -1,6 +1,8 @@
-"""Which engine makes the steps of an integrator: what was asked for, and what its Context allows."""
+"""Which engine an integrator has, and why: asked for, given the program of, and settled by the Context."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import openmm
 
@@ -10,7 +12,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 
 
-class Selection:
+class Chosen:
     """The engine of an integrator.
 
     Parameters
@@ -18,6 +20,8 @@ class Selection:
     asked : {"host", "device", "auto"}
     scheme : Scheme
     rotor : Rotor
+    nested : bool
+        Whether forces have steps of their own within drifts.
 
     Raises
     ------
@@ -27,25 +31,25 @@ class Selection:
     Attributes
     ----------
     asked : str
-    on_device : bool
-        Whether the device makes the steps, as far as that is known.
-    programmed : bool
-        Whether the integrator has a program for the device.
     note : str
-        Why it is this engine.
+        A sentence that says why it is this engine.
+    programmed : bool
+        Whether the integrator has the device's program.
+    on_device : bool
+        Whether the device makes the steps, as far as it is settled.
     """
 
-    def __init__(self, asked: str, scheme: Scheme, rotor: Rotor) -> None:
+    def __init__(self, asked: str, scheme: Scheme, rotor: Rotor, nested: bool) -> None:
         self.asked = choice.named(asked)
-        against = choice.against_program(scheme, rotor)
+        against = choice.against_program(scheme, rotor, nested)
         if self.asked == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
-        self.on_device = self.asked == "device"
-        self.programmed = self.asked != "host" and not against
         self.note = f'engine="{self.asked}" was asked for' if self.asked != "auto" else against or ""
+        self.programmed = self.asked != "host" and not against
+        self.on_device = self.asked == "device"
 
     @property
-    def depends(self) -> bool:
+    def open(self) -> bool:
         """Whether the Context decides."""
         return self.programmed and self.asked == "auto"
 
@@ -54,31 +58,27 @@ class Selection:
         if not self.programmed:
             ledger.declare(integrator)
             return
-        emit.declare(integrator, scheme, optional=self.depends)
-        if self.depends:
+        emit.declare(integrator, scheme, optional=self.open)
+        if self.open:
             integrator.beginIfBlock(f"{names.LOADED} < 1")
             ledger.declare(integrator)
             integrator.endBlock()
         openmm.CustomIntegrator.setIntegrationForceGroups(integrator, names.OTHERS)
 
-    def decide(self, context: openmm.Context) -> bool:
-        """Tell whether the device makes the steps in a Context, and note why.
+    def settle(self, context: Any, bodies: list[list[int]] | None) -> None:
+        """Choose the engine for a Context, and note why.
 
         Raises
         ------
         ValueError
             If engine="device" was asked for, and is not right there.
         """
-        if self.programmed:
-            against = choice.against_context(context)
-            if self.asked == "device" and against:
-                raise ValueError(f"{against}; engine='host' can do it")
-            if self.depends:
-                against = against or choice.slower(context)
-                self.on_device = against is None
-                self.note = against or f"{context.getPlatform().getName()} can make the whole step"
-        return self.on_device
-
-    def groups(self, bits: int) -> int:
-        """Return the force groups (bits) that act, without that of the sums."""
-        return bits & names.OTHERS if self.programmed else bits
+        if not self.programmed:
+            return
+        against = choice.against_context(context, bodies)
+        if self.asked == "device" and against:
+            raise ValueError(f"{against}; engine='host' can do it")
+        if self.open:
+            against = against or choice.slower(context)
+            self.on_device = against is None
+            self.note = against or f"{context.getPlatform().getName()} can make the whole step"

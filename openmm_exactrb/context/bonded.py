@@ -1,0 +1,138 @@
+"""The bonded forces of a System: which they are, their groups, and how fast they move atoms."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+_BONDED = (
+    openmm.HarmonicBondForce,
+    openmm.HarmonicAngleForce,
+    openmm.PeriodicTorsionForce,
+    openmm.RBTorsionForce,
+    openmm.CMAPTorsionForce,
+    openmm.CustomBondForce,
+    openmm.CustomAngleForce,
+    openmm.CustomTorsionForce,
+)
+# What acts between steps has no forces on atoms.
+_NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
+_GROUPS = 32
+
+
+def separate_bonded(system: openmm.System) -> int:
+    """Give the bonded forces of a System a force group of their own, for ``fast="bonded"``.
+
+    Bonded are bonds, angles and torsions, also those of formulas: HarmonicBondForce, HarmonicAngleForce,
+    PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce, CustomBondForce, CustomAngleForce and CustomTorsionForce.
+    Energies and forces stay what they are. Call it before the Context is made.
+
+    Parameters
+    ----------
+    system : openmm.System
+        Is changed: its bonded forces get the first group that no other force is in.
+
+    Returns
+    -------
+    int
+        That group.
+
+    Raises
+    ------
+    ValueError
+        If the other forces are in all groups.
+    """
+    others = {group for force in system.getForces() if not isinstance(force, _BONDED) for group in groups_of(force)}
+    free = [group for group in range(_GROUPS) if group not in others]
+    if not free:
+        raise ValueError("the System has forces in all 32 force groups: give two of them the same one")
+    for force in system.getForces():
+        if isinstance(force, _BONDED):
+            force.setForceGroup(free[0])
+    return free[0]
+
+
+def bonded_groups(system: openmm.System) -> tuple[int, ...]:
+    """Return the force groups of the bonded forces.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or another force is in one of their groups.
+    """
+    groups = {force.getForceGroup(): type(force).__name__ for force in system.getForces() if isinstance(force, _BONDED)}
+    if not groups:
+        raise ValueError('the System has no bonded forces: leave fast="bonded" away')
+    for force in acting(system):
+        shared = groups.keys() & groups_of(force)
+        if shared and not isinstance(force, _BONDED):
+            group = min(shared)
+            raise ValueError(
+                f"{groups[group]} and {type(force).__name__} are both in force group {group}, so that the bonded "
+                "forces cannot be told apart: call openmm_exactrb.separate_bonded(system) before the Simulation is made"
+            )
+    return tuple(sorted(groups))
+
+
+def acting(system: openmm.System) -> list[Any]:
+    """Return the forces of a System that act on particles within a step."""
+    forces = [(type(force).__name__, force) for force in system.getForces()]
+    return [force for name, force in forces if name not in _NO_FORCES and "Barostat" not in name]
+
+
+def groups_of(force: Any) -> set[int]:
+    """Return the force groups of a force: two where the reciprocal part of an Ewald sum has its own."""
+    own = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
+    return {force.getForceGroup()} | ({own} if own >= 0 else set())
+
+
+def fastest(system: openmm.System, groups: tuple[int, ...]) -> float:
+    """Estimate the highest frequency of the harmonic bonds and angles in some force groups.
+
+    Each bond and angle is taken by itself, without those that constraints hold.
+
+    Returns
+    -------
+    float
+        In 1/ps; 0 where there are none.
+    """
+    mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
+    held = {
+        frozenset((i, j)): d.value_in_unit(unit.nanometer)
+        for i, j, d in map(system.getConstraintParameters, range(system.getNumConstraints()))
+    }
+    forces = [force for force in system.getForces() if force.getForceGroup() in groups]
+    bonds = [parameters for force in forces for parameters in _bonds(force)]
+    length = held | {frozenset((i, j)): r for i, j, r, _ in bonds}
+    squares = [k * (_inverse(mass[i]) + _inverse(mass[j])) for i, j, _, k in bonds if frozenset((i, j)) not in held]
+    for force in forces:
+        for i, j, k, angle, strength in _angles(force):
+            a, b = length.get(frozenset((i, j))), length.get(frozenset((k, j)))
+            if a and b and frozenset((i, k)) not in held:
+                middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
+                squares.append(
+                    strength * (_inverse(mass[i]) / a**2 + _inverse(mass[k]) / b**2 + _inverse(mass[j]) * middle)
+                )
+    return float(np.sqrt(max(squares, default=0.0)))
+
+
+def _bonds(force: Any) -> Iterable[tuple[int, int, float, float]]:
+    """Yield the particles, lengths (nm) and strengths (kJ/mol/nm²) of harmonic bonds."""
+    if isinstance(force, openmm.HarmonicBondForce):
+        for i, j, r, k in map(force.getBondParameters, range(force.getNumBonds())):
+            yield i, j, r._value, k._value
+
+
+def _angles(force: Any) -> Iterable[tuple[int, int, int, float, float]]:
+    """Yield the particles, angles and strengths (kJ/mol) of harmonic angles."""
+    if isinstance(force, openmm.HarmonicAngleForce):
+        for i, j, k, angle, strength in map(force.getAngleParameters, range(force.getNumAngles())):
+            yield i, j, k, angle._value, strength._value
+
+
+def _inverse(mass: float) -> float:
+    return 1.0 / mass if mass else 0.0
