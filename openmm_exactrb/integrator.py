@@ -38,9 +38,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
-    without constraints, and clusters whose constraints leave them a motion of their own, along these to roundoff. After every step(n) the Context holds the positions, velocities, time and step count of the
-    bodies; what is set in the Context between calls is taken up. A call evaluates the forces of its first positions
-    anew, since parameters may have been changed; within a call no force is evaluated twice.
+    without constraints, and clusters whose constraints leave them a motion of their own, along these to roundoff. After
+    every step(n) the Context holds positions, velocities, time and step count; what is set in it between calls is taken
+    up. A call evaluates the forces of its first positions anew; within a call no force is evaluated twice.
 
     Parameters
     ----------

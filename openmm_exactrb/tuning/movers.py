@@ -78,13 +78,15 @@ class Verlet:
         masses = [start.system.getParticleMass(i)._value for i in range(start.system.getNumParticles())]
         self._inverse_masses = np.array([[1.0 / m if m > 0.0 else 0.0] for m in masses])
         self._bodies = find_bodies(start.system, start.positions)
+        fitted = fit(self._bodies, start.positions, start.velocities)
+        self._x = self._bodies.positions(fitted, start.positions.copy())  # where ours starts too
         self._h = 0.0
 
     def begin(self, h: float) -> None:
         """Go back to the positions of the start, with the velocities of half a step before it."""
         self._h = h
         self._integrator.setStepSize(h)
-        self._context.setPositions(self._start.positions)
+        self._context.setPositions(self._x)
         self._context.applyConstraints(1e-10)
         forces = self._context.getState(forces=True).getForces(asNumpy=True)._value
         self._context.setVelocities(self._start.velocities - 0.5 * h * forces * self._inverse_masses)
