@@ -62,7 +62,7 @@ def find_bodies(
             continue
         make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
         particles = np.stack(members)
-        whole = positions if box is None else joined(positions, particles, box)
+        whole = positions if box is None else joined(positions, particles, box, distances[None])
         shapes += make(particles, body_masses, distances, whole)
     clusters = _floppy_clusters(masses, floppy)
     turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))

@@ -96,9 +96,11 @@ class Session:
         """Return positions without what the periodic box split."""
         box = _box(self.context)
         if box is not None:
-            clusters = self.bodies.clusters.kinds
-            for particles in [*(kind.particles for kind in self.bodies.kinds), *(kind.particles for kind in clusters)]:
-                x = joined(x, particles, box)
+            for kind in self.bodies.kinds:
+                x = joined(x, kind.particles, box, kind.distances)
+            for cluster in self.bodies.clusters.kinds:
+                k = cluster.particles.shape[1]
+                x = joined(x, cluster.particles, box, np.full((1, k, k), np.nan))
         return x
 
     def compared(self, known: State, x: Array, v: Array) -> State:

@@ -48,6 +48,12 @@ class Kind:
     inertia: Array
 
     @property
+    def distances(self) -> Array:
+        """Distances of the particles from each other, (1, k, k) or (n, k, k)."""
+        apart: Array = np.linalg.norm(self.sites[:, :, None] - self.sites[:, None], axis=3)
+        return apart
+
+    @property
     def turns(self) -> bool:
         """Whether the bodies have an attitude: all but single particles."""
         return bool(self.sites.shape[1] > 1)

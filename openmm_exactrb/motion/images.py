@@ -8,12 +8,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
+# As near, in nm, as positions have to be to be put on a shape.
+_NEAR = 0.05
 
-def joined(x: Array, particles: Indices, box: Array) -> Array:
+
+def joined(x: Array, particles: Indices, box: Array, distances: Array) -> Array:
     """Return positions with the particles of each body in one image; the same array where they already are.
 
-    From the first particle on, the one that is nearest to those that have their place takes the image nearest to
-    them: bodies may be longer than half the box, if no gap in them is.
+    Bodies whose particles are at their distances are left alone. In others, from the first particle on, the one that is
+    nearest to those that have their place takes the image nearest to them: bodies may be longer than half the box, if
+    no gap in them is.
 
     Parameters
     ----------
@@ -23,15 +27,25 @@ def joined(x: Array, particles: Indices, box: Array) -> Array:
         Of each of the n bodies.
     box : (3, 3) array
         Vectors of the periodic box in nm, one a row.
+    distances : (1, k, k) or (n, k, k) array
+        Of the particles in the bodies, in nm; nan where nobody knows.
     """
     X = x[particles]
     apart = np.abs((X - X[:, :1]) @ np.linalg.inv(box)).max(axis=(1, 2))
     wide = np.isfinite(apart) & (apart > 0.5)
     if not wide.any():
         return x
+    wide[wide] = ~_at_distances(X[wide], distances if len(distances) == 1 else distances[wide])
     y = x.copy()
     y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
     return y
+
+
+def _at_distances(X: Array, distances: Array) -> Array:
+    """Tell of which bodies (n, k, 3) the particles are about at their distances, where all of these are known."""
+    found = np.linalg.norm(X[:, :, None] - X[:, None], axis=3)
+    near: Array = (np.abs(found - distances) <= _NEAR).all(axis=(1, 2))  # nan is not
+    return near
 
 
 def _images(X: Array, box: Array) -> Array:

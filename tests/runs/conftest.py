@@ -1,7 +1,7 @@
 import signal
 
 import pytest
-from droplets import droplet, make
+from small_droplets import droplet, make
 
 from openmm_exactrb.runs.signals import ENDING
 

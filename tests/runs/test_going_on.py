@@ -8,8 +8,8 @@ import mdtraj
 import numpy as np
 import openmm
 import pytest
-from droplets import droplet, go_on, make, same_bytes
 from openmm import app, unit
+from small_droplets import droplet, go_on, make, same_bytes
 
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint

@@ -5,7 +5,7 @@ import os
 import mdtraj
 import openmm
 import pytest
-from droplets import droplet, go_on, make, same_bytes
+from small_droplets import droplet, go_on, make, same_bytes
 
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint, lock

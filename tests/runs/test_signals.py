@@ -4,7 +4,7 @@ import os
 import signal
 
 import pytest
-from droplets import droplet, go_on, make
+from small_droplets import droplet, go_on, make
 
 from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.runs.signals import ENDING, Signals

@@ -1,8 +1,8 @@
 """A file that is wrong is one line, and leaves nothing."""
 
 import pytest
-from droplets import one_line
 from processes import finish
+from small_droplets import one_line
 
 
 def refused(folder):
