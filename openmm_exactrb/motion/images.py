@@ -41,10 +41,10 @@ def joined(x: Array, particles: Indices, box: Array, distances: Array) -> Array:
     return y
 
 
-def _at_distances(X: Array, distances: Array) -> Array:
+def _at_distances(X: Array, distances: Array) -> NDArray[np.bool_]:
     """Tell of which bodies (n, k, 3) the particles are about at their distances, where all of these are known."""
     found = np.linalg.norm(X[:, :, None] - X[:, None], axis=3)
-    near: Array = (np.abs(found - distances) <= _NEAR).all(axis=(1, 2))  # nan is not
+    near: NDArray[np.bool_] = (np.abs(found - distances) <= _NEAR).all(axis=(1, 2))  # nan is not
     return near
 
 
