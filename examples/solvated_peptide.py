@@ -27,7 +27,7 @@ import openmm_exactrb as rb
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-PEPTIDE = Path(__file__).parent / "data" / "alanine_dipeptide.pdb"
+PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
 def main() -> None:
