@@ -37,16 +37,30 @@ def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
     assert np.median([long_run(run, tuned, *droplet, "Reference") for run in runs]) < 2.0 * choice.error
 
 
+def named_horizon(droplet):
+    schemes = ("S2_2", "W2_4", "Chin4A")
+    return rb.tune(*droplet, target=3e-3, horizon=3.0 * unit.picosecond, schemes=schemes, platform="Reference")
+
+
 def test_the_horizon_that_is_named_is_run_before_anything_is_promised(droplet):
-    horizon = 3.0 * unit.picosecond
-    result = rb.tune(*droplet, target=3e-3, horizon=horizon, schemes=("S2_2", "W2_4", "Chin4A"), platform="Reference")
+    result = named_horizon(droplet)
     choice = result.best()
     assert result.horizon == pytest.approx(3.0)
     assert "within 3 ps" in str(result)
     (point,) = (p for p in result.points if (p.method, p.step) == (choice.method, choice.step))
     assert point.duration == pytest.approx(3.0)
-    runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
-    assert np.median([long_run(run, result, *droplet, "Reference") for run in runs]) < 1.5 * choice.error
+
+
+@pytest.mark.validate
+def test_promises_for_a_named_horizon_hold(droplet):
+    """Of ten surveys, whose choices depend on the wall times of the day, nine keep to 1.5 times what they promise."""
+    kept = 0
+    for _ in range(10):
+        result = named_horizon(droplet)
+        choice = result.best()
+        runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
+        kept += np.median([long_run(run, result, *droplet, "Reference") for run in runs]) < 1.5 * choice.error
+    assert kept >= 9
 
 
 def test_a_choice_builds_its_integrator(tuned):
