@@ -129,7 +129,8 @@ class RigidBodies:
         for kind in self.kinds:
             if kind.turns:
                 self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
-        out[self._single] = state.R.T[self.n_turning :]
+        if self._single.size:
+            out[self._single] = state.R.T[self.n_turning :]
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
@@ -153,7 +154,8 @@ class RigidBodies:
                 self._particles_of.collect(
                     state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque
                 )
-        total[:, self.n_turning :] = forces[self._single].T
+        if self._single.size:
+            total[:, self.n_turning :] = forces[self._single].T
         return total, torque
 
     def tangent(self, state: BodyState) -> BodyState:

@@ -132,7 +132,7 @@ class Guard:
 
 
 def _squares(state: State) -> tuple[float, float, float, float]:
-    R, P, q, m = state.rounded
+    R, P, q, m = state.R[0], state.P[0], state.q[0], state.m[0]
     return float(np.vdot(R, R)), float(np.vdot(P, P)), float(np.vdot(q, q)), float(np.vdot(m, m))
 
 
