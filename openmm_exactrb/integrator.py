@@ -243,7 +243,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         A linear body has two rotational ones, a single particle none. Where the System has a CMMotionRemover, three
         translational ones are missing.
         """
-        parts, bodies = self._up_to_date(), self._present().session.bodies
+        parts = self._up_to_date()
+        bodies = parts.session.bodies
         return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:

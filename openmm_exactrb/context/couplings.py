@@ -48,8 +48,6 @@ class Couplings:
 
     Attributes
     ----------
-    act : bool
-        Whether there are any.
     intervals : tuple of int
         Steps between two removals of the motion of the centre of mass.
     moves, pushes : bool
@@ -65,8 +63,12 @@ class Couplings:
         _refuse_torn_bodies(context, barostats, named)
         self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
         self.moves, self.pushes = bool(barostats), bool(thermostats)
-        self.act = bool(barostats or thermostats or self.intervals)
         self.kT = max((gas_constant_times(force.getDefaultTemperature()) for force in thermostats), default=0.0)
+
+    @property
+    def act(self) -> bool:
+        """Whether there are any."""
+        return self.moves or self.pushes or self.removes_motion
 
     @property
     def removes_motion(self) -> bool:

@@ -22,7 +22,7 @@ def declare(integrator: openmm.CustomIntegrator) -> None:
     """Give a new integrator its variables, and the program that lets OpenMM do its own part of a step.
 
     A copy that OpenMM makes, from XML or within a CompoundIntegrator, has no Python: its steps would let the clock run
-    while nothing moves. So positions become nan unless a step comes from Python.
+    while nothing moves. So positions and velocities become nan unless a step comes from Python.
     """
     for name in _NAMES:
         integrator.addPerDofVariable(name, 0.0)
