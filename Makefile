@@ -55,7 +55,7 @@ dist: $(VENV)/.dist
 	$(BIN)/cffconvert --validate
 
 clean:
-	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/tutorials
+	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
