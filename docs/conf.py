@@ -86,6 +86,7 @@ html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
+html_favicon = "_static/favicon.svg"
 html_theme_options = {"source_directory": "docs/"}
 
 linkcheck_ignore = [r"https://doi\.org/.*"]  # publishers refuse robots; the numbers are checked by hand
