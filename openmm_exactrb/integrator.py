@@ -354,9 +354,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        within = self._nesting
-        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
-        return {"engine": self._engine.asked, **nested}
+        return {"engine": self._engine.asked} | ({} if self._nesting is None else self._nesting.arguments())
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         """Return what the next steps are."""

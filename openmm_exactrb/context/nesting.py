@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import openmm
 
@@ -58,6 +59,10 @@ class Nesting:
             raise ValueError(f'fast is None, "bonded" or force groups such as (1, 2), not {fast!r}')
         return cls(tuple(sorted(set(fast))), scheme, steps)
 
+    def arguments(self) -> dict[str, Any]:
+        """Return what an integrator that nests the same is made with."""
+        return {"fast": self.fast, "inner": self.scheme, "innerSteps": self.steps}
+
 
 @dataclass(frozen=True)
 class Nested:
@@ -91,6 +96,8 @@ class Nested:
 
     def put_into(self, scheme: Scheme, h: float) -> Scheme:
         """Return a scheme with the fast forces in its drifts, for steps of h (ps)."""
+        if not self.groups:
+            return scheme
         own = self.scheme or look_up(_OF_ORDER_2 if scheme.order <= 2 else _ABOVE)
         steps = self.inner_steps(own, h)
         inner = tuple((FAST if letter == KICK else letter, part) for letter, part in own.word)
@@ -99,6 +106,10 @@ class Nested:
             return nested(word, DRIFT, inner, steps)
 
         return replace(scheme, word=within(scheme.word), processor=within(scheme.processor))
+
+
+#: Nothing stands within the drifts.
+UNNESTED = Nested((), None, None, 0.0)
 
 
 def nested_in(system: openmm.System, nesting: Nesting) -> Nested:
