@@ -300,7 +300,7 @@ def test_exceptions_with_parameters_of_the_context_stay():
     (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     nonbonded.addGlobalParameter("scale", 1.0)
     nonbonded.addExceptionParameterOffset("scale", 0, 0.1, 0.0, 0.0)
-    with pytest.raises(ValueError, match="parameter offsets.*leave exceptions=True away"):
+    with pytest.raises(ValueError, match=r"parameter offsets.*leave exceptions=True away"):
         rb.separate_bonded(system, exceptions=True)
 
 
