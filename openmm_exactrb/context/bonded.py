@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -123,8 +123,8 @@ def groups_of(force: Any) -> set[int]:
     return {force.getForceGroup()} | ({own} if own >= 0 else set())
 
 
-def fastest(system: openmm.System, groups: tuple[int, ...]) -> float:
-    """Estimate the highest frequency of the harmonic bonds and angles in some force groups.
+def fastest(system: openmm.System, groups: Sequence[int] = range(_GROUPS)) -> float:
+    """Estimate the highest frequency of the harmonic bonds and angles in some force groups, or all.
 
     Each bond and angle is taken by itself, without those that constraints hold.
 
