@@ -8,7 +8,7 @@ import openmm
 
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.device.emit import foreign
+from openmm_exactrb.device.rows import foreign
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 
@@ -34,13 +34,13 @@ def named(engine: str) -> Engine:
     raise ValueError(f"unknown engine {engine!r}: choose one of {', '.join(ENGINES)}")
 
 
-def against_program(scheme: Scheme, rotor: Rotor, nested: bool = False) -> str | None:
+def against_program(scheme: Scheme, rotor: Rotor, nested: bool = False, bath: bool = False) -> str | None:
     """Say why a scheme and a rotor cannot be a program of the device, or return None."""
     if nested:
         return "the device has no steps for forces within drifts (fast=)"
     if rotor.name not in _EXACT:
         return f"the device turns bodies by the exact rotor only, not by {rotor.name}"
-    letters = foreign(scheme)
+    letters = foreign(scheme, bath)
     if letters:
         return f"the device cannot carry out the letter {letters[0]!r} of scheme {scheme.name}"
     return None
