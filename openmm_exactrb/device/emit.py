@@ -55,7 +55,7 @@ def _declare_variables(program: Program, table: Table) -> None:
     program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
     program.numbers(0.0, names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
     program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
-    program.numbers(1.0, names.TURNS, names.CHANGED)
+    program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
     program.numbers(table.span(1, False, True, True)[1], names.LAST)
     if table.has("shift"):
         program.vectors(*names.DISPLACED)
@@ -71,7 +71,8 @@ def _step(program: Program, table: Table) -> None:
     """Write a step."""
     with program.when(f"{names.CHANGED} > 0"):
         program.let(names.SPAN, f"vector({names.FIRST},{names.FIRST},{names.LAST})")
-        program.let("shape", f"vector(_x(shape),_y(shape),1/{names.TURNS})")
+        program.number(names.PACE, f"1/{names.TURNS}")
+        program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
         if table.has_bath:
             program.let(names.BATH, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
         program.number(names.CHANGED, 0.0)
