@@ -58,6 +58,10 @@ class Device(Host):
         """
         scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
         before = x, v, context.getTime(), context.getStepCount()
+        for name, value in plan.numbers.items():
+            integrator.setGlobalVariableByName(name, value)
+        if plan.numbers:
+            load.seed(integrator, self._replicas.bodies, plan.seed)
         for haste in _HASTE:
             try:
                 if self._attempt(integrator, scheme, n, self._turns(integrator, scheme, haste)):
@@ -132,7 +136,7 @@ def device(
     Raises
     ------
     ValueError
-        If the force group of the sums is taken, or as `Session`.
+        As `Session`.
     """
     system = context.getSystem()
     sites = any(map(system.isVirtualSite, range(system.getNumParticles())))

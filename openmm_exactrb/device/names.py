@@ -29,8 +29,8 @@ _PREFIX = "exactrb_"
 LOADED = f"{_PREFIX}loaded"
 #: 1 where a System has virtual sites; a barostat; something that changes velocities.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
-#: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the device does not
-#: know these numbers yet, or those of a bath.
+#: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
+#: device does not know these numbers yet, or those of a bath.
 TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
 #: kT (kJ/mol) and the frictions (1/ps) of a bath, and the seed that its generators got.
 KT, FRICTION, TURNING_FRICTION, SEEDED = (
