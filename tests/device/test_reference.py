@@ -1,5 +1,7 @@
 """The program of the device against the host, on the Reference platform."""
 
+import copy
+
 import numpy as np
 import openmm
 import pytest
@@ -262,10 +264,30 @@ def test_refusals(droplet):
     _, with_sites, places = rb.rigid_water(2, model="tip4pew")
     with pytest.raises(ValueError, match="virtual sites at the end of a step only"):
         context_of(with_sites, places, "device")
-    taken = rb.rigid_water(2)[1]
-    taken.getForce(0).setForceGroup(31)
-    with pytest.raises(ValueError, match="needs force group 31 for itself"):
-        context_of(taken, rb.rigid_water(2)[2], "device")
+
+
+def test_the_force_group_of_the_sums_is_nobody_elses(droplet):
+    system, positions = droplet
+    taken = copy.deepcopy(system)
+    force = taken.getForce(0)
+    force.setForceGroup(31)
+    sentence = f"needs force group 31 for itself, and {force.getName()} is in it .give that force another one with"
+    with pytest.raises(ValueError, match=f"{sentence} setForceGroup, 30 is free.; engine='host' can do it"):
+        context_of(taken, positions, "device")
+    auto = context_of(taken, positions, "auto")
+    assert auto.getIntegrator().getEngine() == "host"
+    assert "30 is free" in auto.getIntegrator().engineNote()
+    for group in range(31):
+        other = openmm.CustomExternalForce("0")
+        other.setForceGroup(group)
+        taken.addForce(other)
+    with pytest.raises(ValueError, match="give that force one of another force, none is free"):
+        context_of(taken, positions, "device")
+    removed = copy.deepcopy(system)
+    remover = openmm.CMMotionRemover()
+    remover.setForceGroup(31)  # it has no forces
+    removed.addForce(remover)
+    context_of(removed, positions, "device").getIntegrator().step(1)
 
 
 def test_auto_takes_the_host_where_there_is_no_device(droplet):
