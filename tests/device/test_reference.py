@@ -287,7 +287,7 @@ def test_the_force_group_of_the_sums_is_nobody_elses(droplet):
     remover = openmm.CMMotionRemover()
     remover.setForceGroup(31)  # it has no forces
     removed.addForce(remover)
-    context_of(removed, positions, "device").getIntegrator().step(1)
+    stepped(context_of(removed, positions, "device"), 1)
 
 
 def test_auto_takes_the_host_where_there_is_no_device(droplet):
