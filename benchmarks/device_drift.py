@@ -1,4 +1,4 @@
-"""Does the energy drift on a device in mixed precision, where it does not on the host?
+"""The drift of the energy on a device in mixed precision, and that of the same droplets on the host.
 
 Droplets of rigid water, each start on both engines, 100 000 steps. Printed for each run: the slope of the total energy
 per molecule, of a straight line through it, and how far the energy is from that line; at the end, of each engine, the
