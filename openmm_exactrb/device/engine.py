@@ -108,7 +108,7 @@ class Device(Host):
         session = self._replicas
         if self.rate is None or not session.behind:
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
-        h = integrator.getStepSize().value_in_unit(unit.picosecond)
+        h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
         return max(1, math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE))
 
