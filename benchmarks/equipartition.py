@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+import math
 from functools import cache
 from pathlib import Path
 
@@ -28,8 +29,6 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.motion.fit import fit
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -37,11 +36,13 @@ import matplotlib.pyplot as plt
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF = 0.85  # nm
-SAMPLED, BAROSTAT = 0.05, 0.05  # ps between two samples, and between two moves of the barostat
+BAROSTAT = 0.05  # ps between two moves of the barostat
+LOOKED, SAMPLED = 0.01, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
 BLOCK = 5.0  # ps, of the block averages
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 LFM = "LangevinMiddle"
+EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "S2_2")
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
@@ -91,6 +92,8 @@ def integrator_of(method: str, interval: float, friction: float) -> openmm.Integ
     """Return what makes a force evaluation every `interval` ps."""
     if method == LFM:
         return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
+    if method == EXACT:
+        return rb.ExactRigidBodyHybridIntegrator(TEMPERATURE, friction, 2 * interval, scheme="S2_2")
     stages = 1 if method == "BAOAB" else rb.SCHEMES[method].stages
     return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, stages * interval, scheme=method)
 
@@ -108,55 +111,61 @@ def run_of(
     context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
     context.setPositions(start.getPositions())
     context.setVelocities(start.getVelocities())
-    look = of_openmm(context) if method == LFM else of_ours(context, integrator)
-    every = max(1, round(SAMPLED / h))
+    look = of_openmm(context, n) if method == LFM else of_ours(integrator)
+    every = max(1, math.ceil(LOOKED / h - 1e-9))
+    looks = max(1, round(SAMPLED / (every * h)))
     integrator.step(round(BURN / h))
     samples = []
-    for _ in range(round(length / (every * h))):
-        integrator.step(every)
-        samples.append(look())
-    return {"interval": every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
+    for _ in range(round(length / (looks * every * h))):
+        seen = []
+        for _ in range(looks):
+            integrator.step(every)
+            seen.append(look())
+        means = {name: float(np.mean([values[name] for values in seen])) for name in seen[0]}
+        samples.append(means | energy_and_density(context, n))
+    result = {"interval": looks * every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
+    return result | ({"acceptance": integrator.acceptanceRate()} if method == EXACT else {})
 
 
-def of_openmm(context: openmm.Context):
-    """Return what looks at a Context of LangevinMiddleIntegrator."""
+def of_openmm(context: openmm.Context, n: int):
+    """Return what looks at the velocities that LangevinMiddleIntegrator reports.
+
+    The linear and the angular momentum of each molecule give its translation and rotation as a rigid body, which is
+    what applyVelocityConstraints leaves; what the velocities have besides is not a rigid molecule's.
+    """
     system = context.getSystem()
-    x = context.getState(positions=True).getPositions(asNumpy=True)._value
-    bodies = find_bodies(system, x)
-    n = len(bodies)
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    atoms = np.flatnonzero(masses).reshape(n, -1)
+    m = masses[atoms[0]][:, None]
 
     def look() -> dict[str, float]:
-        state = context.getState(positions=True, velocities=True, energy=True)
-        v = state.getVelocities(asNumpy=True)._value
-        masses = np.array([system.getParticleMass(i)._value for i in range(len(v))])
-        fitted = fit(bodies, state.getPositions(asNumpy=True)._value, v)
-        translational, rotational = bodies.kinetic_energies(fitted)
-        kinetic = 0.5 * float(masses @ (v * v).sum(axis=1))
+        state = context.getState(positions=True, velocities=True)
+        x = state.getPositions(asNumpy=True)._value[atoms]
+        v = state.getVelocities(asNumpy=True)._value[atoms]
+        V = (m * v).sum(axis=1) / m.sum()
+        r = x - (m * x).sum(axis=1, keepdims=True) / m.sum()
+        L = (m * np.cross(r, v)).sum(axis=1)
+        squares = np.einsum("kx,nki,nki->n", m, r, r)
+        inertia = squares[:, None, None] * np.eye(3) - np.einsum("kx,nki,nkj->nij", m, r, r)
+        translational = 0.5 * m.sum() * float((V * V).sum())
+        rotational = 0.5 * float((L * np.linalg.solve(inertia, L[..., None])[..., 0]).sum())
+        kinetic = 0.5 * float((m * v * v).sum())
         return {
             "T_tr": temperature(translational, n),
             "T_rot": temperature(kinetic - translational, n),
             "T_rot, other": temperature(rotational, n),
-            **energy_and_density(state, bodies.mass),
         }
 
     return look
 
 
-def of_ours(context: openmm.Context, integrator: rb.ExactRigidBodyLangevinIntegrator):
-    """Return what looks at a Context of ours."""
-    bodies, _ = integrator.bodyState()
+def of_ours(integrator: rb.ExactRigidBodyLangevinIntegrator):
+    """Return what looks at the temperatures of an integrator of ours."""
 
     def look() -> dict[str, float]:
-        translational, rotational = integrator.temperatures()
-        other = integrator.temperaturesAroundBath()
-        state = context.getState(positions=True, energy=True)
-        return {
-            "T_tr": translational._value,
-            "T_rot": rotational._value,
-            "T_tr, other": other[0]._value,
-            "T_rot, other": other[1]._value,
-            **energy_and_density(state, bodies.mass),
-        }
+        at_end, around = integrator.temperatures(), integrator.temperaturesAroundBath()
+        names = ("T_tr", "T_rot", "T_tr, other", "T_rot, other")
+        return {name: T._value for name, T in zip(names, (*at_end, *around), strict=True)}
 
     return look
 
@@ -165,12 +174,11 @@ def temperature(kinetic: float, n: int) -> float:
     return 2.0 * kinetic / (3 * n * R)
 
 
-def energy_and_density(state: openmm.State, masses) -> dict[str, float]:
+def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
+    state, system = context.getState(energy=True), context.getSystem()
+    mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
     volume = state.getPeriodicBoxVolume()._value
-    return {
-        "U": state.getPotentialEnergy()._value / len(masses),
-        "density": float(masses.sum()) * 1.66053906892 / volume,
-    }
+    return {"U": state.getPotentialEnergy()._value / n, "density": mass * 1.66053906892 / volume}
 
 
 def mean_and_error(runs: list[dict], quantity) -> tuple[float, float]:
