@@ -4,7 +4,7 @@ from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
-from openmm_exactrb.schemes.stability import stability_limit
+from openmm_exactrb.schemes.stability import Shadow, shadow, stability_limit
 
 __all__ = [
     "CATALOGUE",
@@ -15,6 +15,7 @@ __all__ = [
     "saba",
     "sbab",
     "scheme",
+    "shadow",
     "stability_limit",
     "symmetric",
 ]
