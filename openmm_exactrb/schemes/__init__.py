@@ -9,6 +9,7 @@ from openmm_exactrb.schemes.stability import Shadow, shadow, stability_limit
 __all__ = [
     "CATALOGUE",
     "Scheme",
+    "Shadow",
     "composition",
     "corrected",
     "force_gradient",
