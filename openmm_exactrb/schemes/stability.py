@@ -48,7 +48,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 
     A step turns the plane of q and p along ellipses. So a state of temperature T' has <p²> = kT'/kinetic and
     <q²> = kT'/potential: in a liquid, where fast and slow modes exchange this energy, those with a larger `kinetic`
-    look colder. Up to step² it is 1 + 2 b step² and 1 + 2 a step², where b and a belong to the commutators of two
+    look colder. Up to step² they are 1 + 2 b step² and 1 + 2 a step², where b and a belong to the commutators of two
     kinetic and one potential energy, and of one and two.
 
     Parameters
@@ -60,12 +60,18 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     Raises
     ------
     ValueError
-        If steps of this size are unstable, or turn the oscillator by half a period or more.
+        If steps of this size are unstable.
+
+    Notes
+    -----
+    A step is taken to turn the oscillator once at most.
     """
     (qq, qp), (pq, pp) = _step(scheme, step)
-    if not (abs(qq + pp) < 2.0 and qp > 0.0 > pq):
-        raise ValueError(f"{scheme.name} is not stable, or beyond half a period, at a step of {step:g}/omega")
+    if not abs(qq + pp) < 2.0:
+        raise ValueError(f"{scheme.name} is not stable at a step of {step:g}/omega: take a smaller one")
     angle = math.acos(0.5 * (qq + pp))
+    if qp < 0.0:
+        angle = 2.0 * math.pi - angle
     per_step = angle / (math.sin(angle) * step)
     return Shadow(per_step * qp, -per_step * pq)
 

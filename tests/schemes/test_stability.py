@@ -66,6 +66,17 @@ def test_the_shadow_begins_with_the_commutators_of_two_stages(first, outer):
     assert of_places / step**2 == pytest.approx((6.0 * outer**2 - 6.0 * outer + 1.0) / 6.0, abs=2e-5)
 
 
+def test_the_shadow_goes_on_beyond_half_a_turn():
+    """Steps of S2_3 touch the bound of stability where they turn an oscillator by half a period."""
+    scheme = rb.SCHEMES["S2_3"]
+    before, after = shadow(scheme, 2.9), shadow(scheme, 3.6)
+    for step, (kinetic, potential) in ((2.9, before), (3.6, after)):
+        assert np.trace(step_of_an_oscillator(scheme, step)) == pytest.approx(
+            2.0 * np.cos(np.sqrt(kinetic * potential) * step), abs=1e-13
+        )
+    assert 0.8 < np.sqrt(after.kinetic * after.potential) < 1.2
+
+
 def test_an_unstable_step_has_no_shadow():
-    with pytest.raises(ValueError, match=r"V2 is not stable, or beyond half a period, at a step of 2\.1/omega"):
+    with pytest.raises(ValueError, match=r"V2 is not stable at a step of 2\.1/omega"):
         shadow(rb.SCHEMES["V2"], 2.1)
