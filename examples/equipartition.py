@@ -2,8 +2,8 @@
 Equipartition
 =============
 
-Translation and rotation of 64 rigid water molecules at one temperature, or not: OpenMM's ``LangevinMiddleIntegrator`` and
-ours, over the time between two forces.
+Translation and rotation of 64 rigid water molecules at one temperature, or not: OpenMM's
+``LangevinMiddleIntegrator`` and ours, over the time between two forces.
 """
 
 from pathlib import Path
@@ -81,5 +81,5 @@ figure.legend(loc="outside lower center", ncols=2)
 figure.savefig(out / "equipartition.png", dpi=150)
 
 # %%
-# The page on constant temperature has the same of a periodic box, with errors of less than a kelvin, and tells where the
-# differences come from.
+# The page on constant temperature has the same of a periodic box, with smaller errors, and tells where the differences
+# come from.
