@@ -29,7 +29,7 @@ def momenta(model: str, picoseconds: float):
     _, system, positions = rb.rigid_water(
         216, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85, ewaldErrorTolerance=1e-4
     )
-    integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004, scheme="S2_2")
     integrator.setRandomNumberSeed(1)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
     context.setPositions(positions)
@@ -86,7 +86,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Temperatures and energy of water from shadow energies.")
     parser.add_argument("--model", default="spce", help="%(default)s")
     parser.add_argument("--length", type=float, default=24.0, metavar="PS", help="%(default)s")
-    parser.add_argument("--schemes", nargs="+", default=["V2", "V2_drift", "S2_2", "SBAB_2", "SABA_2", "S2_3"])
+    parser.add_argument("--schemes", nargs="+", default=["V2", "V2_drift", "S2_2", "SBAB_2", "SABA_2", "S2_3", "W2_3"])
     parser.add_argument("--intervals", nargs="+", type=float, default=[2, 4, 6], metavar="FS", help="a force")
     args = parser.parse_args()
     linear, angular = momenta(args.model, args.length)
