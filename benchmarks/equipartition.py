@@ -43,14 +43,15 @@ BLOCK = 5.0  # ps, of the block averages
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 LFM = "LangevinMiddle"
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
-METHODS = (LFM, "BAOAB", "S2_2")
+METHODS = (LFM, "BAOAB", "W2_3", "S2_2")
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
     f"{LFM}, as reported": ("#D55E00", "o"),
     f"{LFM}, constrained": ("#E69F00", "s"),
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
-    "S2_2": ("#0072B2", "D"),
+    "W2_3": ("#0072B2", "D"),
+    "S2_2": ("#CC79A7", "P"),
 }
 
 

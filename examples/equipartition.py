@@ -16,7 +16,7 @@ from openmm.unit import femtoseconds, kelvin, picosecond
 import openmm_exactrb as rb
 
 topology, system, positions = rb.rigid_water(64, model="spce")
-integrator = rb.ExactRigidBodyLangevinIntegrator(298 * kelvin, 5 / picosecond, 8 * femtoseconds)  # two forces a step
+integrator = rb.ExactRigidBodyLangevinIntegrator(298 * kelvin, 5 / picosecond, 12 * femtoseconds)  # three forces a step
 context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
 
 context.setPositions(positions)
@@ -25,7 +25,7 @@ integrator.setVelocitiesToTemperature(298 * kelvin, 1)
 integrator.step(500)
 start = context.getState(positions=True, velocities=True)
 translation, rotation = integrator.temperatures()
-print(f"after 4 ps: translation {translation._value:.0f} K, rotation {rotation._value:.0f} K")
+print(f"after 6 ps: translation {translation._value:.0f} K, rotation {rotation._value:.0f} K")
 
 # %%
 # Of so few molecules a temperature is known to some 20 K at any one time. The difference of the two, as a mean over 40
@@ -53,8 +53,8 @@ def difference(integrator, picoseconds=40.0):
     h, ours = integrator.getStepSize()._value, isinstance(integrator, rb.ExactRigidBodyLangevinIntegrator)
     integrator.step(round(2.0 / h))
     series = []
-    for _ in range(int(picoseconds / (0.024 + 1e-9))):
-        integrator.step(round(0.024 / h))
+    for _ in range(int(picoseconds / 0.036)):
+        integrator.step(round(0.036 / h))
         pair = [T._value for T in integrator.temperatures()] if ours else temperatures_of_atoms(context)
         series.append(pair[1] - pair[0])
     blocks = np.array(series[len(series) % 10 :]).reshape(10, -1).mean(axis=1)
@@ -64,7 +64,7 @@ def difference(integrator, picoseconds=40.0):
 intervals = (2, 4, 6)  # fs between two forces
 lines = {
     "LangevinMiddleIntegrator": lambda fs: openmm.LangevinMiddleIntegrator(298, 5, fs * femtoseconds),
-    "ExactRigidBodyLangevinIntegrator": lambda fs: rb.ExactRigidBodyLangevinIntegrator(298, 5, 2 * fs * femtoseconds),
+    "ExactRigidBodyLangevinIntegrator": lambda fs: rb.ExactRigidBodyLangevinIntegrator(298, 5, 3 * fs * femtoseconds),
 }
 out = Path("out/equipartition_example")
 out.mkdir(parents=True, exist_ok=True)
