@@ -19,7 +19,7 @@ def write(file: Path) -> None:
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context)
     integrator.setVelocitiesToTemperature(250.0, 1)
-    integrator.step(100)
+    integrator.step(600)
     elements = [atom.element.symbol for atom in topology.atoms()]
     with file.open("w") as out:
         for frame in range(FRAMES):

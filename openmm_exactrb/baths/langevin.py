@@ -41,7 +41,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation; that of translation unless given.
-    bodies : sequence of sequences of int, optional
+    bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
 
     Raises
@@ -65,8 +65,11 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
     ) -> None:
-        super().__init__(temperature, stepSize, scheme, rotor, bodies)
+        super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps)
         self.setFriction(frictionCoeff)
         self.setRotationalFriction(rotationalFriction)
 

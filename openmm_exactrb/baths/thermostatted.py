@@ -41,7 +41,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     ----------
     temperature : float or Quantity
         In K if it has no unit.
-    stepSize, scheme, rotor, bodies
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps
         As `ExactRigidBodyIntegrator` takes them; the schemes also "BAOAB" and "ABOBA".
     """
 
@@ -55,8 +55,11 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         scheme: str | Scheme,
         rotor: str | Rotor,
         bodies: Sequence[Sequence[int]] | None,
+        fast: str | Sequence[int] | None,
+        inner: str | Scheme | None,
+        innerSteps: int | None,
     ) -> None:
-        super().__init__(stepSize, words.splitting(scheme), rotor, bodies)
+        super().__init__(stepSize, words.splitting(scheme), rotor, bodies, fast, inner, innerSteps)
         account.declare(self, (_SEED, *self.tallies))
         self.setTemperature(temperature)
         self._around: tuple[int, State, State] | None = None
@@ -132,7 +135,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return {BATH: self._bath}
 
     def _arguments(self) -> dict[str, Any]:
-        return {"temperature": self._temperature}
+        within = self.getNesting()
+        return {"temperature": self._temperature} | ({} if within is None else within.arguments())
 
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)
