@@ -2,7 +2,8 @@
 
 With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
-BAOAB and the default of `ExactRigidBodyLangevinIntegrator` run the same water at the same time a force evaluation:
+BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and S2_2 run the same water at the same time a force
+evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
 T_rot - T_tr, the potential energy and, at constant pressure, the density, each with the error of block averages.
 
 Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
@@ -52,6 +53,7 @@ STYLES = {
     "BAOAB, around O": ("#009E73", "v"),
     "W2_3": ("#0072B2", "D"),
     "S2_2": ("#CC79A7", "P"),
+    EXACT: ("#000000", "*"),
 }
 
 
@@ -256,10 +258,10 @@ def write(rows: list[tuple], file: Path) -> None:
 
 
 def draw(rows: list[tuple], file: Path) -> None:
-    """Draw T_rot - T_tr over the time a force evaluation, at constant volume or what there is."""
-    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    """Draw T_rot - T_tr and the potential energy over the time a force evaluation: the first model and ensemble."""
+    figure, (above, below) = plt.subplots(2, 1, figsize=(7.0, 6.4), sharex=True, layout="constrained")
     first = rows[0][:2]
-    lines: dict[str, list] = {}
+    lines: dict[tuple, list] = {}
     for model, kind, method, interval, _, found in rows:
         if (model, kind) != first:
             continue
@@ -268,30 +270,35 @@ def draw(rows: list[tuple], file: Path) -> None:
             "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
         }.get(method, (method,))
         for name, quantity in zip(names, ("T_rot - T_tr", "other T_rot - T_tr"), strict=False):
-            lines.setdefault(name, []).append((interval, *found[quantity]))
-    for name, points in lines.items():
-        colour, marker = STYLES.get(name, ("#000000", "o"))
+            lines.setdefault((above, name, names[0]), []).append((interval, *found[quantity]))
+        lines.setdefault((below, names[0], names[0]), []).append((interval, *found["U"]))
+    for shift, ((axes, name, _), points) in enumerate(lines.items()):
+        colour, marker = STYLES.get(name, ("#000000", "x"))
         x, y, error = np.array(sorted(points)).T
-        axes.errorbar(x, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=name)
-    axes.axhline(0.0, color="0.6", lw=0.8)
-    axes.set_xlabel("time a force evaluation (fs)")
-    axes.set_ylabel("T_rot - T_tr (K)")
-    axes.set_title(f"{first[0]}, {first[1]}")
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+        label = name if axes is above else None
+        nudged = x + 0.02 * (shift % 7 - 3)  # so that error bars do not hide each other
+        axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=label)
+    above.axhline(0.0, color="0.6", lw=0.8)
+    above.set_ylabel("T_rot − T_tr (K)")
+    below.set_ylabel("potential energy\n(kJ/mol a molecule)")
+    below.set_xticks(sorted({row[3] for row in rows if row[:2] == first}))
+    below.set_xlabel("time a force evaluation (fs)")
+    above.set_title(f"{first[0]}, {first[1]}")
+    figure.legend(loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
     add = parser.add_argument
-    add("--models", nargs="+", default=["tip4pew", "spce"], metavar="NAME", help="as rigid_water takes them")
+    add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
     add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, or a splitting")
+    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
     add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
     add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
-    add("--friction", type=float, default=1.0, metavar="1/PS", help="%(default)s")
+    add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
     return parser.parse_args()
