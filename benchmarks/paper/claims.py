@@ -85,7 +85,9 @@ def summary(claims: list[tuple[str, Claim]]) -> str:
     """
     papers, ours = ([c for c in claims if c[1].ours is own] for own in (False, True))
     lines = [f"Of {len(papers)} claims of the paper, {_counted(papers, VERDICTS)}."]
-    lines += [f"Of {len(ours)} sentences of our own, which go beyond the paper, {_counted(ours, OURS)}."] if ours else []
+    lines += (
+        [f"Of {len(ours)} sentences of our own, which go beyond the paper, {_counted(ours, OURS)}."] if ours else []
+    )
     for own, words in ((False, VERDICTS), (True, OURS)):
         for verdict in words[1:]:
             found = [f"- {c.sentence} ({title})" for title, c in claims if c.ours is own and c.verdict == verdict]

@@ -28,6 +28,7 @@ FOLDERS = {False: Path("docs/paper"), True: Path("out/paper/quick")}
 # Colours that colour-blind readers can tell apart (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 MARKERS = "osD^vPX*"
+DPI = 110
 
 
 def in_pieces(name, function, pieces):
@@ -95,7 +96,7 @@ def run(script, quick, own=False, **options):
     data = _plain(script.compute(quick, **options))
     (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, separators=(",", ":")) + "\n")
     for name, figure in script.draw(data):
-        figure.savefig(folder / f"{name}.png", dpi=110)
+        figure.savefig(folder / f"{name}.png", dpi=DPI, pil_kwargs={"optimize": True})
         plt.close(figure)
     print(script.table(data))
     for claim in script.claims(data):

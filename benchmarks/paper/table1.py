@@ -83,7 +83,9 @@ def compute(quick):
     for method in METHODS + COMPILED:
         q, _ = rotor(method, inertia.T)(common.unit_attitudes(m.shape[1]), m, H)
         data["methods"][method] = {
-            "errors": [[float(f"{e:.3e}") for e in row] for row in common.attitude_errors(q, reference).reshape(draws, n)],
+            "errors": [
+                [float(f"{e:.3e}") for e in row] for row in common.attitude_errors(q, reference).reshape(draws, n)
+            ],
             "seconds_a_call_of_one": [round(seconds[method], 8) for seconds in alone],
             "seconds_a_body_of_many": together[method] / m.shape[1],
         }
