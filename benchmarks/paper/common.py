@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import io
 import json
 import os
 import time
@@ -18,6 +19,7 @@ from pathlib import Path
 import claims
 import matplotlib as mpl
 import numpy as np
+from PIL import Image
 from tqdm import tqdm
 
 mpl.use("Agg")
@@ -96,12 +98,19 @@ def run(script, quick, own=False, **options):
     data = _plain(script.compute(quick, **options))
     (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, separators=(",", ":")) + "\n")
     for name, figure in script.draw(data):
-        figure.savefig(folder / f"{name}.png", dpi=DPI, pil_kwargs={"optimize": True})
-        plt.close(figure)
+        save(figure, folder / f"{name}.png")
     print(script.table(data))
     for claim in script.claims(data):
         print(claims.line(claim))
     return data
+
+
+def save(figure, file):
+    """Write a figure as a PNG of 128 colours, which is a third of the size, and close it."""
+    full = io.BytesIO()
+    figure.savefig(full, dpi=DPI)
+    plt.close(figure)
+    Image.open(full).convert("RGB").quantize(128).save(file, optimize=True)
 
 
 def markdown(header, rows):
