@@ -16,6 +16,7 @@ from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context import account
 from openmm_exactrb.context.letters import Maker, Parts, flows
 from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.motion.draws import Draws, Instant, Purpose
 from openmm_exactrb.motion.engine import Flow, run
 from openmm_exactrb.motion.guard import NonFiniteError
@@ -55,6 +56,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         ``stepsPerProposal`` no whole number above zero.
     """
 
+    _bath_in_steps: ClassVar[str | None] = "hybrid Monte Carlo"
     tallies: ClassVar[tuple[str, ...]] = (_ACCEPTED, _PROPOSED)
 
     def __init__(
@@ -70,10 +72,10 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
+        engine: Engine = "host",
     ) -> None:
-        super().__init__(
-            temperature, frictionCoeff, stepSize, scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps
-        )
+        bath = (temperature, frictionCoeff, stepSize, scheme, rotor, rotationalFriction)
+        super().__init__(*bath, bodies, fast, inner, innerSteps, engine)
         self._steps_a_proposal = whole(stepsPerProposal, "stepsPerProposal")
         self._proposal = words.proposal(self._scheme, self._steps_a_proposal)
 

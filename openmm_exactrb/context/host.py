@@ -41,12 +41,18 @@ class Plan:
         Of a bath, in kJ/mol; 0 without one.
     account : Account
         What the steps add up.
+    numbers : mapping
+        What a program on a device is told of a bath, by the names of its variables.
+    seed : int
+        Of the noise there.
     """
 
     scheme: Scheme
     makers: Mapping[str, Maker]
     kT: float = 0.0
     account: Account = field(default_factory=Account)
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
 
 
 @dataclass
