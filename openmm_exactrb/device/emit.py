@@ -166,10 +166,10 @@ def _displace(program: Program) -> None:
     program.let("sq", "q")
     program.let("sw", "w")
     program.let("p", turned_back("q", "w", "N"))
-    program.let("y", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
-    program.let("twist", "cross(y,p)")
-    program.let("g", "0.5*sqrt(dot(y,y))")
-    program.let("n", "0.5*y*sin(g)/max(g,1e-300)")
+    program.let("c", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
+    program.let("twist", "cross(c,p)")
+    program.let("g", "0.5*sqrt(dot(c,c))")
+    program.let("n", "0.5*c*sin(g)/max(g,1e-300)")
     program.let("g", "cos(g)")
     program.let("q", "sw*n+g*sq+cross(sq,n)")
     program.let("w", "sw*g-dot(sq,n)")
@@ -203,23 +203,21 @@ def _take_up_images(program: Program) -> None:
 
 
 def _show(program: Program) -> None:
-    """Write the velocities of the particles."""
+    """Write the velocities of the particles, and in y too, to see what OpenMM makes of them."""
     program.let("p", f"L*{INVERSE_INERTIA}")
     program.let("v", f"P*_y(inverse)+{turned('q', 'w', 'cross(p,s)')}")
+    program.let("y", "v")
 
 
 def _openmm(program: Program) -> None:
     """Write what OpenMM does between steps, and take it up."""
-    with program.when(f"{names.PUSHED} > 0"):
-        program.let("y", "v")
     program.integrator.addUpdateContextState()
     with program.when(f"{names.BAROSTAT} > 0"):
         program.total(names.MOVED, f"step(abs(x-R-d-image)-{_STILL})")
-        with program.when(f"{names.MOVED} > 0"):
-            _take_up_moves(program)
+    with program.when(f"{names.MOVED} > 0"):
+        _take_up_moves(program)
     with program.when(f"{names.PUSHED} > 0"):
         _take_up_velocities(program)
-        _show(program)
 
 
 def _take_up_moves(program: Program) -> None:
@@ -232,14 +230,22 @@ def _take_up_moves(program: Program) -> None:
         program.let("p", "p-n")
     _place(program)
     program.number(names.KNOWN, 0.0)
+    program.number(names.MOVED, 0.0)
 
 
 def _take_up_velocities(program: Program) -> None:
-    """Add up what a thermostat, or the remover of the motion of the centre of mass, changed of the momenta."""
+    """Add up what a thermostat, or the remover of the motion of the centre of mass, changed of the momenta.
+
+    The remover gives all particles one velocity more, which turns no body.
+    """
     program.let("p", "m*(v-y)")
     program.let("c", "cross(d,p)")
     _sum(program, "n", "p", _MOMENTUM)
     program.let("P", "P+n")
-    _sum(program, "n", "c", _MOMENTUM)
-    program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
+    _show(program)
     _place(program)
+    with program.when(f"{names.PUSHED} > 1"):
+        _sum(program, "n", "c", _MOMENTUM)
+        program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
+        _show(program)
+        _place(program)

@@ -27,7 +27,7 @@ BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
 _PREFIX = "exactrb_"
 #: 1 once bodies are loaded: before that, steps make positions nan.
 LOADED = f"{_PREFIX}loaded"
-#: 1 where a System has virtual sites; a barostat; something that changes velocities.
+#: 1 where a System has virtual sites; a barostat; what removes the motion of the centre of mass, 2 for a thermostat.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
 #: device does not know these numbers yet, or those of a bath.

@@ -191,8 +191,9 @@ def box_of(context):
     return np.array(context.getState().getPeriodicBoxVectors()._value)
 
 
-def test_the_motion_of_the_centre_of_mass_is_removed():
-    host, device = pair(*liquid(openmm.CMMotionRemover(2)), scheme="S2_2")
+@pytest.mark.parametrize("scheme", ["S2_2", "Chin4A"])
+def test_the_motion_of_the_centre_of_mass_is_removed(scheme):
+    host, device = pair(*liquid(openmm.CMMotionRemover(2)), scheme=scheme)
     for context in (host, device):
         context.setVelocities(shown(context)[1] + [1.0, 2.0, 3.0])
     (x, v), (x1, v1) = stepped(host, 10), stepped(device, 10)
