@@ -58,10 +58,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
         forces, which are what costs, as often as before.
     inner : str or Scheme, optional
-        Scheme of the inner steps: S2_2 in a scheme of order 2 and SRKN4_6b in others if it is not given.
+        Scheme of the inner steps; if it is not given S2_2, or SRKN4_6b in schemes of higher order than 2 or with force
+        gradients.
     innerSteps : int, optional
-        Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
-        inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
+        Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an inner force
+        evaluation for each twentieth of the shortest period of the bonds and angles that are nested, or more.
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package. "device": a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device where
@@ -352,9 +353,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        within = self._nesting
-        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
-        return {"engine": self._engine.asked, **nested}
+        return {"engine": self._engine.asked} | ({} if self._nesting is None else self._nesting.arguments())
 
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme

@@ -1,104 +1,183 @@
 """Table 1 and figure 2: error and cost of one step of h = 5 by the two exact methods, 100 random momenta.
 
-It tells what exactness costs and whether it is reached in one long step. The reference is a Taylor series in double-double
-precision where the paper took ode45 at its tolerance.
+It tells what exactness costs and whether it is reached in one long step. The reference is a Taylor series in
+double-double precision where the paper took ode45 at its tolerance. The verdicts are those of ten draws of 100 bodies.
+All methods are numpy's, but for a line that is marked as compiled and that no claim uses.
 """
 
 import sys
 import time
+from functools import partial
 
 import common
 import matplotlib.pyplot as plt
 import numpy as np
+from claims import Claim, Criterion
 from reference import taylor
+from scipy.integrate import solve_ivp
 
-from openmm_exactrb.rotors import rotor
+from openmm_exactrb.rotors import quaternion, rotation, rotor
+from openmm_exactrb.rotors.euler import carlson
 
 NAME = "table1"
 TITLE = "Table 1 and figure 2: one step of h = 5"
-METHODS = ("rotation", "quaternion_a", "exact")
+METHODS = ("rotation", "quaternion_a", "exact_numpy")
+COMPILED = ("exact_compiled",)
 H = 5.0
+DRAWS = 10
 PAPER = {"rotation": 7.0865e-13, "quaternion_a": 3.3383e-13}
+FACTORIES = {"rotation": rotation.rotor, "quaternion_a": quaternion.kosenko}
 
 
-def call_time(flow, q, m, repeats=7):
-    """Return the shortest time of a call in seconds."""
-    flow(q, m, H)
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        flow(q, m, H)
-        times.append(time.perf_counter() - start)
-    return min(times)
+def third_kind_share(inertia, m, rounds):
+    """Return which part of the time of a call goes into the integrals of the third kind, by method."""
+    q, spent = common.unit_attitudes(m.shape[1]), {method: [] for method in FACTORIES}
+
+    def timed(method):
+        def third_kind(orbit, nc):
+            start = time.process_time()
+            result = carlson(orbit, nc)
+            spent[method].append(time.process_time() - start)
+            return result
+
+        return third_kind
+
+    flows = {method: make(inertia, timed(method)) for method, make in FACTORIES.items()}
+    total = common.least_seconds({method: partial(flow, q, m, H) for method, flow in flows.items()}, rounds)
+    return {method: min(spent[method]) / total[method] for method in FACTORIES}
+
+
+def dormand_prince(inertia, m):
+    """Return attitudes (4, n) by the pair of ode45, scipy's RK45, at the tightest tolerance it takes."""
+
+    def rate(_, y, I1, I2, I3):
+        w, x, y2, z, m1, m2, m3 = y
+        a, b, c = m1 / I1, m2 / I2, m3 / I3
+        turned = (-x * a - y2 * b - z * c, w * a + y2 * c - z * b, w * b + z * a - x * c, w * c + x * b - y2 * a)
+        return (*(0.5 * t for t in turned), m2 * c - m3 * b, m3 * a - m1 * c, m1 * b - m2 * a)
+
+    ends = []
+    for body in range(m.shape[1]):
+        start, moments = (1.0, 0.0, 0.0, 0.0, *m[:, body]), tuple(inertia[:, body])
+        eps = np.finfo(float).eps
+        ends.append(solve_ivp(rate, (0.0, H), start, "RK45", rtol=100 * eps, atol=eps, args=moments).y[:4, -1])
+    return np.stack(ends, axis=1)
 
 
 def compute(quick):
-    n = 20 if quick else 100
-    inertia, m = common.random_bodies(np.random.default_rng(5), n)
+    n, draws = (20, 2) if quick else (100, DRAWS)
+    bodies = [common.random_bodies(np.random.default_rng((5, draw)), n) for draw in range(draws)]
+    inertia, m = (np.hstack(parts) for parts in zip(*bodies, strict=True))
     reference, _ = taylor(inertia, m, H)
-    data = {}
-    for method in METHODS:
-        q, _ = rotor(method, inertia.T)(common.unit_attitudes(n), m, H)
-        alone = []
-        for body in range(n):
-            flow = rotor(method, inertia[:, body])
-            alone.append(call_time(flow, common.unit_attitudes(1), np.ascontiguousarray(m[:, body : body + 1])))
-        many = np.tile(m, 10), common.unit_attitudes(10 * n)
-        data[method] = {
-            "errors": common.attitude_errors(q, reference),
-            "seconds_a_call_of_one": alone,
-            "seconds_a_body_of_many": call_time(rotor(method, np.tile(inertia, 10).T), many[1], many[0]) / (10 * n),
+    rounds = 3 if quick else 15
+    together = common.least_seconds(
+        {k: partial(rotor(k, inertia.T), common.unit_attitudes(n * draws), m, H) for k in METHODS + COMPILED}, rounds
+    )
+    alone = [
+        common.least_seconds(
+            {k: partial(rotor(k, I), common.unit_attitudes(1), m[:, [body]], H) for k in METHODS + COMPILED}, rounds
+        )
+        for body, I in enumerate(inertia.T[:n])
+    ]
+    data = {"methods": {}, "third_kind_share": third_kind_share(inertia, m, rounds)}
+    for method in METHODS + COMPILED:
+        q, _ = rotor(method, inertia.T)(common.unit_attitudes(m.shape[1]), m, H)
+        data["methods"][method] = {
+            "errors": [
+                [float(f"{e:.3e}") for e in row] for row in common.attitude_errors(q, reference).reshape(draws, n)
+            ],
+            "seconds_a_call_of_one": [round(seconds[method], 8) for seconds in alone],
+            "seconds_a_body_of_many": together[method] / m.shape[1],
         }
+    few = 4 if quick else 100
+    data["dormand_prince"] = common.attitude_errors(dormand_prince(inertia[:, :few], m[:, :few]), reference[:, :few])
     return data
 
 
 def draw(data):
-    figure, (top, bottom) = plt.subplots(2, 1, figsize=(7.0, 5.0), sharex=True, layout="constrained")
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.6, 4.2), layout="constrained")
     for k, method in enumerate(METHODS):
-        style = {"color": common.COLOURS[k], "marker": common.MARKERS[k], "ms": 4, "ls": "", "label": method}
-        top.plot(1e3 * np.array(data[method]["seconds_a_call_of_one"]), **style)
-        bottom.semilogy(np.maximum(data[method]["errors"], 1e-17), **style)
-    top.set_ylabel("time of a call (ms)")
-    bottom.set_ylabel("error of the attitude")
-    bottom.set_xlabel("run")
-    top.legend(fontsize=8)
-    for axis in (top, bottom):
+        entry = data["methods"][method]
+        style = {"color": common.COLOURS[k], "marker": common.MARKERS[k], "ms": 3.5, "ls": "", "alpha": 0.8}
+        times, errors = 1e6 * np.array(entry["seconds_a_call_of_one"]), np.maximum(entry["errors"][0], 1e-17)
+        left.semilogy(range(1, len(times) + 1), times, label=f"{method}, median {np.median(times):.0f} µs", **style)
+        right.semilogy(range(1, len(errors) + 1), errors, label=f"{method}, median {np.median(errors):.1e}", **style)
+    for method, colour in zip(PAPER, common.COLOURS, strict=False):
+        right.axhline(PAPER[method], color=colour, lw=1.0, ls="--")
+    right.text(1, 1.25 * PAPER["rotation"], "medians printed in the paper (dashed)", fontsize=8, va="bottom")
+    left.set_ylabel("time of a call for one body (µs)")
+    left.set_ylim(100, 2000)
+    right.set_ylabel("largest error of an entry of the rotation matrix")
+    right.set_ylim(5e-17, 3e-12)
+    for axis in (left, right):
+        axis.set_xlabel("body")
         axis.grid(True, alpha=0.3)
+        axis.legend(fontsize=8, loc="upper left" if axis is left else "upper right", bbox_to_anchor=(1, 0.82))
+    left.legend(fontsize=8, loc="upper right")
+    figure.suptitle("one step of h = 5 from 100 random momenta (first draw)", fontsize=11)
     yield "figure02", figure
 
 
 def table(data):
     lines = []
-    for method in METHODS:
-        errors, alone = np.array(data[method]["errors"]), np.array(data[method]["seconds_a_call_of_one"])
+    for method in METHODS + COMPILED:
+        entry = data["methods"][method]
+        errors, alone = np.array(entry["errors"]), np.array(entry["seconds_a_call_of_one"])
+        medians = np.median(errors, axis=1)
         lines.append(
             (
                 method,
+                "compiled" if method in COMPILED else "numpy",
                 f"{np.median(errors):.1e}",
+                f"{medians.min():.1e} to {medians.max():.1e}",
                 f"{errors.std():.1e}",
                 f"{errors.max():.1e}",
                 f"{1e6 * np.median(alone):.0f}",
-                f"{1e6 * data[method]['seconds_a_body_of_many']:.2f}",
+                f"{1e6 * entry['seconds_a_body_of_many']:.2f}",
             )
         )
-    return common.markdown(
-        ("method", "median error", "σ", "largest", "µs a call of one body", "µs a body of 1000"), lines
-    )
+    header = ("method", "written in", "median error", "medians of the draws", "σ", "largest")
+    return common.markdown((*header, "µs per call of one body", f"µs per body of {errors.size}"), lines)
 
 
 def claims(data):
-    medians = {method: float(np.median(data[method]["errors"])) for method in METHODS}
-    yield common.Claim(
+    methods = data["methods"]
+    medians = {method: np.median(methods[method]["errors"], axis=1) for method in METHODS}
+    reference = np.array(data["dormand_prince"])
+    yield Claim(
         "Median errors of one step are 7.1e-13 (rotation) and 3.3e-13 (quaternion).",
-        ", ".join(f"{method} {error:.1e}" for method, error in medians.items())
-        + ": smaller than printed, which most likely is the error of the paper's reference.",
-        all(medians[method] <= printed for method, printed in PAPER.items()),
+        "; ".join(
+            f"{method} {np.median(methods[method]['errors']):.1e}, the printed one over the median of a draw is "
+            f"{printed / medians[method].max():.0f} to {printed / medians[method].min():.0f}"
+            for method, printed in PAPER.items()
+        )
+        + f". Why the printed ones are larger is not known. The pair of ode45 (scipy's RK45) at a relative tolerance of "
+        f"2.2e-14, in the place of the paper's reference, is itself off by {np.median(reference):.1e} in the median of "
+        f"{reference.size} bodies, {reference.max():.1e} at most.",
+        tuple(
+            Criterion.of(
+                f"the median of {method} is within a factor of 10 of the printed one",
+                (medians[method] > 0.1 * printed) & (medians[method] < 10.0 * printed),
+            )
+            for method, printed in PAPER.items()
+        ),
     )
-    cost = [data[method]["seconds_a_body_of_many"] for method in METHODS[:2]]
-    yield common.Claim(
+    cost = [methods[method]["seconds_a_body_of_many"] for method in PAPER]
+    ratio = medians["rotation"] / medians["quaternion_a"]
+    yield Claim(
         "Accuracy and cost of the two exact methods are very comparable.",
-        f"ratio of the errors {medians['rotation'] / medians['quaternion_a']:.2f}, of the costs {cost[0] / cost[1]:.2f}.",
-        0.5 < cost[0] / cost[1] < 2.0 and 0.2 < medians["rotation"] / medians["quaternion_a"] < 5.0,
+        f"the error of rotation over that of quaternion_a is {ratio.min():.2f} to {ratio.max():.2f} (medians of the "
+        f"draws; printed 2.1), the cost {cost[0] / cost[1]:.2f} (printed 1.05).",
+        (
+            Criterion.of("the median errors differ by less than a factor of 3", (ratio > 1 / 3) & (ratio < 3.0)),
+            Criterion.of("the costs differ by less than a fifth", 0.8 < cost[0] / cost[1] < 1.25),
+        ),
+    )
+    share = data["third_kind_share"]
+    yield Claim(
+        "The computational effort is dominated by the elliptic integrals of the third kind.",
+        "their part of the time of a call is " + ", ".join(f"{s:.2f} ({m})" for m, s in share.items()) + ".",
+        tuple(Criterion.of(f"it is above one half for {method}", s > 0.5) for method, s in share.items()),
     )
 
 

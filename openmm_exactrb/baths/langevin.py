@@ -36,13 +36,14 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "BAOAB" and "ABOBA" have the
-        bath in their middle and need one force a step (doi:10.1063/1.4802990).
+        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "W2_3" takes three forces a
+        step: it keeps translation and rotation of water within a kelvin of each other up to 6 fs a force. "BAOAB" and
+        "ABOBA" have the bath in their middle and need one force a step (doi:10.1063/1.4802990).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation; that of translation unless given.
-    bodies : sequence of sequences of int, optional
+    bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"host", "device", "auto"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers: from the same seed, but the noise of a
@@ -67,13 +68,16 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
         stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        scheme: str | Scheme = "W2_3",
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
         engine: Engine = "host",
     ) -> None:
-        super().__init__(temperature, stepSize, scheme, rotor, bodies, engine)
+        super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setFriction(frictionCoeff)
         self.setRotationalFriction(rotationalFriction)
 

@@ -37,7 +37,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         Of the kinetic energy, in ps if it has no unit.
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
-    scheme, rotor, bodies
+    scheme, rotor, bodies, fast, inner, innerSteps
         As in `ExactRigidBodyLangevinIntegrator`.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.
@@ -67,9 +67,12 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         rotor: str | Rotor = "exact",
         together: bool = True,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
         engine: Engine = "host",
     ) -> None:
-        super().__init__(temperature, stepSize, scheme, rotor, bodies, engine)
+        super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setRelaxationTime(relaxationTime)
         self._together = bool(together)
 

@@ -42,7 +42,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     ----------
     temperature : float or Quantity
         In K if it has no unit.
-    stepSize, scheme, rotor, bodies, engine
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine
         As `ExactRigidBodyIntegrator` takes them; the schemes also "BAOAB" and "ABOBA".
     """
 
@@ -58,9 +58,12 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         scheme: str | Scheme,
         rotor: str | Rotor,
         bodies: Sequence[Sequence[int]] | None,
-        engine: Engine = "host",
+        fast: str | Sequence[int] | None,
+        inner: str | Scheme | None,
+        innerSteps: int | None,
+        engine: Engine,
     ) -> None:
-        super().__init__(stepSize, words.splitting(scheme), rotor, bodies, engine=engine)
+        super().__init__(stepSize, words.splitting(scheme), rotor, bodies, fast, inner, innerSteps, engine)
         account.declare(self, (_SEED, *self.tallies))
         self.setTemperature(temperature)
         self._around: tuple[int, State, State] | None = None
@@ -138,7 +141,10 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return {BATH: self._bath}
 
     def _arguments(self) -> dict[str, Any]:
-        return {"temperature": self._temperature, "engine": self._engine.asked}
+        within = self.getNesting()
+        return {"temperature": self._temperature, "engine": self._engine.asked} | (
+            {} if within is None else within.arguments()
+        )
 
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)

@@ -110,7 +110,7 @@ class Device(Host):
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
         h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        return max(1, math.ceil(haste * self.rate * abs(h) * longest / RANGE))
+        return max(1, math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE))
 
     def _go_back(self, integrator: openmm.CustomIntegrator, x: Any, v: Any, time: Any, step: int) -> None:
         """Bring the Context back to what it held."""
