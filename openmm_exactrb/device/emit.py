@@ -37,6 +37,7 @@ _FORCE, _MOVE, _MOMENTUM = 1.0 / STRENGTH, 2.0**-24, 2.0**-34
 _STILL = 1e-9
 # The time of a drift where "c" holds times.
 _DRIFT = "(_y(c)*_z(shape))"
+_PLACE, _DISPLACED_PLACE = "R+d+image", "R+move+d+image"
 _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
@@ -91,7 +92,8 @@ def _turn(program: Program, table: Table) -> None:
         _take_up_images(program)
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
-        _place(program)  # OpenMM's constraints have lengths in single precision
+        # OpenMM's constraints have lengths in single precision.
+        program.let("x", _DISPLACED_PLACE if table.has("shift") else _PLACE)
     with program.when(f"{names.NEEDED} > 0"):
         _gather_forces(program)
         _row(program, table)
@@ -174,7 +176,8 @@ def _displace(program: Program) -> None:
     program.let("q", "sw*n+g*sq+cross(sq,n)")
     program.let("w", "sw*g-dot(sq,n)")
     program.let("d", turned("q", "w", "s"))
-    program.let("x", "R+_z(a)*F*_y(inverse)+d+image")
+    program.let("move", "_z(a)*F*_y(inverse)")
+    program.let("x", _DISPLACED_PLACE)
 
 
 def _summed(scale: float) -> str:
@@ -190,7 +193,7 @@ def _sum(program: Program, name: str, of: str, scale: float) -> None:
 
 
 def _place(program: Program) -> None:
-    program.let("x", "R+d+image")
+    program.let("x", _PLACE)
 
 
 def _take_up_images(program: Program) -> None:

@@ -19,8 +19,9 @@ FORCES = ("F", "N")
 SPAN = "at"
 #: For what is soon forgotten; velocities are one more, until they are shown.
 TEMPORARY = ("a", "g", "y", "c", "p", "n")
-#: Where forces are taken at displaced places: the attitude there is not, and the commutator with the torque.
-DISPLACED = ("sq", "sw", "twist")
+#: Where forces are taken at displaced places: the attitude that is not, the commutator with the torque, and how far the
+#: centre is displaced.
+DISPLACED = ("sq", "sw", "twist", "move")
 #: Of a heat bath: (friction, that of rotation, kT), and the states of the generators of random numbers.
 BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
 
