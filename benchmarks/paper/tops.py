@@ -26,7 +26,7 @@ OURS = ("SABA_4", "ABA_8_6_4", "ABA_10_6_4", "V2_C17", "V2_gradient_C17")
 TOPS = 20
 #: Draws of the 20 tops by which the verdicts are reached; the picture is that of the first.
 DRAWS = 5
-#: The steps of all draws: two that are above ε for none of the others, and the one of the table.
+#: The basic steps of all draws: the longest, where a method is above ε first, and the one of the table, 5.
 DECIDING = (8.0, 5.0, 4.0)
 
 
