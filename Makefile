@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 LOWEST ?= .venv-lowest
 ARGS ?=
 
-.PHONY: run test lowest lint docs linkcheck validate benchmarks paper dist clean
+.PHONY: run test lowest lint docs browse linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
@@ -27,6 +27,10 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going --quiet -D plot_gallery=0 -b doctest docs docs/_build/doctest
 	@echo "docs/_build/html/index.html"
+
+browse: $(VENV)/.docs
+	$(BIN)/python -m pip install --quiet playwright
+	$(BIN)/python docs/_ext/browse.py docs/_build/html
 
 linkcheck: $(VENV)/.docs
 	$(BIN)/python -m sphinx --quiet -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
@@ -55,7 +59,7 @@ dist: $(VENV)/.dist
 	$(BIN)/cffconvert --validate
 
 clean:
-	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/tutorials
+	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples
 
 $(VENV)/.python: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

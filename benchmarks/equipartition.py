@@ -2,7 +2,8 @@
 
 With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
-BAOAB and the default of `ExactRigidBodyLangevinIntegrator` run the same water at the same time a force evaluation:
+BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and S2_2 run the same water at the same time a force
+evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
 T_rot - T_tr, the potential energy and, at constant pressure, the density, each with the error of block averages.
 
 Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
@@ -18,6 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+import math
 from functools import cache
 from pathlib import Path
 
@@ -28,8 +30,6 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.motion.fit import fit
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -37,19 +37,23 @@ import matplotlib.pyplot as plt
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF = 0.85  # nm
-SAMPLED, BAROSTAT = 0.05, 0.05  # ps between two samples, and between two moves of the barostat
+BAROSTAT = 0.05  # ps between two moves of the barostat
+LOOKED, SAMPLED = 0.01, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
 BLOCK = 5.0  # ps, of the block averages
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 LFM = "LangevinMiddle"
-METHODS = (LFM, "BAOAB", "S2_2")
+EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
+METHODS = (LFM, "BAOAB", "W2_3", "S2_2")
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
     f"{LFM}, as reported": ("#D55E00", "o"),
     f"{LFM}, constrained": ("#E69F00", "s"),
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
-    "S2_2": ("#0072B2", "D"),
+    "W2_3": ("#0072B2", "D"),
+    "S2_2": ("#CC79A7", "P"),
+    EXACT: ("#000000", "*"),
 }
 
 
@@ -91,6 +95,8 @@ def integrator_of(method: str, interval: float, friction: float) -> openmm.Integ
     """Return what makes a force evaluation every `interval` ps."""
     if method == LFM:
         return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
+    if method == EXACT:
+        return rb.ExactRigidBodyHybridIntegrator(TEMPERATURE, friction, 2 * interval, scheme="S2_2")
     stages = 1 if method == "BAOAB" else rb.SCHEMES[method].stages
     return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, stages * interval, scheme=method)
 
@@ -108,55 +114,61 @@ def run_of(
     context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
     context.setPositions(start.getPositions())
     context.setVelocities(start.getVelocities())
-    look = of_openmm(context) if method == LFM else of_ours(context, integrator)
-    every = max(1, round(SAMPLED / h))
+    look = of_openmm(context, n) if method == LFM else of_ours(integrator)
+    every = max(1, math.ceil(LOOKED / h - 1e-9))
+    looks = max(1, round(SAMPLED / (every * h)))
     integrator.step(round(BURN / h))
     samples = []
-    for _ in range(round(length / (every * h))):
-        integrator.step(every)
-        samples.append(look())
-    return {"interval": every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
+    for _ in range(round(length / (looks * every * h))):
+        seen = []
+        for _ in range(looks):
+            integrator.step(every)
+            seen.append(look())
+        means = {name: float(np.mean([values[name] for values in seen])) for name in seen[0]}
+        samples.append(means | energy_and_density(context, n))
+    result = {"interval": looks * every * h, "samples": {name: [s[name] for s in samples] for name in samples[0]}}
+    return result | ({"acceptance": integrator.acceptanceRate()} if method == EXACT else {})
 
 
-def of_openmm(context: openmm.Context):
-    """Return what looks at a Context of LangevinMiddleIntegrator."""
+def of_openmm(context: openmm.Context, n: int):
+    """Return what looks at the velocities that LangevinMiddleIntegrator reports.
+
+    The linear and the angular momentum of each molecule give its translation and rotation as a rigid body, which is
+    what applyVelocityConstraints leaves; what the velocities have besides is not a rigid molecule's.
+    """
     system = context.getSystem()
-    x = context.getState(positions=True).getPositions(asNumpy=True)._value
-    bodies = find_bodies(system, x)
-    n = len(bodies)
+    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    atoms = np.flatnonzero(masses).reshape(n, -1)
+    m = masses[atoms[0]][:, None]
 
     def look() -> dict[str, float]:
-        state = context.getState(positions=True, velocities=True, energy=True)
-        v = state.getVelocities(asNumpy=True)._value
-        masses = np.array([system.getParticleMass(i)._value for i in range(len(v))])
-        fitted = fit(bodies, state.getPositions(asNumpy=True)._value, v)
-        translational, rotational = bodies.kinetic_energies(fitted)
-        kinetic = 0.5 * float(masses @ (v * v).sum(axis=1))
+        state = context.getState(positions=True, velocities=True)
+        x = state.getPositions(asNumpy=True)._value[atoms]
+        v = state.getVelocities(asNumpy=True)._value[atoms]
+        V = (m * v).sum(axis=1) / m.sum()
+        r = x - (m * x).sum(axis=1, keepdims=True) / m.sum()
+        L = (m * np.cross(r, v)).sum(axis=1)
+        squares = np.einsum("kx,nki,nki->n", m, r, r)
+        inertia = squares[:, None, None] * np.eye(3) - np.einsum("kx,nki,nkj->nij", m, r, r)
+        translational = 0.5 * m.sum() * float((V * V).sum())
+        rotational = 0.5 * float((L * np.linalg.solve(inertia, L[..., None])[..., 0]).sum())
+        kinetic = 0.5 * float((m * v * v).sum())
         return {
             "T_tr": temperature(translational, n),
             "T_rot": temperature(kinetic - translational, n),
             "T_rot, other": temperature(rotational, n),
-            **energy_and_density(state, bodies.mass),
         }
 
     return look
 
 
-def of_ours(context: openmm.Context, integrator: rb.ExactRigidBodyLangevinIntegrator):
-    """Return what looks at a Context of ours."""
-    bodies, _ = integrator.bodyState()
+def of_ours(integrator: rb.ExactRigidBodyLangevinIntegrator):
+    """Return what looks at the temperatures of an integrator of ours."""
 
     def look() -> dict[str, float]:
-        translational, rotational = integrator.temperatures()
-        other = integrator.temperaturesAroundBath()
-        state = context.getState(positions=True, energy=True)
-        return {
-            "T_tr": translational._value,
-            "T_rot": rotational._value,
-            "T_tr, other": other[0]._value,
-            "T_rot, other": other[1]._value,
-            **energy_and_density(state, bodies.mass),
-        }
+        at_end, around = integrator.temperatures(), integrator.temperaturesAroundBath()
+        names = ("T_tr", "T_rot", "T_tr, other", "T_rot, other")
+        return {name: T._value for name, T in zip(names, (*at_end, *around), strict=True)}
 
     return look
 
@@ -165,12 +177,11 @@ def temperature(kinetic: float, n: int) -> float:
     return 2.0 * kinetic / (3 * n * R)
 
 
-def energy_and_density(state: openmm.State, masses) -> dict[str, float]:
+def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
+    state, system = context.getState(energy=True), context.getSystem()
+    mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
     volume = state.getPeriodicBoxVolume()._value
-    return {
-        "U": state.getPotentialEnergy()._value / len(masses),
-        "density": float(masses.sum()) * 1.66053906892 / volume,
-    }
+    return {"U": state.getPotentialEnergy()._value / n, "density": mass * 1.66053906892 / volume}
 
 
 def mean_and_error(runs: list[dict], quantity) -> tuple[float, float]:
@@ -247,10 +258,10 @@ def write(rows: list[tuple], file: Path) -> None:
 
 
 def draw(rows: list[tuple], file: Path) -> None:
-    """Draw T_rot - T_tr over the time a force evaluation, at constant volume or what there is."""
-    figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
+    """Draw T_rot - T_tr and the potential energy over the time a force evaluation: the first model and ensemble."""
+    figure, (above, below) = plt.subplots(2, 1, figsize=(7.0, 6.4), sharex=True, layout="constrained")
     first = rows[0][:2]
-    lines: dict[str, list] = {}
+    lines: dict[tuple, list] = {}
     for model, kind, method, interval, _, found in rows:
         if (model, kind) != first:
             continue
@@ -259,30 +270,35 @@ def draw(rows: list[tuple], file: Path) -> None:
             "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
         }.get(method, (method,))
         for name, quantity in zip(names, ("T_rot - T_tr", "other T_rot - T_tr"), strict=False):
-            lines.setdefault(name, []).append((interval, *found[quantity]))
-    for name, points in lines.items():
-        colour, marker = STYLES.get(name, ("#000000", "o"))
+            lines.setdefault((above, name, names[0]), []).append((interval, *found[quantity]))
+        lines.setdefault((below, names[0], names[0]), []).append((interval, *found["U"]))
+    for shift, ((axes, name, _), points) in enumerate(lines.items()):
+        colour, marker = STYLES.get(name, ("#000000", "x"))
         x, y, error = np.array(sorted(points)).T
-        axes.errorbar(x, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=name)
-    axes.axhline(0.0, color="0.6", lw=0.8)
-    axes.set_xlabel("time a force evaluation (fs)")
-    axes.set_ylabel("T_rot - T_tr (K)")
-    axes.set_title(f"{first[0]}, {first[1]}")
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+        label = name if axes is above else None
+        nudged = x + 0.02 * (shift % 7 - 3)  # so that error bars do not hide each other
+        axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=label)
+    above.axhline(0.0, color="0.6", lw=0.8)
+    above.set_ylabel("T_rot − T_tr (K)")
+    below.set_ylabel("potential energy\n(kJ/mol a molecule)")
+    below.set_xticks(sorted({row[3] for row in rows if row[:2] == first}))
+    below.set_xlabel("time a force evaluation (fs)")
+    above.set_title(f"{first[0]}, {first[1]}")
+    figure.legend(loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
 
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
     add = parser.add_argument
-    add("--models", nargs="+", default=["tip4pew", "spce"], metavar="NAME", help="as rigid_water takes them")
+    add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
     add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, or a splitting")
+    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
     add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
     add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
-    add("--friction", type=float, default=1.0, metavar="1/PS", help="%(default)s")
+    add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
     return parser.parse_args()

@@ -1,7 +1,7 @@
 """What the exact rotor brings and what the splitting: schemes with either rotor on water at four rates of forces.
 
 One start of a droplet of 27 TIP3P molecules for each seed, runs of 2 ps. Through `openmm_exactrb.ensemble`: a call goes
-on where the last one stopped. Prints the table of docs/guide.md.
+on where the last one stopped. Prints the table of docs/explanation/splittings.md.
 """
 
 from __future__ import annotations

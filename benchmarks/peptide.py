@@ -4,14 +4,17 @@ Alanine dipeptide (amber14) in a droplet of 32 TIP3P molecules without cutoff, o
 constrained or, with --constraints None, with none but those of water. Standard deviation of the total energy within
 windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces a ps, all from the same starts,
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
-own; of these, the evaluations a ps are counted beside.
+own, "with 1-4" the pairs three bonds apart too; of these, the evaluations a ps are counted beside.
 
-Raw data go to out/benchmarks/peptide_*.csv and a picture beside them. --quick runs a short version.
+A survey with short runs goes first; the best of each family at each rate are then run for long. Rows go to
+out/benchmarks/peptide_*.csv, with processor time (one thread) a ps; what stands there is not run again, so that the
+same command goes on after a break. Pictures lie beside. --quick runs a short version.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import time
 from pathlib import Path
 
@@ -29,13 +32,19 @@ import matplotlib.pyplot as plt
 PEPTIDE = Path(__file__).parent.parent / "examples" / "data" / "alanine_dipeptide.pdb"
 CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "None": None}
 RATES = (250, 500, 1000, 2000)
-SCHEMES = ("S2_2", "S2_3", "W2_4", "W4_5", "SRKN4_6b")
+SCHEMES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_14a")
+#: How our schemes are run; names of methods end so.
+PLAIN, NESTED, WITH_PAIRS = "", " nested", " nested with 1-4"
+FAMILIES = ("Verlet", "MTSIntegrator", "plain", "nested", "nested with 1-4")
 #: Steps of MTSIntegrator's bonded forces, in ps.
 INNER = 0.0005
+#: Starts and length (ps) of the survey, and how many of a family at a rate are then run for long.
+SURVEY, BEST = (2, 0.5), 1
+COLUMNS = ("method", "nonbonded_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_a_ps", "cpu_s_a_ps")
 
 
 def droplet(waters, constraints):
-    """Return System and positions (nm) of the peptide and the molecules of water next to it; bonded forces apart."""
+    """Return System and positions (nm) of the peptide and the molecules of water next to it."""
     pdb = app.PDBFile(str(PEPTIDE))
     force_field = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
     modeller = app.Modeller(pdb.topology, pdb.positions)
@@ -50,93 +59,141 @@ def droplet(waters, constraints):
     system = force_field.createSystem(
         modeller.topology, nonbondedMethod=app.NoCutoff, constraints=CONSTRAINTS[constraints], removeCMMotion=False
     )
-    rb.separate_bonded(system)
     return system, np.array(modeller.positions.value_in_unit(unit.nanometer))
 
 
-def integrators(rate, bonded):
-    """Return the integrators of one row by name, with `rate` evaluations of the nonbonded forces a ps."""
-    verlet = openmm.VerletIntegrator(1.0 / rate)
-    substeps = max(2, round(1.0 / rate / INNER))
-    mts = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps)])
-    found = {"Verlet": verlet, "MTSIntegrator": mts}
-    for name in SCHEMES:
-        h = rb.SCHEMES[name].stages / rate
-        found[name] = rb.ExactRigidBodyIntegrator(h, scheme=name)
-        found[f"{name} nested"] = rb.ExactRigidBodyIntegrator(h, scheme=name, fast="bonded")
-    for other in (verlet, mts):
-        other.setConstraintTolerance(1e-10)
-    return found
+def methods():
+    """Return the names of all methods."""
+    return ["Verlet", "MTSIntegrator", *(name + how for name in SCHEMES for how in (PLAIN, NESTED, WITH_PAIRS))]
 
 
-def measured(system, starts, duration, rate, name, integrator):
+def family(method):
+    """Return the family of a method."""
+    if method in FAMILIES:
+        return method
+    scheme = method.split()[0]
+    return method.removeprefix(scheme).strip() or "plain"
+
+
+def substeps(rate):
+    """Return how many steps of the bonded forces MTSIntegrator makes."""
+    return max(2, round(1.0 / rate / INNER))
+
+
+def prepared(bare, method, rate):
+    """Return System and integrator of a method with `rate` evaluations of the nonbonded forces a ps."""
+    system = openmm.XmlSerializer.clone(bare)
+    bonded = rb.separate_bonded(system, exceptions=method.endswith(WITH_PAIRS))
+    if family(method) == "Verlet":
+        integrator = openmm.VerletIntegrator(1.0 / rate)
+    elif family(method) == "MTSIntegrator":
+        integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
+    else:
+        scheme = method.split()[0]
+        fast = None if family(method) == "plain" else "bonded"
+        return system, rb.ExactRigidBodyIntegrator(rb.SCHEMES[scheme].forces / rate, scheme=scheme, fast=fast)
+    integrator.setConstraintTolerance(1e-10)
+    return system, integrator
+
+
+def measured(bare, starts, duration, method, rate):
     """Return a row: errors in kJ/mol of the whole droplet, evaluations of bonded forces a ps, seconds a ps."""
+    system, integrator = prepared(bare, method, rate)
     start = time.process_time()
     try:
-        swing, whole = energy_noise(system, integrator, starts, duration, "Reference")
+        spread = energy_noise(system, integrator, starts, duration, "Reference")
+        swing, whole = spread[0], spread[-1]
     except openmm.OpenMMException:  # a run that OpenMM itself found to be infinite
         swing = whole = np.inf
     seconds = (time.process_time() - start) / (duration * len(starts))
     bonded = rate
-    if isinstance(integrator, rb.ExactRigidBodyIntegrator):
-        timings = integrator.timings
-        bonded = rate * (timings.fast_evaluations / timings.evaluations if "nested" in name else 1.0)
-    elif name == "MTSIntegrator":
-        bonded = rate * max(2, round(1.0 / rate / INNER))
-    return name, rate, swing, whole, bonded, seconds
+    if family(method) == "MTSIntegrator":
+        bonded = rate * substeps(rate)
+    elif family(method).startswith("nested") and integrator.timings.evaluations:
+        bonded = rate * integrator.timings.fast_evaluations / integrator.timings.evaluations
+    return method, rate, swing, whole, bonded, seconds
 
 
-def run(constraints, waters, n_starts, duration, rates):
-    """Measure all integrators at all rates, write the rows, print the best of each family and draw them."""
+class Table:
+    """Rows in a file: those that stand there already are not measured again."""
+
+    def __init__(self, file):
+        self.file, self.rows = file, {}
+        if file.exists():
+            with file.open() as lines:
+                for row in csv.DictReader(lines):
+                    numbers = [float(row[name]) for name in COLUMNS[2:]]
+                    self.rows[row["method"], int(row["nonbonded_a_ps"])] = numbers
+        else:
+            file.write_text(",".join(COLUMNS) + "\n")
+
+    def add(self, bare, starts, duration, method, rate):
+        """Measure a method at a rate."""
+        if (method, rate) in self.rows:
+            return
+        *_, swing, whole, bonded, seconds = row = measured(bare, starts, duration, method, rate)
+        self.rows[method, rate] = [swing, whole, bonded, seconds]
+        with self.file.open("a") as file:
+            file.write(",".join(map(str, row)) + "\n")
+        print(f"{rate:5d} a ps {method:>26}: " + ", ".join(f"{x:.2g}" for x in row[2:]), flush=True)
+
+    def best(self, rate, kind, n):
+        """Return the n methods of a family with the least energy error at a rate, the best one first."""
+        found = [method for method, at in self.rows if at == rate and family(method) == kind]
+        found.sort(key=lambda method: self.rows[method, rate][0])
+        return [method for method in found[:n] if np.isfinite(self.rows[method, rate][0])]
+
+
+def run(constraints, waters, n_starts, duration, rates, survey):
+    """Survey all methods, run the best ones for long, print a table and draw it."""
     system, positions = droplet(waters, constraints)
-    bonded = next(f.getForceGroup() for f in system.getForces() if isinstance(f, openmm.HarmonicAngleForce))
     starts = equilibrated(system, positions, "Reference", 5.0, n_starts)
-    rows = []
-    with (OUT / f"peptide_{constraints}.csv").open("w") as file:
-        file.write("method,nonbonded_a_ps,energy_std_half_ps,energy_std_run,bonded_a_ps,cpu_s_a_ps\n")
-        for rate in rates:
-            for name, integrator in integrators(rate, bonded).items():
-                rows.append(measured(system, starts, duration, rate, name, integrator))
-                file.write(",".join(map(str, rows[-1])) + "\n")
-                file.flush()
-                print(f"{rate:5d} a ps {name:>16}: " + ", ".join(f"{x:.2g}" for x in rows[-1][2:]), flush=True)
-    families = table(rows, rates)
-    draw(families, constraints, waters)
-
-
-def table(rows, rates):
-    """Print and return the errors of each family: OpenMM's integrators, and the best of ours, plain and nested."""
-    families = {"Verlet": [], "MTSIntegrator": [], "best plain": [], "best nested": []}
+    short = Table(OUT / f"peptide_{constraints}_survey.csv")
+    long = Table(OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps.csv")
     for rate in rates:
-        here = {row[0]: row for row in rows if row[1] == rate}
-        ours = [row for row in here.values() if row[0] not in families]
-        plain = min((row for row in ours if "nested" not in row[0]), key=lambda row: row[2])
-        nested = min((row for row in ours if "nested" in row[0]), key=lambda row: row[2])
-        for family, row in zip(families, (here["Verlet"], here["MTSIntegrator"], plain, nested), strict=True):
-            families[family].append(row)
-    print("\n| a ps | " + " | ".join(families) + " |\n|" + 5 * " --- |")
-    for i, rate in enumerate(rates):
-        cells = [family[i] for family in families.values()]
-        texts = [f"{row[2]:.2g}" + f" ({row[0]})" * (k > 1) for k, row in enumerate(cells)]
-        print(f"| {rate} | " + " | ".join(texts) + " |")
-    return families
+        for method in methods():
+            short.add(system, starts[: survey[0]], survey[1], method, rate)
+    for rate in rates:
+        for kind in FAMILIES:
+            for method in short.best(rate, kind, BEST):
+                long.add(system, starts, duration, method, rate)
+    for column, what in ((0, "windows of 0.5 ps"), (1, f"whole runs of {duration:g} ps")):
+        print_table(long, rates, column, what)
+    draw(long, rates, constraints, waters)
 
 
-def draw(families, constraints, waters):
-    figure, axes = plt.subplots(figsize=(7.0, 4.6), layout="constrained")
-    for (family, rows), (colour, marker) in zip(families.items(), STYLES, strict=False):
-        points = [(row[1], row[2]) for row in rows if np.isfinite(row[2])]
-        line = "-" if family.startswith("best") else "--"
-        axes.loglog(
-            *zip(*points, strict=True), color=colour, marker=marker, ls=line, label=family, mec="black", mew=0.4
-        )
-    axes.set_xlabel("evaluations of the nonbonded forces per ps")
-    axes.set_ylabel("std of total energy within 0.5 ps (kJ/mol)")
-    axes.set_title(f"Alanine dipeptide and {waters} TIP3P, constraints={constraints}, NVE")
-    axes.set_xticks([row[1] for row in rows], [str(row[1]) for row in rows])
-    axes.minorticks_off()
-    axes.grid(True, alpha=0.3)
-    axes.legend(fontsize=8)
+def print_table(table, rates, column, what):
+    """Print the errors of the best of each family."""
+    print(f"\nstandard deviation in {what}, kJ/mol\n\n| a ps | " + " | ".join(FAMILIES) + " |")
+    print("|" + (1 + len(FAMILIES)) * " --- |")
+    for rate in rates:
+        cells = []
+        for kind in FAMILIES:
+            best = table.best(rate, kind, 1)
+            named = f" ({best[0].split()[0]})" if best and best[0] != kind else ""
+            cells.append(f"{table.rows[best[0], rate][column]:.2g}{named}" if best else "blows up")
+        print(f"| {rate} | " + " | ".join(cells) + " |")
+
+
+def draw(table, rates, constraints, waters):
+    figure, panels = plt.subplots(1, 2, figsize=(10.0, 4.6), layout="constrained", sharey=True)
+    for kind, (colour, marker) in zip(FAMILIES, STYLES, strict=False):
+        chosen = [(rate, *best) for rate in rates if (best := table.best(rate, kind, 1))]
+        points = [(rate, table.rows[method, rate]) for rate, method in chosen]
+        style = {"color": colour, "marker": marker, "ls": "--" if kind in FAMILIES[:2] else "-", "mec": "black"}
+        label = kind if kind in FAMILIES[:2] else f"ours, {kind}"
+        errors = [row[0] for _, row in points]
+        panels[0].loglog([rate for rate, _ in points], errors, label=label, mew=0.4, **style)
+        panels[1].loglog([row[3] for _, row in points], errors, label=label, mew=0.4, **style)
+    panels[0].set_xlabel("evaluations of the nonbonded forces per ps")
+    panels[0].set_ylabel("std of total energy within 0.5 ps (kJ/mol)")
+    panels[0].set_xticks(rates, map(str, rates))
+    panels[1].set_xlabel("processor time on Reference (s per ps)")
+    panels[0].minorticks_off()
+    for axes in panels:
+        axes.grid(True, alpha=0.3)
+    panels[0].legend(fontsize=8)
+    figure.suptitle(f"Alanine dipeptide and {waters} TIP3P, constraints={constraints}, NVE")
     figure.savefig(OUT / f"peptide_{constraints}.png", dpi=150)
     plt.close(figure)
 
@@ -145,15 +202,16 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--constraints", choices=CONSTRAINTS, default="HBonds", help="of the peptide (%(default)s)")
     parser.add_argument("--waters", type=int, default=32, metavar="N", help="molecules of water (%(default)s)")
-    parser.add_argument("--starts", type=int, default=2, metavar="N", help="starts (%(default)s)")
-    parser.add_argument("--duration", type=float, default=1.0, metavar="PS", help="ps from each start (%(default)s)")
+    parser.add_argument("--starts", type=int, default=6, metavar="N", help="starts (%(default)s)")
+    parser.add_argument("--duration", type=float, default=10.0, metavar="PS", help="ps from each start (%(default)s)")
+    parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations a ps")
     parser.add_argument("--quick", action="store_true", help="short runs")
     args = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     if args.quick:
-        run(args.constraints, 4, 1, 0.5, (500, 1000))
+        run(args.constraints, 4, 1, 0.5, (500, 1000), (1, 0.5))
     else:
-        run(args.constraints, args.waters, args.starts, args.duration, RATES)
+        run(args.constraints, args.waters, args.starts, args.duration, args.rates, SURVEY)
 
 
 if __name__ == "__main__":

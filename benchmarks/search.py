@@ -342,15 +342,18 @@ def main():
     parser.add_argument("--judge", nargs="+", metavar="NAME", help="judge schemes of the catalogue, without any search")
     parser.add_argument("--molecules", type=int, default=TEST["n"], help="of the droplets that judge")
     parser.add_argument("--models", nargs="+", default=list(MODELS), help="water models that judge")
+    parser.add_argument("--picoseconds", type=float, default=30.0, help="of the runs that judge")
     args = parser.parse_args()
+    seeds = TEST["seeds"]
     if args.judge:
         for rate in args.rates:
             candidates = [(name, None) for name in args.judge if name != "V2"]
-            judged(candidates, rate, args.folder, args.models, args.molecules, workers=args.workers)
+            judged(candidates, rate, args.folder, args.models, args.molecules, seeds, args.workers, args.picoseconds)
         return
     found = searched(args.families, args.rates, args.best, args.budget, args.folder, args.workers)
     for rate in args.rates:
-        judged(found[rate][: args.best], rate, args.folder, args.models, args.molecules, workers=args.workers)
+        best = found[rate][: args.best]
+        judged(best, rate, args.folder, args.models, args.molecules, seeds, args.workers, args.picoseconds)
 
 
 if __name__ == "__main__":

@@ -18,10 +18,13 @@ from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+
+import droplet
+
 import openmm_exactrb
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
-sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 log = logging.getLogger(__name__)
 
 project = "openmm-exactrb"
@@ -37,9 +40,10 @@ extensions = [
     "sphinx.ext.doctest",
     "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
+    "sphinx-mathjax-offline",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "tutorials/**/*.ipynb"]
+exclude_patterns = ["_build", "_static", "examples/**/*.ipynb"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
 myst_heading_anchors = 3
 
@@ -60,7 +64,7 @@ nitpick_ignore_regex = [
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
-    "gallery_dirs": "tutorials",
+    "gallery_dirs": "examples",
     "filename_pattern": "",  # executes all of them
     "ignore_pattern": r"^sphere\.py|[\\/]sphere\.py",
     "run_stale_examples": True,  # the package may have changed since
@@ -80,6 +84,9 @@ doctest_global_setup = "from openmm_exactrb import *"
 html_theme = "furo"
 html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
+html_static_path = ["_static"]
+html_css_files = ["custom.css"]
+html_favicon = "_static/favicon.svg"
 html_theme_options = {"source_directory": "docs/"}
 
 linkcheck_ignore = [r"https://doi\.org/.*"]  # publishers refuse robots; the numbers are checked by hand
@@ -139,8 +146,15 @@ def signature(app: Sphinx, what: str, *rest: Any) -> tuple[str, str] | None:
     return made
 
 
+def moving_droplet(app: Sphinx) -> None:
+    """Make the trajectory that a page shows."""
+    if app.builder.format == "html":
+        droplet.write(Path(__file__).parent / "_static" / "droplet.xyz")
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
+    app.connect("builder-inited", moving_droplet)
     for listener in tuple(app.events.listeners["autodoc-process-signature"]):
         if listener.handler is mangle_signature:
             app.disconnect(listener.id)

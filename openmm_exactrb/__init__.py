@@ -20,7 +20,7 @@ from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.systems import dipole_fluid, rigid_water
-from openmm_exactrb.tuning import tune
+from openmm_exactrb.tuning import tune, tune_proposals
 from openmm_exactrb.version import version
 
 __version__ = version("0+unknown")
@@ -52,5 +52,6 @@ __all__ = [
     "separate_bonded",
     "soft_dipole_force",
     "tune",
+    "tune_proposals",
     "written_whole",
 ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import weakref
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import openmm
@@ -58,16 +58,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
         forces, which are what costs, as often as before.
     inner : str or Scheme, optional
-        Scheme of the inner steps: S2_2 in a scheme of order 2 and SRKN4_6b in others if it is not given.
+        Scheme of the inner steps; if it is not given S2_2, or SRKN4_6b in schemes of higher order than 2 or with force
+        gradients.
     innerSteps : int, optional
-        Inner steps for the time of a step, at least one for each drift. If it is not given, the time between two
-        inner force evaluations is at most a twentieth of the shortest period of the bonds and angles that are nested.
+        Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an inner force
+        evaluation for each twentieth of the shortest period of the bonds and angles that are nested, or more.
     engine : {"host", "device", "auto"}, optional
-        Who carries the steps out. "host": compiled kernels of this package; positions go to OpenMM at every stage, and
-        forces come back. "device": the whole step is a program of OpenMM's CustomIntegrator, on CUDA, HIP or OpenCL
-        in mixed or double precision, and on Reference where there are no virtual sites. At the first use the System
-        gets forces in group 31, which add exactly 0 to its energy and forces, and the Context is reinitialised once,
-        with its state. "auto": the device where it can be, else the host; `engineNote` says why.
+        Who carries the steps out. "host": compiled kernels of this package. "device": a program of OpenMM's
+        CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device where
+        it can be and a few steps of both show that it is no slower; `engineNote` says why.
 
     Raises
     ------
@@ -79,6 +78,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     ----------
     timings : Timings
     """
+
+    _bath_in_steps: ClassVar[str | None] = None
 
     def __init__(
         self,
@@ -98,8 +99,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._engine = Chosen(engine, self._scheme, self._rotor, self._nesting is not None)
-        self._engine.declare(self, self._scheme)
+        self._engine = Chosen(engine, self._steps(), self._rotor, self._nesting is not None, self._bath_in_steps)
+        self._engine.declare(self)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
         self._host: host.Host | None = None
@@ -180,8 +181,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def bind(self, context: openmm.Context) -> None:
         """Tell the integrator its Context.
 
-        Only needed where it cannot be found, since `step` looks for the Context that was made with this integrator.
-        Positions may be set later: bodies are found when they are first needed.
+        Only needed where `step` cannot find the Context that was made with this integrator. Positions may be set later.
 
         Parameters
         ----------
@@ -240,8 +240,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
-        A linear body has two rotational ones, a single particle none. Where the System has a CMMotionRemover, three
-        translational ones are missing.
+        A linear body has two rotational ones, a particle none. With a CMMotionRemover three translational are missing.
         """
         parts = self._up_to_date()
         bodies = parts.session.bodies
@@ -291,7 +290,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If the tolerance is not a positive force, or the number of iterations no whole number.
+            If the tolerance is no positive force, or the number of iterations not whole.
         """
         force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
@@ -354,13 +353,13 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        within = self._nesting
-        nested = {} if within is None else {"fast": within.fast, "inner": within.scheme, "innerSteps": within.steps}
-        return {"engine": self._engine.asked, **nested}
+        return {"engine": self._engine.asked} | ({} if self._nesting is None else self._nesting.arguments())
+
+    def _steps(self) -> Scheme:  # with all letters of a step
+        return self._scheme
 
     def _plan(self, context: openmm.Context) -> host.Plan:
-        """Return what the next steps are."""
-        return host.Plan(self._scheme, self._makers)
+        return host.Plan(self._steps(), self._makers)
 
     def _up_to_date(self) -> host.Host:
         """Return what moves the bodies of the present Context, with what was set there taken up."""
@@ -373,7 +372,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         if self._host is None or self._host.session.outdated:
             context = self._context and self._context()
             context = context or find_context(self)
-            self._engine.settle(context, self._bodies)
+            self._engine.settle(context, self)
             if self._engine.on_device:
                 self._host = device(context, self, self._rotor, self._bodies, self.timings)
             else:

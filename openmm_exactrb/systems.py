@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -269,11 +270,12 @@ _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 
 # Force field file, O-H distance in nm and H-O-H angle in degrees.
-_WATER_MODELS = {
+_WATER_MODELS: dict[str, tuple[str, float, float]] = {
     "tip3p": ("tip3p.xml", 0.09572, 104.52),
     "spce": ("spce.xml", 0.1, 109.47),
     "tip4pew": ("tip4pew.xml", 0.09572, 104.52),
     "tip5p": ("tip5p.xml", 0.09572, 104.52),
+    "tip4p2005": (str(Path(__file__).with_name("tip4p2005.xml")), 0.09572, 104.52),
 }
 
 
@@ -287,8 +289,8 @@ def rigid_water(
     n : int
         Number of molecules, on the first places of the lattice.
     seed : int
-    model : {"tip3p", "spce", "tip4pew", "tip5p"}
-        A force field file that comes with OpenMM.
+    model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
+        A force field file that comes with OpenMM, or with this package (TIP4P/2005, doi:10.1063/1.2121687).
     spacing : float or Quantity
         Lattice constant in nm; the default has the density of water.
     **options

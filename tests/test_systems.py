@@ -148,3 +148,26 @@ def test_quantities_are_taken_as_their_numbers():
     assert openmm.XmlSerializer.serialize(same[1]) == openmm.XmlSerializer.serialize(plain[1])
     with pytest.raises(ValueError, match="sigma must be a positive number of nm, not 3 K"):
         rb.dipole_fluid(8, sigma=3 * unit.kelvin)
+
+
+def test_tip4p_2005_has_the_charges_and_the_size_that_were_published():
+    """Abascal and Vega 2005: a dipole of 2.305 D and a quadrupole of 2.297 D A, table II; epsilon/k = 93.2 K."""
+    _, system, positions = rb.rigid_water(1, seed=3, model="tip4p2005")
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    parameters = [nonbonded.getParticleParameters(i) for i in range(4)]
+    charges = np.array([q._value for q, _, _ in parameters])
+    x = positions._value
+    middle = 0.5 * (x[1] + x[2])
+    axis = (middle - x[0]) / np.linalg.norm(middle - x[0])
+    assert np.linalg.norm(x[3] - x[0]) == pytest.approx(0.01546, abs=1e-8)
+    assert (x[3] - x[0]) @ axis == pytest.approx(0.01546, abs=1e-8)
+    debye = 0.0208194  # e nm
+    assert np.linalg.norm(charges @ x) / debye == pytest.approx(2.305, abs=5e-4)
+    half = 0.5 * np.linalg.norm(x[1] - x[2])
+    quadrupole = 1.5 * charges[1] * half**2  # (Qxx - Qyy)/2 with Qij = 3/2 sum q xi xj: two protons
+    assert quadrupole / (0.1 * debye) == pytest.approx(2.297, abs=5e-4)
+    _, sigma, epsilon = parameters[0]
+    assert sigma._value == 0.31589
+    assert epsilon / unit.MOLAR_GAS_CONSTANT_R / unit.kelvin == pytest.approx(93.2, abs=1e-3)
+    assert [e._value for _, _, e in parameters[1:]] == [0.0] * 3
+    assert system.getNumConstraints() == 3

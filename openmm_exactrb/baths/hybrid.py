@@ -16,6 +16,7 @@ from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context import account
 from openmm_exactrb.context.letters import Maker, Parts, flows
 from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.motion.draws import Draws, Instant, Purpose
 from openmm_exactrb.motion.engine import Flow, run
 from openmm_exactrb.motion.guard import NonFiniteError
@@ -42,8 +43,9 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         What the bath renews of the momenta between proposals, as friction in 1/ps if it has no unit.
     stepSize : float or Quantity
         Time of a proposal, in ps if it has no unit.
-    scheme, rotor, rotationalFriction, bodies
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a bath within it.
+    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps
+        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a bath within it. The inner
+        steps are those for the time of one step of the scheme.
     stepsPerProposal : int, optional
         Steps of the scheme that a proposal is made of, of the size stepSize/stepsPerProposal.
 
@@ -54,6 +56,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         ``stepsPerProposal`` no whole number above zero.
     """
 
+    _bath_in_steps: ClassVar[str | None] = "hybrid Monte Carlo"
     tallies: ClassVar[tuple[str, ...]] = (_ACCEPTED, _PROPOSED)
 
     def __init__(
@@ -66,8 +69,13 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         rotationalFriction: float | unit.Quantity | None = None,
         stepsPerProposal: int = 1,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
+        engine: Engine = "host",
     ) -> None:
-        super().__init__(temperature, frictionCoeff, stepSize, scheme, rotor, rotationalFriction, bodies)
+        bath = (temperature, frictionCoeff, stepSize, scheme, rotor, rotationalFriction)
+        super().__init__(*bath, bodies, fast, inner, innerSteps, engine)
         self._steps_a_proposal = whole(stepsPerProposal, "stepsPerProposal")
         self._proposal = words.proposal(self._scheme, self._steps_a_proposal)
 
@@ -116,13 +124,15 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def _proposals(self, parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
         """Make the flow that proposes and decides."""
-        forces = parts.forces.with_energies()
-        parts = replace(parts, scheme=self._proposal, forces=forces, slow=forces)
-        word, moves = self._proposal.word, flows(self._proposal.word, parts, self._makers)
+        step = self.getStepSize().value_in_unit(unit.picosecond) / self._steps_a_proposal
+        proposal = words.proposal(parts.nested(self._scheme, step), self._steps_a_proposal)
+        parts = replace(parts, scheme=proposal, slow=parts.slow.with_energies())
+        word, moves = proposal.word, flows(proposal.word, parts, self._makers)
         kT, seed, draws = gas_constant_times(self._temperature), self.getSeedInUse(), Draws(kernels.twins().noise)
 
         def energy(state: State) -> float:
-            return sum(parts.bodies.kinetic_energies(state.rounded)) + parts.forces.potential(state)
+            potential = parts.slow.potential(state) + parts.fast.potential(state)
+            return sum(parts.bodies.kinetic_energies(state.rounded)) + potential
 
         def proposed(state: State, tau: float) -> tuple[State, float]:
             """Return a proposal and its rise of the energy: infinite if it blows up."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 from openmm import unit
 
@@ -11,6 +11,8 @@ from openmm_exactrb import kernels
 from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.context.letters import Parts
 from openmm_exactrb.context.units import gas_constant_times, not_negative
+from openmm_exactrb.device import names
+from openmm_exactrb.device.choice import LANGEVIN, Engine
 from openmm_exactrb.motion.bath import Bath, langevin
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
@@ -34,14 +36,18 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "BAOAB" and "ABOBA" have the
-        bath in their middle and need one force a step (doi:10.1063/1.4802990).
+        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "W2_3" takes three forces a
+        step: it keeps translation and rotation of water within a kelvin of each other up to 6 fs a force. "BAOAB" and
+        "ABOBA" have the bath in their middle and need one force a step (doi:10.1063/1.4802990).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation; that of translation unless given.
-    bodies : sequence of sequences of int, optional
+    bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
+    engine : {"host", "device", "auto"}, optional
+        As in `ExactRigidBodyIntegrator`. The device draws other random numbers: from the same seed, but the noise of a
+        step depends on all steps before it. It has no `temperaturesAroundBath`.
 
     Raises
     ------
@@ -55,17 +61,23 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     The noise is that of the seed and the number of the step: a second trajectory needs another seed.
     """
 
+    _bath_in_steps: ClassVar[str | None] = LANGEVIN
+
     def __init__(
         self,
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
         stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        scheme: str | Scheme = "W2_3",
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
+        engine: Engine = "host",
     ) -> None:
-        super().__init__(temperature, stepSize, scheme, rotor, bodies)
+        super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setFriction(frictionCoeff)
         self.setRotationalFriction(rotationalFriction)
 
@@ -96,6 +108,11 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
             "frictionCoeff": self._friction,
             "rotationalFriction": self._rotational,
         }
+
+    def _numbers(self) -> Mapping[str, float]:
+        kT = gas_constant_times(self._temperature)
+        frictions = {names.FRICTION: self._friction, names.TURNING_FRICTION: self.getRotationalFriction()._value}
+        return {names.KT: kT, **frictions} if self._engine.on_device else {}
 
     def _exchange(self, parts: Parts) -> Bath:
         bodies, kT = parts.bodies, gas_constant_times(self._temperature)

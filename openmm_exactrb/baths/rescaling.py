@@ -13,6 +13,7 @@ from openmm_exactrb.checks import positive
 from openmm_exactrb.context import account
 from openmm_exactrb.context.letters import Parts
 from openmm_exactrb.context.units import gas_constant_times, plain
+from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.motion.bath import Array, Bath
 from openmm_exactrb.motion.draws import Draws, Instant
 from openmm_exactrb.motion.rescaling import rescaling
@@ -36,7 +37,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         Of the kinetic energy, in ps if it has no unit.
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
-    scheme, rotor, bodies
+    scheme, rotor, bodies, fast, inner, innerSteps
         As in `ExactRigidBodyLangevinIntegrator`.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.
@@ -54,6 +55,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     ``CMMotionRemover`` to a System whose forces do so too: it lets the three missing ones be counted as missing.
     """
 
+    _bath_in_steps: ClassVar[str | None] = "velocity rescaling"
     tallies: ClassVar[tuple[str, ...]] = (_HEAT,)
 
     def __init__(
@@ -65,8 +67,12 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         rotor: str | Rotor = "exact",
         together: bool = True,
         bodies: Sequence[Sequence[int]] | None = None,
+        fast: str | Sequence[int] | None = None,
+        inner: str | Scheme | None = None,
+        innerSteps: int | None = None,
+        engine: Engine = "host",
     ) -> None:
-        super().__init__(temperature, stepSize, scheme, rotor, bodies)
+        super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setRelaxationTime(relaxationTime)
         self._together = bool(together)
 

@@ -17,6 +17,7 @@ from openmm_exactrb.context.couplings import refuse_other_baths
 from openmm_exactrb.context.host import Plan
 from openmm_exactrb.context.letters import Maker, Parts
 from openmm_exactrb.context.units import gas_constant_times, kelvin
+from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.motion.bath import Bath
 from openmm_exactrb.motion.draws import Instant
@@ -41,9 +42,11 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     ----------
     temperature : float or Quantity
         In K if it has no unit.
-    stepSize, scheme, rotor, bodies
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine
         As `ExactRigidBodyIntegrator` takes them; the schemes also "BAOAB" and "ABOBA".
     """
+
+    _bath_in_steps: ClassVar[str | None] = "one of your own"
 
     #: Names of what the steps add up.
     tallies: ClassVar[tuple[str, ...]] = ()
@@ -55,8 +58,12 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         scheme: str | Scheme,
         rotor: str | Rotor,
         bodies: Sequence[Sequence[int]] | None,
+        fast: str | Sequence[int] | None,
+        inner: str | Scheme | None,
+        innerSteps: int | None,
+        engine: Engine,
     ) -> None:
-        super().__init__(stepSize, words.splitting(scheme), rotor, bodies)
+        super().__init__(stepSize, words.splitting(scheme), rotor, bodies, fast, inner, innerSteps, engine)
         account.declare(self, (_SEED, *self.tallies))
         self.setTemperature(temperature)
         self._around: tuple[int, State, State] | None = None
@@ -111,6 +118,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             If the step that the Context is at was not made here.
         """
         host = self._up_to_date()
+        if self.getEngine() == "device":
+            raise ValueError("on the device nobody looks at momenta within a step: take engine='host' for that")
         if self._around is None or self._around[0] != host.session.context.getStepCount():
             raise ValueError("there is no bath yet to take temperatures around: make a step first")
         energies = [host.session.bodies.kinetic_energies(state.rounded) for state in self._around[1:]]
@@ -132,13 +141,21 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return {BATH: self._bath}
 
     def _arguments(self) -> dict[str, Any]:
-        return {"temperature": self._temperature}
+        within = self.getNesting()
+        return {"temperature": self._temperature, "engine": self._engine.asked} | (
+            {} if within is None else within.arguments()
+        )
 
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)
         account.write(self, _SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
         makers = {**self._makers, **self._own_makers()}
-        return Plan(self._steps(), makers, gas_constant_times(self._temperature), account.Account(self, self.tallies))
+        kT, tallies = gas_constant_times(self._temperature), account.Account(self, self.tallies)
+        return Plan(self._steps(), makers, kT, tallies, self._numbers(), self.getSeedInUse())
+
+    def _numbers(self) -> Mapping[str, float]:
+        """Return what a program on a device is told of the bath."""
+        return {}
 
     def _bath(self, parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
         exchange = self._exchange(parts)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,15 @@ _BONDED = (
     openmm.CustomAngleForce,
     openmm.CustomTorsionForce,
 )
+#: Coulomb's constant in kJ nm/mol/e², from the numbers that OpenMM makes its own of.
+COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
+_PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
 # What acts between steps has no forces on atoms.
 _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
 
 
-def separate_bonded(system: openmm.System) -> int:
+def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
     """Give the bonded forces of a System a force group of their own, for ``fast="bonded"``.
 
     Bonded are bonds, angles and torsions, also those of formulas: HarmonicBondForce, HarmonicAngleForce,
@@ -35,6 +39,10 @@ def separate_bonded(system: openmm.System) -> int:
     ----------
     system : openmm.System
         Is changed: its bonded forces get the first group that no other force is in.
+    exceptions : bool, optional
+        Whether the exceptions of NonbondedForces, pairs of atoms three bonds apart in most force fields, become bonded
+        forces too. Each of them is then one of a CustomBondForce, and for the NonbondedForce a pair that does not
+        interact: what it has to say of these pairs moves with them.
 
     Returns
     -------
@@ -44,8 +52,11 @@ def separate_bonded(system: openmm.System) -> int:
     Raises
     ------
     ValueError
-        If the other forces are in all groups.
+        If the other forces are in all groups, or exceptions to be moved depend on parameters of the Context.
     """
+    if exceptions:
+        for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
+            _move_exceptions(system, force)
     others = {group for force in system.getForces() if not isinstance(force, _BONDED) for group in groups_of(force)}
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
@@ -54,6 +65,28 @@ def separate_bonded(system: openmm.System) -> int:
         if isinstance(force, _BONDED):
             force.setForceGroup(free[0])
     return free[0]
+
+
+def _move_exceptions(system: openmm.System, force: openmm.NonbondedForce) -> None:
+    """Make a CustomBondForce of the pairs of a NonbondedForce that interact by numbers of their own."""
+    if force.getNumExceptionParameterOffsets():
+        raise ValueError(
+            "exceptions of the NonbondedForce have parameter offsets, which a CustomBondForce cannot follow: leave "
+            "exceptions=True away"
+        )
+    pairs = openmm.CustomBondForce(_PAIR)
+    for name in ("charges", "sigma", "epsilon"):
+        pairs.addPerBondParameter(name)
+    cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
+    pairs.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
+    for number in range(force.getNumExceptions()):
+        i, j, charges, sigma, epsilon = force.getExceptionParameters(number)
+        if charges._value or epsilon._value:
+            pairs.addBond(i, j, [charges, sigma, epsilon])
+            force.setExceptionParameters(number, i, j, 0.0, sigma, 0.0)
+    if pairs.getNumBonds():
+        pairs.setName(f"exceptions of {force.getName()}")
+        system.addForce(pairs)
 
 
 def bonded_groups(system: openmm.System) -> tuple[int, ...]:
@@ -90,8 +123,8 @@ def groups_of(force: Any) -> set[int]:
     return {force.getForceGroup()} | ({own} if own >= 0 else set())
 
 
-def fastest(system: openmm.System, groups: tuple[int, ...]) -> float:
-    """Estimate the highest frequency of the harmonic bonds and angles in some force groups.
+def fastest(system: openmm.System, groups: Sequence[int] = range(_GROUPS)) -> float:
+    """Estimate the highest frequency of the harmonic bonds and angles in some force groups, or all.
 
     Each bond and angle is taken by itself, without those that constraints hold.
 

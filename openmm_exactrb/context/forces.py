@@ -114,7 +114,9 @@ class Forces:
         return Forces(self._places, self._groups, self._timings, self._steady, True, self._counter)
 
     def potential(self, state: State) -> float:
-        """Return the potential energy in kJ/mol."""
+        """Return the potential energy in kJ/mol: nothing where no group acts."""
+        if not self._groups:
+            return 0.0
         if self._energies:
             self(state)
             return float(self._seen.getPotentialEnergy()._value)

@@ -14,7 +14,7 @@ from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.forces import Forces, Places
 from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
-from openmm_exactrb.context.nesting import Nested, Nesting, nested_in
+from openmm_exactrb.context.nesting import UNNESTED, Nested, Nesting, nested_in
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
@@ -41,12 +41,18 @@ class Plan:
         Of a bath, in kJ/mol; 0 without one.
     account : Account
         What the steps add up.
+    numbers : mapping
+        What a program on a device is told of a bath, by the names of its variables.
+    seed : int
+        Of the noise there.
     """
 
     scheme: Scheme
     makers: Mapping[str, Maker]
     kT: float = 0.0
     account: Account = field(default_factory=Account)
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
 
 
 @dataclass
@@ -59,7 +65,7 @@ class Host:
     couplings : Couplings
     kinetic : Kinetic
     timings : Timings
-    nested : Nested or None
+    nested : Nested
         What stands within the drifts.
     """
 
@@ -67,7 +73,7 @@ class Host:
     couplings: Couplings
     kinetic: Kinetic
     timings: Timings
-    nested: Nested | None = None
+    nested: Nested = UNNESTED
 
     def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps; what happens, the Context then holds the last state that is one of the bodies.
@@ -85,13 +91,13 @@ class Host:
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
-        slow, fast = forces, forces.of(0)
-        if self.nested is not None:
-            scheme = self.nested.put_into(scheme, h)
-            slow, fast = forces.of(~self.nested.bits), forces.of(self.nested.bits, "fast_evaluations")
+        within = self.nested
+        scheme = within.put_into(scheme, h)
+        slow = forces.of(~within.bits) if within.groups else forces
+        fast = forces.of(within.bits, "fast_evaluations")
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        parts = Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme, clock, account)
+        parts = Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme, within.put_into, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
@@ -140,5 +146,5 @@ def host(
     session = Session(context, integrator, named)
     rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
     kinetic = of_bodies(session.bodies, rotation, rotor.order)
-    nested = None if nesting is None else nested_in(context.getSystem(), nesting)
+    nested = UNNESTED if nesting is None else nested_in(context.getSystem(), nesting)
     return Host(session, Couplings(context, named or []), kinetic, timings, nested)

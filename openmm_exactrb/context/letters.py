@@ -33,6 +33,9 @@ class Parts:
         Those of the kicks of a scheme, and those that are nested in its drifts; without any the slow ones are all.
     guard : Guard
     scheme : Scheme
+        With the fast forces in its drifts.
+    nested : callable
+        nested(scheme, h) -> another scheme with these forces in its drifts, for steps of h (ps).
     clock : Clock
         Whose number is that of the last step that was made.
     account : Account
@@ -46,6 +49,7 @@ class Parts:
     fast: Forces
     guard: Guard
     scheme: Scheme
+    nested: Callable[[Scheme, float], Scheme]
     clock: Clock
     account: Account
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import openmm
 
@@ -16,8 +17,9 @@ from openmm_exactrb.schemes.word import DRIFT, FAST, KICK, Word, nested
 
 #: The longest time between two kicks of the fast forces, over the period of the fastest bond or angle by itself.
 SHARE = 0.05
-# Inner schemes for outer ones of order 2, and above: with an inner one of order 2 its own errors would be what is left.
-_OF_ORDER_2, _ABOVE = "S2_2", "SRKN4_6b"
+# Inner schemes for outer ones of order 2, and for those of higher order or with force gradients: there the errors of an
+# inner scheme of order 2 would be what is left.
+_COARSE, _FINE = "S2_2", "SRKN4_6b"
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,10 @@ class Nesting:
             raise ValueError(f'fast is None, "bonded" or force groups such as (1, 2), not {fast!r}')
         return cls(tuple(sorted(set(fast))), scheme, steps)
 
+    def arguments(self) -> dict[str, Any]:
+        """Return what an integrator that nests the same is made with."""
+        return {"fast": self.fast, "inner": self.scheme, "innerSteps": self.steps}
+
 
 @dataclass(frozen=True)
 class Nested:
@@ -83,22 +89,25 @@ class Nested:
         """The force groups as OpenMM takes them."""
         return sum(1 << group for group in self.groups)
 
-    def inner_steps(self, inner: Scheme, h: float) -> int:
-        """Return how many inner steps fill the time h (ps) of a step."""
-        if self.steps is not None:
-            return self.steps
-        return max(1, math.ceil(h * self.frequency / (2.0 * math.pi * SHARE * inner.stages)))
+    def inner_steps(self, inner: Scheme, time: float) -> int:
+        """Return how many inner steps the fast forces need in a time (ps), if nobody has told it."""
+        return math.ceil(time * self.frequency / (2.0 * math.pi * SHARE * inner.stages))
 
     def put_into(self, scheme: Scheme, h: float) -> Scheme:
         """Return a scheme with the fast forces in its drifts, for steps of h (ps)."""
-        own = self.scheme or look_up(_OF_ORDER_2 if scheme.order <= 2 else _ABOVE)
-        steps = self.inner_steps(own, h)
+        if not self.groups:
+            return scheme
+        own = self.scheme or look_up(_COARSE if scheme.order <= 2 and not scheme.gradients else _FINE)
         inner = tuple((FAST if letter == KICK else letter, part) for letter, part in own.word)
 
         def within(word: Word) -> Word:
-            return nested(word, DRIFT, inner, steps)
+            return nested(word, DRIFT, inner, self.steps or (lambda part: self.inner_steps(own, part * abs(h))))
 
         return replace(scheme, word=within(scheme.word), processor=within(scheme.processor))
+
+
+#: Nothing stands within the drifts.
+UNNESTED = Nested((), None, None, 0.0)
 
 
 def nested_in(system: openmm.System, nesting: Nesting) -> Nested:

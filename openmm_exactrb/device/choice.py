@@ -8,7 +8,8 @@ import openmm
 
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.device.emit import foreign
+from openmm_exactrb.device import gather
+from openmm_exactrb.device.rows import foreign
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 
@@ -16,6 +17,8 @@ from openmm_exactrb.schemes.scheme import Scheme
 Engine = Literal["host", "device", "auto"]
 #: What carries words out.
 ENGINES: tuple[Engine, ...] = ("host", "device", "auto")
+#: The bath that a program can have.
+LANGEVIN = "Langevin"
 _EXACT = ("exact", "exact_numpy", "exact_compiled")
 _DEVICES = ("CUDA", "HIP", "OpenCL")
 
@@ -34,13 +37,15 @@ def named(engine: str) -> Engine:
     raise ValueError(f"unknown engine {engine!r}: choose one of {', '.join(ENGINES)}")
 
 
-def against_program(scheme: Scheme, rotor: Rotor, nested: bool = False) -> str | None:
-    """Say why a scheme and a rotor cannot be a program of the device, or return None."""
+def against_program(scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None) -> str | None:
+    """Say why a scheme, a rotor and a bath cannot be a program of the device, or return None."""
+    if bath not in (None, LANGEVIN):
+        return f"the device has Langevin's bath only, not {bath}"
     if nested:
         return "the device has no steps for forces within drifts (fast=)"
     if rotor.name not in _EXACT:
         return f"the device turns bodies by the exact rotor only, not by {rotor.name}"
-    letters = foreign(scheme)
+    letters = foreign(scheme, bath is not None)
     if letters:
         return f"the device cannot carry out the letter {letters[0]!r} of scheme {scheme.name}"
     return None
@@ -50,8 +55,13 @@ def against_context(context: Any, named: list[list[int]] | None = None) -> str |
     """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
     platform = context.getPlatform()
     name = platform.getName()
-    if _has_clusters(context, named):
-        return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
+    x = arrays.positions(context.getState(positions=True))
+    if x.any():  # without positions nobody knows
+        bodies = find_bodies(context.getSystem(), x, named)
+        if len(bodies.clusters):
+            return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
+        if gather.against(context.getSystem(), bodies):
+            return gather.against(context.getSystem(), bodies)
     if name == "CPU":
         return "on the CPU platform the program would cost 12 times a Verlet step"
     if name in _DEVICES:
@@ -69,12 +79,6 @@ def slower(context: Any) -> str | None:
     """Say why the host is faster in a Context that could run a program, or return None."""
     name = context.getPlatform().getName()
     return None if name in _DEVICES else f"{name} is no device: there the host's compiled kernels are faster"
-
-
-def _has_clusters(context: Any, named: list[list[int]] | None) -> bool:
-    """Tell whether there are constrained clusters that are no rigid bodies; without positions nobody knows."""
-    x = arrays.positions(context.getState(positions=True))
-    return bool(x.any()) and len(find_bodies(context.getSystem(), x, named).clusters) > 0
 
 
 def _has_sites(system: openmm.System) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import ledger
-from openmm_exactrb.device import choice, emit, names
+from openmm_exactrb.device import choice, emit, names, trial
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 
@@ -22,6 +22,8 @@ class Chosen:
     rotor : Rotor
     nested : bool
         Whether forces have steps of their own within drifts.
+    bath : str or None
+        What bath its steps have.
 
     Raises
     ------
@@ -39,9 +41,9 @@ class Chosen:
         Whether the device makes the steps, as far as it is settled.
     """
 
-    def __init__(self, asked: str, scheme: Scheme, rotor: Rotor, nested: bool) -> None:
-        self.asked = choice.named(asked)
-        against = choice.against_program(scheme, rotor, nested)
+    def __init__(self, asked: str, scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None) -> None:
+        self.asked, self._scheme = choice.named(asked), scheme
+        against = choice.against_program(scheme, rotor, nested, bath)
         if self.asked == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
         self.note = f'engine="{self.asked}" was asked for' if self.asked != "auto" else against or ""
@@ -53,20 +55,20 @@ class Chosen:
         """Whether the Context decides."""
         return self.programmed and self.asked == "auto"
 
-    def declare(self, integrator: openmm.CustomIntegrator, scheme: Scheme) -> None:
+    def declare(self, integrator: openmm.CustomIntegrator) -> None:
         """Write the program, which OpenMM takes only before there is a Context: of one engine, or of both."""
         if not self.programmed:
             ledger.declare(integrator)
             return
-        emit.declare(integrator, scheme, optional=self.open)
+        emit.declare(integrator, self._scheme, optional=self.open)
         if self.open:
             integrator.beginIfBlock(f"{names.LOADED} < 1")
             ledger.declare(integrator)
             integrator.endBlock()
         openmm.CustomIntegrator.setIntegrationForceGroups(integrator, names.OTHERS)
 
-    def settle(self, context: Any, bodies: list[list[int]] | None) -> None:
-        """Choose the engine for a Context, and note why.
+    def settle(self, context: Any, integrator: Any) -> None:
+        """Choose the engine for a Context, and note why. Where both are right a few steps of both are timed.
 
         Raises
         ------
@@ -75,10 +77,9 @@ class Chosen:
         """
         if not self.programmed:
             return
-        against = choice.against_context(context, bodies)
+        against = choice.against_context(context, integrator.getNamedBodies())
         if self.asked == "device" and against:
             raise ValueError(f"{against}; engine='host' can do it")
         if self.open:
             against = against or choice.slower(context)
-            self.on_device = against is None
-            self.note = against or f"{context.getPlatform().getName()} can make the whole step"
+            self.on_device, self.note = (False, against) if against else trial.verdict(context, integrator)

@@ -1,76 +1,43 @@
-"""The program of a scheme: a loop over the stages of its word, and a table from letters to what they emit.
+"""The program of a scheme: a loop over the rows of its word.
 
-A stage is a kick and the drift behind it. The word itself is data, two tables of their parts that the loop reads: every
-scheme has the same kernels, and their compilation does not take longer the longer the word is.
+A turn of the loop is a row: a kick and the drift behind it, and what stands about the kick. The rows themselves are
+data that the device looks up: every scheme has the same kernels, however long its word is, and no number has to be sent
+to the device within a step, for which it would be waited for.
 
-Two things of OpenMM decide the order of statements. Where the System has constraints, positions that are written before
-the last ``addConstrainPositions`` of a program are kept as differences, which forces do not see; so the one that makes
-virtual sites stands at the begin of the loop, and nothing writes positions before it. And OpenMM goes through all paths
-through two rounds of a program, two rounds of its loop in each: with a block more there are several times as many, so
-numbers are multiplied by conditions where that will do.
+Three things of OpenMM decide the order of statements. Neighbouring statements become one kernel where they need forces
+of the same group, or none and the next that are needed are of this group; a statement that writes positions ends it.
+Each kernel reads and writes all per-DOF variables if it computes one, but not if it computes positions and velocities
+alone. And where the System has constraints, positions that are written before the last ``addConstrainPositions`` of a
+program are kept as differences, which forces do not see; so the one that makes virtual sites stands at the begin of the
+loop, and nothing writes positions before it.
+
+OpenMM goes through all paths through two rounds of a program, two rounds of its loop in each: with a block more that
+writes positions there are several times as many, so numbers are multiplied by conditions where that will do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from types import MappingProxyType
 
 import openmm
 
 from openmm_exactrb.device import names
+from openmm_exactrb.device.expressions import ALONE, AXES, INVERSE_INERTIA, times, turned, turned_back
 from openmm_exactrb.device.gather import STRENGTH
+from openmm_exactrb.device.noise import exchange
 from openmm_exactrb.device.program import Program
-from openmm_exactrb.device.rotor import rotate, turned, turned_back
+from openmm_exactrb.device.rotor import rotate
+from openmm_exactrb.device.rows import Table
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT, KICK, Word
 
-#: The parts of a kick and of the drift behind it.
-Stage = tuple[float, float]
-
-_SUM = f"f{names.GROUP}"
 # By what numbers are multiplied that are to be summed: forces up to 2^33 kJ/mol/nm, moves up to 1000 nm, and changes of
 # momentum up to 1e6 amu nm/ps then are within the reach of the sums.
 _FORCE, _MOVE, _MOMENTUM = 1.0 / STRENGTH, 2.0**-24, 2.0**-34
 # x that differs from that of the body by less than this, in nm, was not moved.
 _STILL = 1e-9
-
-
-def stages(word: Word) -> list[Stage]:
-    """Return the kicks of a word with the drifts behind them; a drift without a kick has one of no length before it."""
-    pairs: list[Stage] = []
-    for letter, part in word:
-        if letter == KICK or not pairs or pairs[-1][1]:
-            pairs.append((0.0, 0.0))
-        kick, drift = pairs.pop()
-        pairs.append((part, drift) if letter == KICK else (kick, part))
-    return pairs
-
-
-def foreign(scheme: Scheme) -> list[str]:
-    """Return the letters of a scheme that have no emitter."""
-    return sorted({letter for letter, _ in scheme.word + scheme.processor} - EMITTERS.keys())
-
-
-def _kick(program: Program) -> None:
-    """Write a kick, with forces anew where they are not known."""
-    with program.when(f"{names.NEEDED} > 0"):
-        program.let("p", "cross(d,f)")
-        _sum(program, "F", "f", "u", _FORCE)
-        _sum(program, "N", "p", "u", _FORCE)
-    program.let("P", f"P+{names.KICK_TIME}*F")
-    program.let("L", f"L+{names.KICK_TIME}*axes*{turned_back('q', 'w', 'N')}")
-
-
-def _drift(program: Program) -> None:
-    """Write the flow of the kinetic energy, and bring particles to their places."""
-    rotate(program, names.TIME)
-    program.let("R", f"R+{names.TIME}*P*_y(inverse)")
-    _place(program)
-
-
-#: What letters emit: emitter(program).
-EMITTERS: Mapping[str, Callable[[Program], None]] = MappingProxyType({KICK: _kick, DRIFT: _drift})
+# The time of a drift where "c" holds times.
+_DRIFT = "(_y(c)*_z(shape))"
+_PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
 def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, optional: bool) -> None:
@@ -78,66 +45,148 @@ def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, optional: bool)
 
     Until bodies are loaded, steps make positions nan; or, where the program is optional, nothing happens.
     """
-    program = Program(integrator)
-    _declare_variables(program)
+    program, table = Program(integrator), Table.of(scheme)
+    _declare_variables(program, table)
     with program.when(f"{names.LOADED} > 0") if optional else nullcontext():
-        _step(program, scheme)
+        _step(program, table)
 
 
-def _declare_variables(program: Program) -> None:
-    program.vectors(*names.STATE, *names.CONSTANTS, *names.FORCES, *names.TEMPORARY)
+def _declare_variables(program: Program, table: Table) -> None:
+    program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
     program.numbers(0.0, names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
-    program.numbers(0.0, names.INDEX, names.STAGE, names.KICK_TIME, names.TIME, names.NEEDED)
-    program.numbers(0.0, names.KNOWN, names.MOVED, names.FASTEST)
-    program.numbers(1.0, names.ENTER, names.LEAVE, names.TURNS)
+    program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
+    program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
+    program.numbers(table.span(1, False, True, True)[1], names.LAST)
+    if table.has("shift"):
+        program.vectors(*names.DISPLACED)
+        program.numbers(0.0, names.SHIFTED, names.WAS)
+    if table.has_bath:
+        program.vectors(names.BATH, *names.STREAMS)
+        program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
+    for name, column in zip(names.TABLES, table.columns(), strict=True):
+        program.table(name, column)
 
 
-def _step(program: Program, scheme: Scheme) -> None:
+def _step(program: Program, table: Table) -> None:
     """Write a step."""
-    parts = [stages(word) for word in (scheme.processor, scheme.word, scheme.postprocessor)]
-    word = [stage for part in parts for stage in part]
-    program.table(names.KICKS, [*(kick for kick, _ in word), 0.0])
-    program.table(names.DRIFTS, [*(drift for _, drift in word), 0.0])
-    _take_up_images(program)
-    _skip(program, 0, parts[0], names.ENTER, "0")
-    # One turn more of the loop makes the virtual sites of the last places.
-    with program.loop(f"{names.INDEX} < {len(word)}*{names.TURNS}+{names.SITES}"):
-        _stage(program)
-        if scheme.processor:
-            _skip(program, len(parts[0] + parts[1]), parts[2], names.LEAVE, f"{names.INDEX}+1")
-        else:
-            program.number(names.INDEX, f"{names.INDEX}+1")
-    _show(program)
+    with program.when(f"{names.CHANGED} > 0"):
+        program.let(names.SPAN, f"vector({names.FIRST},{names.FIRST},{names.LAST})")
+        program.number(names.PACE, f"1/{names.TURNS}")
+        program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
+        if table.has_bath:
+            program.let(names.BATH, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
+        program.number(names.CHANGED, 0.0)
+    program.number(names.INDEX, names.FIRST)
+    with program.loop(f"{names.INDEX} < {names.LAST}+1"):
+        _turn(program, table)
     _openmm(program)
     with program.when(f"{names.ASKED} > 0"):
         program.total(names.FASTEST, f"(_x(abc)*sqrt(dot(L,L)))^{names.POWER}")
 
 
-def _stage(program: Program) -> None:
-    """Write a turn of the loop: sites, what the tables say, a kick and a rotation."""
+def _turn(program: Program, table: Table) -> None:
+    """Write a turn of the loop: virtual sites, then a row, with forces anew where they are not known."""
+    _what_is_needed(program, table)
+    with program.when(f"delta({names.INDEX}-{names.FIRST})*max({names.SITES},{names.NEEDED}) > 0"):
+        _take_up_images(program)
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
         _place(program)  # OpenMM's constraints have lengths in single precision
-    program.number(names.STAGE, f"floor(({names.INDEX}+0.5)/{names.TURNS})")
-    program.number(names.KICK_TIME, f"dt*{names.KICKS}({names.STAGE})*delta({names.INDEX}-{names.STAGE}*{names.TURNS})")
-    program.number(names.TIME, f"dt*{names.DRIFTS}({names.STAGE})/{names.TURNS}")
-    program.number(names.NEEDED, f"(1-{names.KNOWN})*(1-delta({names.KICK_TIME}))")
-    for letter in (KICK, DRIFT):
-        EMITTERS[letter](program)
-    program.number(names.KNOWN, f"max({names.KNOWN},{names.NEEDED})*delta({names.TIME})")
+    with program.when(f"{names.NEEDED} > 0"):
+        _gather_forces(program)
+        _row(program, table)
+    with program.when(f"{names.NEEDED} < 1"):
+        _take_up_images(program)
+        _row(program, table)
+    known = f"max({names.KNOWN},{names.NEEDED})*{_is_zero(table, 'drift')}"
+    if table.has("shift"):
+        program.number(names.KNOWN, f"{known}*(1-max({names.SHIFTED},{names.WAS}))")
+        program.number(names.WAS, names.SHIFTED)
+    else:
+        program.number(names.KNOWN, known)
+    program.number(names.INDEX, f"{names.INDEX}+1")
 
 
-def _skip(program: Program, stage: int, stages: list[Stage], unless: str, index: str) -> None:
-    """Write the next index: behind some stages, where it would be the first of them and a number is not above zero."""
-    here = f"delta({index}-{stage}*{names.TURNS})*step(0.5-{unless})"
-    program.number(names.INDEX, f"{index}+{len(stages)}*{names.TURNS}*{here}" if stages else index)
+def _what_is_needed(program: Program, table: Table) -> None:
+    """Write whether forces are needed: for a kick in the first turn of its row, or a displacement in the last one."""
+    program.number(names.ROW, f"floor(({names.INDEX}+0.5)/{names.TURNS})")
+    needed = f"(1-{_is_zero(table, 'kick')})*delta({names.INDEX}-{names.ROW}*{names.TURNS})"
+    if table.has("shift"):
+        shifted = f"(1-{_is_zero(table, 'shift')})*delta({names.INDEX}+1-({names.ROW}+1)*{names.TURNS})"
+        program.number(names.SHIFTED, shifted)
+        needed = f"max({names.SHIFTED},{needed})"
+    program.number(names.NEEDED, f"(1-{names.KNOWN})*{needed}")
 
 
-def _sum(program: Program, name: str, of: str, own: str, scale: float) -> None:
-    """Write a sum over the particles of each body, in space; x loses the places, and `own` holds what was summed."""
-    program.let(own, of)
-    program.let("x", f"{scale!r}*{own}")
-    program.let(name, f"{-1.0 / (scale * STRENGTH)!r}*{_SUM}+alone*{own}")
+def _is_zero(table: Table, part: str) -> str:
+    """Return the expression that is 1 where a part of the row is zero, else 0."""
+    return f"delta({names.TABLES[0]}({names.ROW}+{table.column(part) * len(table.rows)}))"
+
+
+def _gather_forces(program: Program) -> None:
+    """Write F and N: the forces of the particles are in v as torques, or as they are where a particle is alone."""
+    program.let("v", f"cross(d,f)+{ALONE}*f")
+    program.let("x", f"{_FORCE!r}*f")
+    program.let("F", _summed(_FORCE))
+    program.let("x", f"{_FORCE!r}*v")
+    program.let("N", _summed(_FORCE))
+    program.let("F", f"F+{ALONE}*v")
+
+
+def _row(program: Program, table: Table) -> None:
+    """Write what a row does, and bring particles to their places."""
+    times(program, table, "c", _PARTS)
+    if table.has("before"):
+        exchange(program, table, "before")
+    torque = turned_back("q", "w", "N")
+    if table.has("shift"):
+        torque = f"({torque}+twist)"
+    program.let("P", "P+_x(c)*F")
+    program.let("L", f"L+_x(c)*{AXES}*{torque}")
+    if table.has("shift"):
+        program.let("q", "sq")
+        program.let("w", "sw")
+    if table.has("after"):
+        exchange(program, table, "after")
+    program.let("R", f"R+{_DRIFT}*P*_y(inverse)")
+    rotate(program, _DRIFT)
+    if table.has("shift"):
+        times(program, table, "c", _PARTS)
+    _show(program)
+    program.let(names.SPAN, "vector(select(step(_x(at)-_z(at)),_y(at),_x(at)+1),_y(at),_z(at))")  # the next turn
+    if table.has("shift"):
+        _displace(program)
+    else:
+        _place(program)
+
+
+def _displace(program: Program) -> None:
+    """Displace bodies by e F/M and e I^-1 N, for `openmm_exactrb.motion.kick.gradient_kick`; e may be zero."""
+    program.let("a", "dt*c")
+    program.let("sq", "q")
+    program.let("sw", "w")
+    program.let("p", turned_back("q", "w", "N"))
+    program.let("y", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
+    program.let("twist", "cross(y,p)")
+    program.let("g", "0.5*sqrt(dot(y,y))")
+    program.let("n", "0.5*y*sin(g)/max(g,1e-300)")
+    program.let("g", "cos(g)")
+    program.let("q", "sw*n+g*sq+cross(sq,n)")
+    program.let("w", "sw*g-dot(sq,n)")
+    program.let("d", turned("q", "w", "s"))
+    program.let("x", "R+_z(a)*F*_y(inverse)+d+image")
+
+
+def _summed(scale: float) -> str:
+    """Return the expression of a sum over the particles of each body, of what was written to x times a scale."""
+    return f"{-1.0 / (scale * STRENGTH)!r}*f{names.GROUP}"
+
+
+def _sum(program: Program, name: str, of: str, scale: float) -> None:
+    """Write a sum over the particles of each body, in space; x loses the places."""
+    program.let("x", f"{scale!r}*{of}")
+    program.let(name, _summed(scale))
+    program.let(name, f"{name}+{ALONE}*{of}")
 
 
 def _place(program: Program) -> None:
@@ -147,21 +196,22 @@ def _place(program: Program) -> None:
 def _take_up_images(program: Program) -> None:
     """Write the vectors of the lattice by which OpenMM wrapped molecules since they were placed.
 
-    The particles of a body may be in several molecules, so each has its own.
+    The particles of a body may be in several molecules, so each has its own. Before bodies are loaded, 1/M is zero.
     """
     program.let("p", "x-R-d-image")
-    program.let("image", f"image+p*step(abs(p)-{_STILL})+log({names.LOADED})")
+    program.let("image", f"image+p*step(abs(p)-{_STILL})+log(min(1,1e30*_y(inverse)))")
 
 
 def _show(program: Program) -> None:
     """Write the velocities of the particles."""
-    program.let("p", "L*vector(_x(inverse)+_x(abc),_x(inverse)+_x(abc)*_z(abc),_x(inverse))")
+    program.let("p", f"L*{INVERSE_INERTIA}")
     program.let("v", f"P*_y(inverse)+{turned('q', 'w', 'cross(p,s)')}")
 
 
 def _openmm(program: Program) -> None:
     """Write what OpenMM does between steps, and take it up."""
-    program.let("y", "v")
+    with program.when(f"{names.PUSHED} > 0"):
+        program.let("y", "v")
     program.integrator.addUpdateContextState()
     with program.when(f"{names.BAROSTAT} > 0"):
         program.total(names.MOVED, f"step(abs(x-R-d-image)-{_STILL})")
@@ -176,8 +226,8 @@ def _take_up_moves(program: Program) -> None:
     """Move all particles of a body by the mean of what they were moved, twice, since sums may have 24 bits only."""
     program.let("p", "x-R-d-image")
     for _ in range(2):
-        _sum(program, "n", "p", "u", _MOVE)
-        program.let("n", "n*vector(_z(inverse),_z(inverse),_z(inverse))")
+        _sum(program, "n", "p", _MOVE)
+        program.let("n", "n*_z(inverse)")
         program.let("image", "image+n")
         program.let("p", "p-n")
     _place(program)
@@ -188,8 +238,8 @@ def _take_up_velocities(program: Program) -> None:
     """Add up what a thermostat, or the remover of the motion of the centre of mass, changed of the momenta."""
     program.let("p", "m*(v-y)")
     program.let("c", "cross(d,p)")
-    _sum(program, "n", "p", "u", _MOMENTUM)
+    _sum(program, "n", "p", _MOMENTUM)
     program.let("P", "P+n")
-    _sum(program, "n", "c", "u", _MOMENTUM)
-    program.let("L", f"L+axes*{turned_back('q', 'w', 'n')}")
+    _sum(program, "n", "c", _MOMENTUM)
+    program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
     _place(program)

@@ -18,6 +18,7 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.device import gather, load, names
 from openmm_exactrb.device.replicas import Replicas
 from openmm_exactrb.device.rotor import RANGE
+from openmm_exactrb.device.rows import Table
 from openmm_exactrb.motion.guard import NonFiniteError
 from openmm_exactrb.motion.kinetic import rigid
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
@@ -56,12 +57,14 @@ class Device(Host):
             If numbers become infinite, or a body turns faster than that too.
         """
         scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
-        scheme = plan.scheme
         before = x, v, context.getTime(), context.getStepCount()
+        for name, value in plan.numbers.items():
+            integrator.setGlobalVariableByName(name, value)
+        if plan.numbers:
+            load.seed(integrator, self._replicas.bodies, plan.seed)
         for haste in _HASTE:
-            self._set_turns(integrator, scheme, haste)
             try:
-                if self._attempt(integrator, scheme, n):
+                if self._attempt(integrator, scheme, n, self._turns(integrator, scheme, haste)):
                     return
             except BaseException:
                 self._go_back(integrator, *before)
@@ -73,36 +76,41 @@ class Device(Host):
             "take a smaller step size or fewer steps a call, or minimise the energy first"
         )
 
-    def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int) -> bool:
+    def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int, turns: int) -> bool:
         """Make n steps, and tell whether they led to finite numbers."""
         try:
-            for steps, settings in _calls(n, bool(scheme.processor) and not self.couplings.act):
-                for name, value in settings.items():
-                    integrator.setGlobalVariableByName(name, value)
-                openmm.CustomIntegrator.step(integrator, steps)
+            for call in _calls(n, bool(scheme.processor) and not self.couplings.act):
+                self._tell(integrator, scheme, turns, call)
+                openmm.CustomIntegrator.step(integrator, call.steps)
             finite = all(np.isfinite(a).all() for a in self._replicas.moved_on())
         except openmm.OpenMMException as error:
             if "NaN" not in str(error):
                 raise
             return False
         finally:
-            for name, value in {names.ENTER: 1.0, names.LEAVE: 1.0, names.ASKED: 0.0, names.KNOWN: 0.0}.items():
-                integrator.setGlobalVariableByName(name, value)
+            self._tell(integrator, scheme, turns, Call(0))
+            integrator.setGlobalVariableByName(names.KNOWN, 0.0)
         if finite and n:
             self.rate = integrator.getGlobalVariableByName(names.FASTEST) ** (1.0 / names.POWER)
             self.timings.evaluations += n * scheme.forces + scheme.processing
         return finite
 
-    def _set_turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> None:
-        """Choose how many rotations a drift is made of, for bodies that will turn so many times as fast as now."""
+    def _tell(self, integrator: openmm.CustomIntegrator, scheme: Scheme, turns: int, call: Call) -> None:
+        """Tell the program which turns of its loop a step has; for plain OpenMM, a whole step."""
+        sites = bool(integrator.getGlobalVariableByName(names.SITES))
+        first, last = Table.of(scheme).span(turns, sites, call.enters, call.leaves)
+        news = {names.TURNS: turns, names.FIRST: first, names.LAST: last, names.ASKED: call.asks, names.CHANGED: 1}
+        for name, value in news.items():
+            integrator.setGlobalVariableByName(name, float(value))
+
+    def _turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> int:
+        """Return how many rotations a drift needs, for bodies that will turn so many times as fast as now."""
         session = self._replicas
         if self.rate is None or not session.behind:
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
-        h = integrator.getStepSize().value_in_unit(unit.picosecond)
+        h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        turns = max(1, math.ceil(haste * self.rate * abs(h) * longest / RANGE))
-        if integrator.getGlobalVariableByName(names.TURNS) != turns:
-            integrator.setGlobalVariableByName(names.TURNS, float(turns))
+        return max(1, math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE))
 
     def _go_back(self, integrator: openmm.CustomIntegrator, x: Any, v: Any, time: Any, step: int) -> None:
         """Bring the Context back to what it held."""
@@ -128,7 +136,7 @@ def device(
     Raises
     ------
     ValueError
-        If the force group of the sums is taken, or as `Session`.
+        As `Session`.
     """
     system = context.getSystem()
     sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
@@ -142,17 +150,34 @@ def device(
     return Device(session, couplings, kinetic, timings)
 
 
-def _calls(n: int, processed: bool) -> Iterator[tuple[int, dict[str, float]]]:
-    """Yield into which calls of OpenMM n steps fall, with what is to be set before each."""
-    inner = {names.ENTER: 1.0, names.LEAVE: 1.0, names.ASKED: 0.0}
-    if processed:
-        inner |= {names.ENTER: 0.0, names.LEAVE: 0.0}
-    if processed and n > 1:
-        yield 1, inner | {names.ENTER: 1.0}
-        n -= 1
-    elif processed:
-        inner |= {names.ENTER: 1.0}
+@dataclass(frozen=True)
+class Call:
+    """A call of OpenMM.
+
+    Attributes
+    ----------
+    steps : int
+    enters, leaves : bool
+        Whether each step prepares the state of a processed scheme, and finishes it.
+    asks : bool
+        Whether it is to measure how fast bodies turn.
+    """
+
+    steps: int
+    enters: bool = True
+    leaves: bool = True
+    asks: bool = False
+
+
+def _calls(n: int, processed: bool) -> Iterator[Call]:
+    """Yield into which calls of OpenMM n steps fall."""
+    alone = not processed
+    if n > 1 and processed:
+        yield Call(1, leaves=False)
+        n, enters = n - 1, False
+    else:
+        enters = True
     if n > 1:
-        yield n - 1, inner
+        yield Call(n - 1, alone, alone)
     if n > 0:
-        yield 1, inner | {names.LEAVE: 1.0, names.ASKED: 1.0}
+        yield Call(1, enters, True, asks=True)

@@ -14,6 +14,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.bonded import acting, groups_of
 from openmm_exactrb.device import names
 from openmm_exactrb.motion.bodies import RigidBodies
 
@@ -25,15 +26,7 @@ _NAME = "openmm-exactrb sums"
 
 
 def install(system: openmm.System, bodies: RigidBodies) -> None:
-    """Give a System the forces that sum over bodies, unless it has them.
-
-    Raises
-    ------
-    ValueError
-        If a force of the System is in their group, or a body is as small as what they take for numbers.
-    """
-    _refuse_taken_group(system)
-    _refuse_tiny_bodies(bodies)
+    """Give a System the forces that sum over bodies, unless it has them."""
     needed = _bonds(bodies)
     present = {index: force for index, force in enumerate(system.getForces()) if force.getName().startswith(_NAME)}
     found = {force.getNumParticlesPerBond(): _bonds_of(force) for force in present.values()}
@@ -63,29 +56,28 @@ def make_kernels(context: Any) -> None:
             system.addConstraint(*constraint)
 
 
-def _refuse_taken_group(system: openmm.System) -> None:
-    for force in system.getForces():
-        if names.GROUP in _groups(force) and not force.getName().startswith(_NAME):
-            raise ValueError(
-                f"the engine on the device needs force group {names.GROUP} for itself, and {force.getName()} is in it: "
-                "give that force another group with setForceGroup, or take engine='host'"
-            )
+def against(system: openmm.System, bodies: RigidBodies) -> str | None:
+    """Say why the forces cannot be in a System: their group is taken, or a body is as small as what they sum.
 
-
-def _refuse_tiny_bodies(bodies: RigidBodies) -> None:
+    The group stands in the program, which OpenMM takes only before the System is known.
+    """
+    own = [force for force in acting(system) if not force.getName().startswith(_NAME)]
+    taken = {group: force.getName() for force in own for group in groups_of(force)}
+    if names.GROUP in taken:
+        free = [group for group in range(names.GROUP, -1, -1) if group not in taken]
+        where = f"another one with setForceGroup, {free[0]} is free" if free else "one of another force, none is free"
+        return (
+            f"the engine on the device needs force group {names.GROUP} for itself, and {taken[names.GROUP]} is in it "
+            f"(give that force {where})"
+        )
     for kind in bodies.kinds:
         about_middle = kind.sites - kind.sites.mean(axis=1, keepdims=True)
         if kind.turns and (about_middle**2).sum(axis=(1, 2)).min() < 4.0 * REACH:
-            raise ValueError(
+            return (
                 f"{bodies.name(kind.bodies.start)} or one of its kind is smaller than {2.0 * REACH**0.5:g} nm: the "
-                "engine on the device cannot tell its places from numbers, take engine='host'"
+                "engine on the device cannot tell its places from numbers"
             )
-
-
-def _groups(force: openmm.Force) -> tuple[int, ...]:
-    own = force.getForceGroup()
-    reciprocal = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
-    return (own, own if reciprocal < 0 else reciprocal)
+    return None
 
 
 def _bonds(bodies: RigidBodies) -> dict[int, NDArray[np.intp]]:

@@ -9,6 +9,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.device import names
+from openmm_exactrb.device.noise import streams
 from openmm_exactrb.kernels.plain.bodies import turned
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
 from openmm_exactrb.motion.state import BodyState, State
@@ -28,10 +29,29 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         if kind.turns:
             attitudes = matrix(state.q[0][:, kind.bodies]).transpose(2, 0, 1)
             values["d"][kind.particles] = turned(attitudes, kind.sites)
+    if _has(integrator, names.DISPLACED[0]):
+        values |= dict(zip(names.DISPLACED, (values["q"], values["w"], 0.0 * values["q"]), strict=True))
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
-    for name, value in ((names.KNOWN, 0.0), (names.LOADED, 1.0)):
+    for name, value in ((names.KNOWN, 0.0), (names.LOADED, 1.0), (names.CHANGED, 1.0)):
         integrator.setGlobalVariableByName(name, value)
+
+
+def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
+    """Tell whether an integrator has a per-DOF variable."""
+    return name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+
+
+def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int) -> None:
+    """Have the generators of the bath begin where a seed says, unless they did."""
+    if integrator.getGlobalVariableByName(names.SEEDED) == number:
+        return
+    for name, begin in zip(names.STREAMS, streams(len(bodies), number), strict=True):
+        rows = np.ones((bodies.n_particles, 3))
+        for kind in bodies.kinds:
+            rows[kind.particles] = begin[kind.bodies][:, None]
+        integrator.setPerDofVariableByName(name, rows)
+    integrator.setGlobalVariableByName(names.SEEDED, float(number))
 
 
 def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str, Array]:
@@ -46,8 +66,7 @@ def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str
         "w": same,
         "abc": same * (0.0, 0.0, 1.0),
         "inverse": same * (0.0, 1.0 / kind.mass, 1.0 / kind.particles.shape[1]),
-        "axes": same * (not kind.linear, 1.0, 1.0),
-        "alone": same * (not kind.turns),
+        "shape": same * (kind.turns and not kind.linear, not kind.turns, 1.0),
     }
     if kind.turns:
         c = constants(np.ascontiguousarray(bodies.inertia.T))

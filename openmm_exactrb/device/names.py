@@ -10,32 +10,43 @@ from __future__ import annotations
 #: vectors of the lattice by which OpenMM wrapped the molecule, and what a barostat moved it.
 STATE = ("R", "P", "L", "q", "w", "d", "image")
 #: Constants of a body: the particle's place in its principal axes; (b, rho, sigma) of the rotor; 1/I3, 1/M and
-#: 1/number of particles; the axes about which it can turn; 1 where there is no other particle, else 0.
-CONSTANTS = ("s", "abc", "inverse", "axes", "alone")
+#: 1/number of particles; (1 where it can turn about its first axis, 1 where there is no other particle, see `SPAN`).
+CONSTANTS = ("s", "abc", "inverse", "shape")
 #: Force and torque in space, as long as they are known.
 FORCES = ("F", "N")
-#: For what is soon forgotten.
-TEMPORARY = ("a", "g", "y", "c", "p", "u", "n", "tv", "tw")
+#: The turn of the loop, and the first and the last one of a step; the last number of "shape" is one over the rotations
+#: that a drift is made of. What the device knows of itself it need not be sent.
+SPAN = "at"
+#: For what is soon forgotten; velocities are one more, until they are shown.
+TEMPORARY = ("a", "g", "y", "c", "p", "n")
+#: Where forces are taken at displaced places: the attitude there is not, and the commutator with the torque.
+DISPLACED = ("sq", "sw", "twist")
+#: Of a heat bath: (friction, that of rotation, kT), and the states of the generators of random numbers.
+BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
 
 _PREFIX = "exactrb_"
 #: 1 once bodies are loaded: before that, steps make positions nan.
 LOADED = f"{_PREFIX}loaded"
 #: 1 where a System has virtual sites; a barostat; something that changes velocities.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
-#: Rotations that a drift is made of.
-TURNS = f"{_PREFIX}turns"
-#: Whether a step of a processed scheme prepares the state and finishes it.
-ENTER, LEAVE = f"{_PREFIX}enter", f"{_PREFIX}leave"
+#: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
+#: device does not know these numbers yet, or those of a bath.
+TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
+#: kT (kJ/mol) and the frictions (1/ps) of a bath, and the seed that its generators got.
+KT, FRICTION, TURNING_FRICTION, SEEDED = (
+    f"{_PREFIX}{name}" for name in ("kT", "friction", "rotational_friction", "seeded")
+)
 #: Whether the forces of the present places are known.
 KNOWN = f"{_PREFIX}known"
 #: Whether the step is to measure how fast bodies turn, and the answer.
 ASKED, FASTEST = f"{_PREFIX}asked", f"{_PREFIX}fastest"
-#: The place in the word, counted in rotations and in stages; the times of kick and drift there; whether forces are
-#: needed; particles that a barostat moved.
-INDEX, STAGE, KICK_TIME, TIME = (f"{_PREFIX}{name}" for name in ("index", "stage", "kick_time", "time"))
-NEEDED, MOVED = f"{_PREFIX}needed", f"{_PREFIX}moved"
-#: The word: tables of the parts of kicks and of drifts.
-KICKS, DRIFTS = f"{_PREFIX}kicks", f"{_PREFIX}drifts"
+#: The turn of the loop and its row in the word; whether forces are needed; whether places are displaced behind this
+#: turn, and were behind the last one; particles that a barostat moved.
+INDEX, ROW, NEEDED, SHIFTED, WAS, MOVED = (
+    f"{_PREFIX}{name}" for name in ("index", "row", "needed", "shifted", "was", "moved")
+)
+#: The word: three tables whose sum it is, since devices keep tables in single precision.
+TABLES = tuple(f"{_PREFIX}word{i}" for i in range(3))
 #: The force group that they have to themselves.
 GROUP = 31
 #: The bits of all other groups.

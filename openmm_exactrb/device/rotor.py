@@ -1,11 +1,13 @@
 """The exact free rotation as per-DOF statements: `openmm_exactrb.kernels.plain.exact` for steps of b G h <= RANGE.
 
 Either family of orbits has the one form that circles axis 3, and symmetric, spherical and resting bodies are no cases
-of their own. The names are those of that module; vectors hold what is three numbers.
+of their own. The names are those of that module; vectors hold what is three numbers. Velocities, which are shown
+after it, lend their place.
 """
 
 from __future__ import annotations
 
+from openmm_exactrb.device.expressions import turned
 from openmm_exactrb.device.program import Program
 from openmm_exactrb.elliptic import RULES
 
@@ -14,16 +16,6 @@ RANGE = 0.35
 
 # The squares of the five nodes of Gauss's rule and their weights, as two vectors.
 _NODES, _WEIGHTS = ([*map(float, numbers.ravel()), 0.0] for numbers in RULES[1])
-
-
-def turned(q: str, w: str, vector: str) -> str:
-    """Return the expression of a vector of the body in space, for the attitude (w, q)."""
-    return f"({vector}+2*cross({q},cross({q},{vector})+{w}*{vector}))"
-
-
-def turned_back(q: str, w: str, vector: str) -> str:
-    """Return the expression of a vector of space in the body."""
-    return f"({vector}+2*cross({q},cross({q},{vector})-{w}*{vector}))"
 
 
 def rotate(program: Program, time: str) -> None:
@@ -65,7 +57,7 @@ def _elliptic_functions(program: Program) -> None:
 
 def _angle(program: Program) -> None:
     """Write the angle into a: the integral of the third kind by Gauss's rule."""
-    for name, first in (("p", 0), ("u", 3)):
+    for name, first in (("p", 0), ("v", 3)):
         nodes, weights = (
             "vector({!r},{!r},{!r})".format(*numbers[first : first + 3]) for numbers in (_NODES, _WEIGHTS)
         )
@@ -74,7 +66,7 @@ def _angle(program: Program) -> None:
             f"_z(c)*dot({weights},bs/((1+bs)*sqrt((1-_x(a)*square)*(1-_y(a)*square))));"
             f"bs=_z(a)*square;square=_z(c)*_z(c)*{nodes}",
         )
-    program.let("a", "_z(g)*_x(inverse)+p+u")
+    program.let("a", "_z(g)*_x(inverse)+p+v")
 
 
 def _new_momentum(program: Program) -> None:
@@ -88,21 +80,21 @@ def _new_momentum(program: Program) -> None:
 
 
 def _turn(program: Program) -> None:
-    """Write the quaternion (tw, tv) of the rotation, around the frame y; p and u hold complex numbers."""
+    """Write the quaternion (c, a) of the rotation, around the frame y; p and v hold complex numbers."""
     program.let(
         "p",
         "vector(y2*y2+y1*(cn*_x(n)+w1*_z(y)*_y(n)),-_y(abc)*w1*y2*_y(n),0);cn=_x(c);w1=_z(c);y1=_x(y);y2=_y(y)",
     )
     program.let("p", "vector(_x(p)*cd-_y(p)*w1,_x(p)*w1+_y(p)*cd,0);cd=_x(c)*_y(c);w1=_z(c)")
-    program.let("u", "vector(y1*n1+y2*n2,y2*n1-y1*n2,0);y1=_x(y);y2=_y(y);n1=_x(n);n2=_y(n)")
-    program.let("p", "0.5*(_x(a)+atan2(_x(p)*_y(u)+_y(p)*_x(u),_x(p)*_x(u)-_y(p)*_y(u)))")
+    program.let("v", "vector(y1*n1+y2*n2,y2*n1-y1*n2,0);y1=_x(y);y2=_y(y);n1=_x(n);n2=_y(n)")
+    program.let("p", "0.5*(_x(a)+atan2(_x(p)*_y(v)+_y(p)*_x(v),_x(p)*_x(v)-_y(p)*_y(v)))")
     program.let("p", "vector(cos(_x(p)),sin(_x(p)),0)")
-    program.let("u", "vector(_x(n)*_x(p)-_y(n)*_y(p),_x(n)*_y(p)+_y(n)*_x(p),(1+_z(y))*(1+_z(n)))")
-    program.let("tw", "(_z(u)*_x(p)+_x(y)*_x(u)+_y(y)*_y(u))*0.5/sqrt(_z(u))")
+    program.let("v", "vector(_x(n)*_x(p)-_y(n)*_y(p),_x(n)*_y(p)+_y(n)*_x(p),(1+_z(y))*(1+_z(n)))")
+    program.let("c", "(_z(v)*_x(p)+_x(y)*_x(v)+_y(y)*_y(v))*0.5/sqrt(_z(v))")
     program.let(
-        "tv",
-        "vector(flip*(a0*_y(u)-a1*(_y(y)*co-_x(y)*si)),-(a0*_x(u)-a1*(_x(y)*co+_y(y)*si)),"
-        "flip*(_z(u)*si+_y(y)*_x(u)-_x(y)*_y(u)))*0.5/sqrt(_z(u));"
+        "a",
+        "vector(flip*(a0*_y(v)-a1*(_y(y)*co-_x(y)*si)),-(a0*_x(v)-a1*(_x(y)*co+_y(y)*si)),"
+        "flip*(_z(v)*si+_y(y)*_x(v)-_x(y)*_y(v)))*0.5/sqrt(_z(v));"
         "a0=1+_z(y);a1=1+_z(n);co=_x(p);si=_y(p);flip=_y(g)",
     )
 
@@ -112,9 +104,9 @@ def _turn_attitude(program: Program) -> None:
     program.let("n", "_x(g)*n*vector(_y(g),1,_y(g))")
     program.let("L", "n+n*(dot(L-n,L+n)*0.5/max(_x(g)*_x(g),1e-200))")
     program.let("p", "w")
-    program.let("u", "q")
-    program.let("q", "p*tv+tw*u+cross(u,tv)")
-    program.let("w", "p*tw-dot(u,tv)")
+    program.let("v", "q")
+    program.let("q", "p*a+c*v+cross(v,a)")
+    program.let("w", "p*c-dot(v,a)")
     program.let("p", "0.5*(3-w*w-dot(q,q))")
     program.let("q", "q*p")
     program.let("w", "w*p")

@@ -4,17 +4,19 @@ from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
-from openmm_exactrb.schemes.stability import stability_limit
+from openmm_exactrb.schemes.stability import Shadow, shadow, stability_limit
 
 __all__ = [
     "CATALOGUE",
     "Scheme",
+    "Shadow",
     "composition",
     "corrected",
     "force_gradient",
     "saba",
     "sbab",
     "scheme",
+    "shadow",
     "stability_limit",
     "symmetric",
 ]

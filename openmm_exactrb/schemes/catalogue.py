@@ -16,6 +16,9 @@ _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556
 # Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
 # for nothing else: benchmarks/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs a force evaluation"
+# Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
+# energies of fast and slow modes at 4 to 6 fs a force: benchmarks/shadow.py.
+_EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs a force evaluation"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
 )
@@ -31,6 +34,11 @@ _SCHEMES = (
     _V2_DRIFT,
     symmetric("S2_2", order=2, stages=2, first="kick", b=(0.1931833275037836,), reference=_MCLACHLAN),
     symmetric("S2_3", order=2, stages=3, first="kick", a=(0.29619504261126,), b=(0.11888010966548,), reference=_HMC),
+    # Between Lobatto's rule of four points and S2_3: the member that touches the bound of stability at half a period
+    # instead of leaving it, and whose momenta and places are about as hot for all modes of rigid water.
+    symmetric(
+        "W2_3", order=2, stages=3, first="kick", a=(0.28764,), b=(0.10371431720489364,), reference=_EQUIPARTITION
+    ),
     symmetric(
         "S2_4",
         order=2,

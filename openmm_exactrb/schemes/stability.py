@@ -1,6 +1,9 @@
-"""How long a step a scheme bears."""
+"""What a scheme makes of a harmonic oscillator: how long a step it bears, and which energy it keeps."""
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import DRIFT
@@ -27,8 +30,60 @@ def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
     return h - resolution
 
 
+class Shadow(NamedTuple):
+    """The energy kinetic p²/2 + potential q²/2 that a scheme keeps of the oscillator p²/2 + q²/2.
+
+    Attributes
+    ----------
+    kinetic, potential : float
+        Both are 1 for the exact flow.
+    """
+
+    kinetic: float
+    potential: float
+
+
+def shadow(scheme: Scheme, step: float) -> Shadow:
+    """Return the energy that a symmetric scheme keeps exactly where its states are looked at, at the ends of steps.
+
+    A step turns the plane of q and p along ellipses. So a state of temperature T' has <p²> = kT'/kinetic and
+    <q²> = kT'/potential: in a liquid, where fast and slow modes exchange this energy, those with a larger `kinetic`
+    look colder. Up to step² they are 1 + 2 b step² and 1 + 2 a step², where b and a belong to the commutators of two
+    kinetic and one potential energy, and of one and two.
+
+    Parameters
+    ----------
+    scheme : Scheme
+    step : float
+        In units of 1/omega, above zero.
+
+    Raises
+    ------
+    ValueError
+        If steps of this size are unstable.
+
+    Notes
+    -----
+    A step is taken to turn the oscillator once at most.
+    """
+    (qq, qp), (pq, pp) = _step(scheme, step)
+    if not abs(qq + pp) < 2.0:
+        raise ValueError(f"{scheme.name} is not stable at a step of {step:g}/omega: take a smaller one")
+    angle = math.acos(0.5 * (qq + pp))
+    if qp < 0.0:
+        angle = 2.0 * math.pi - angle
+    per_step = angle / (math.sin(angle) * step)
+    return Shadow(per_step * qp, -per_step * pq)
+
+
 def _trace(scheme: Scheme, h: float) -> float:
     """Return the trace of the matrix of one step of q'' = -q."""
+    (qq, _), (_, pp) = _step(scheme, h)
+    return qq + pp
+
+
+def _step(scheme: Scheme, h: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the matrix of one step of q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp))."""
     (qq, qp), (pq, pp) = (1.0, 0.0), (0.0, 1.0)
     strengths = dict(scheme.gradients)
     for letter, part in scheme.word:
@@ -38,4 +93,4 @@ def _trace(scheme: Scheme, h: float) -> float:
         else:
             tau *= 1.0 - strengths.get(letter, 0.0) * tau * tau
             pq, pp = pq - tau * qq, pp - tau * qp
-    return qq + pp
+    return (qq, qp), (pq, pp)

@@ -6,7 +6,7 @@ elsewhere, by a table from letters to flows; a word is data, which can be invert
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 #: Pairs of a letter and its part of the step, in the order of their use.
 Word = tuple[tuple[str, float], ...]
@@ -38,7 +38,7 @@ def repeated(word: Word, n: int) -> Word:
     return merged(word * n)
 
 
-def nested(outer: Word, letter: str, inner: Word, n: int) -> Word:
+def nested(outer: Word, letter: str, inner: Word, n: int | Callable[[float], int]) -> Word:
     """Put n repetitions of a word in the place of a letter: multiple time steps.
 
     Parameters
@@ -48,15 +48,16 @@ def nested(outer: Word, letter: str, inner: Word, n: int) -> Word:
         Which letter of `outer` gives way.
     inner : Word
         Its parts are those of the time that it fills.
-    n : int
-        Repetitions for the part 1 of the letter, at least one for each.
+    n : int or callable
+        Repetitions for the part 1 of the letter, or n(part) for each part; at least one for each.
     """
+    number = n if callable(n) else lambda part: round(n * part)
     steps: list[tuple[str, float]] = []
     for name, part in outer:
         if name != letter:
             steps.append((name, part))
             continue
-        times = max(1, round(n * abs(part)))
+        times = max(1, number(abs(part)))
         steps += merged([(small, part / times * share) for _ in range(times) for small, share in inner])
     return merged(steps)
 

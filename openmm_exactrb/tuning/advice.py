@@ -10,10 +10,13 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.checks import positive, whole
+from openmm_exactrb.context.bonded import fastest
+from openmm_exactrb.context.nesting import Nesting, nested_in
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.measurements import Measurements
+from openmm_exactrb.tuning.movers import NestedScheme
 from openmm_exactrb.tuning.record import Choice
 from openmm_exactrb.tuning.result import Tuning
 from openmm_exactrb.tuning.search import Found, search
@@ -23,6 +26,9 @@ from openmm_exactrb.tuning.thermal import thermalised
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
 CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "Chin4A", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
+
+#: Schemes that are tried with nested bonded forces unless others are named.
+NESTED_CANDIDATES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "SRKN4_6b")
 
 # Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
 # for which errors are promised, in units of that.
@@ -49,6 +55,7 @@ def tune(
     bodies: Sequence[Sequence[int]] | None = None,
     horizon: float | unit.Quantity | None = None,
     duration: float | unit.Quantity | None = None,
+    nest: bool = True,
     levels: int = 10,
     seed: int = 0,
     report: Callable[[str], None] | None = progress,
@@ -92,6 +99,9 @@ def tune(
     duration : float or Quantity, optional
         Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
         system unless given (1.5 ps for water), or a tenth of a named horizon, if that is longer, up to four times this.
+    nest : bool, optional
+        Whether schemes are tried with ``fast="bonded"`` too, where the System has bonds and angles that move and they
+        have force groups of their own (`openmm_exactrb.separate_bonded`): those named, or `NESTED_CANDIDATES`.
     levels : int, optional
         Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
     seed : int, optional
@@ -110,7 +120,7 @@ def tune(
         or cannot serve.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol a body")
-    chosen = _schemes(schemes)
+    chosen = _schemes(CANDIDATES if schemes is None else schemes)
     levels = whole(levels, "levels", least=3)
     length = None if duration is None else positive(_in(unit.picosecond, duration), "duration", "ps")
     named = None if horizon is None else positive(_in(unit.picosecond, horizon), "horizon", "ps")
@@ -126,12 +136,14 @@ def tune(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
+    inner, note = _nested(begin.system, schemes) if nest else ([], [])
+    notes += note
     bench = Bench(begin)
     if length is None:
         usual = _SURVEY * bench.scales.time
         length = usual if named is None else min(max(usual, named / _LONGER), _LONGEST * usual)
     confirmation, promised = (_CONFIRM * length, _LONGER * length) if named is None else (named, named)
-    measured = Measurements(bench, chosen, length, confirmation, promised, report or (lambda line: None))
+    measured = Measurements(bench, [*chosen, *inner], length, confirmation, promised, report or (lambda line: None))
     return _result(measured, search(measured, wanted, levels), wanted, notes)
 
 
@@ -157,10 +169,21 @@ def _result(measured: Measurements, found: Found, target: float | None, notes: l
     )
 
 
-def _schemes(names: Sequence[str | Scheme] | None) -> list[Scheme]:
+def _nested(system: openmm.System, schemes: Sequence[str | Scheme] | None) -> tuple[list[NestedScheme], list[str]]:
+    """Return the nested schemes that can be tried, and a note where there would be some."""
+    if not fastest(system):
+        return [], []
+    try:
+        nested_in(system, Nesting("bonded"))
+    except ValueError as reason:
+        return [], [f"no nested schemes were tried: {reason}"]
+    return [NestedScheme(scheme) for scheme in _schemes(NESTED_CANDIDATES if schemes is None else schemes)], []
+
+
+def _schemes(names: Sequence[str | Scheme]) -> list[Scheme]:
     if isinstance(names, (str, Scheme)):
         names = [names]
-    schemes = [look_up(name) for name in (CANDIDATES if names is None else names)]
+    schemes = [look_up(name) for name in names]
     if not schemes:
         raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
     for scheme in schemes:

@@ -9,9 +9,8 @@ import numpy as np
 import openmm
 
 from openmm_exactrb.motion.guard import NonFiniteError
-from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.tuning.error import LOST, Series
-from openmm_exactrb.tuning.movers import VERLET, Mover, Ours, Verlet
+from openmm_exactrb.tuning.movers import Method, Mover, Ours, Verlet
 from openmm_exactrb.tuning.scales import scales_of
 from openmm_exactrb.tuning.start import Start
 
@@ -48,19 +47,19 @@ class Bench:
         """Whether OpenMM's Verlet integrator moves the same bodies: constraints hold all of them."""
         return self.start.bodies is None and self.start.system.getNumConstraints() > 0
 
-    def mover(self, method: str | Scheme) -> Mover:
+    def mover(self, method: Method) -> Mover:
         """Return what runs a scheme, or the baseline `VERLET`."""
-        name = method.name if isinstance(method, Scheme) else VERLET
+        name = method if isinstance(method, str) else method.name
         if name not in self._movers:
-            self._movers[name] = Ours(self.start, method) if isinstance(method, Scheme) else Verlet(self.start)
+            self._movers[name] = Verlet(self.start) if isinstance(method, str) else Ours(self.start, method)
         return self._movers[name]
 
-    def run(self, method: str | Scheme, step: float, duration: float) -> Series:
+    def run(self, method: Method, step: float, duration: float) -> Series:
         """Run from the start.
 
         Parameters
         ----------
-        method : Scheme or `VERLET`
+        method : Scheme, NestedScheme or `VERLET`
         step : float
             Of the whole scheme, in ps.
         duration : float
@@ -88,13 +87,13 @@ class Bench:
         return Series(np.array(energies), every * step, True)
 
     def seconds_per_evaluation(
-        self, methods: Sequence[str | Scheme], interval: float, repeats: int = 7, evaluations: int = 28
+        self, methods: Sequence[Method], interval: float, repeats: int = 7, evaluations: int = 28
     ) -> list[float]:
         """Time a force evaluation within `step`, with all that the integrator does beside it.
 
         Parameters
         ----------
-        methods : sequence of Scheme or `VERLET`
+        methods : sequence of Scheme, NestedScheme or `VERLET`
         interval : float
             Time a force evaluation in ps, at which all of them are stable.
         repeats, evaluations : int

@@ -52,6 +52,12 @@ def cost_at(curve: Sequence[Point], error: float) -> float | None:
     return None
 
 
+def step_at(curve: Sequence[Point], cost: float) -> float:
+    """Return the step of a cost, where a force evaluation takes the time that it does at the nearest point."""
+    nearest = min(curve, key=lambda p: abs(math.log(p.cost / cost)))
+    return nearest.step * (nearest.cost / cost)
+
+
 def slope(curve: Sequence[Point], order: int) -> float:
     """Return how fast the error falls with the cost at the fine end: the power; the order, of a single point."""
     if len(curve) < 2:

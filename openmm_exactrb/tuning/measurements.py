@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.curves import Point, is_flat, slope, stable_curve
 from openmm_exactrb.tuning.error import LOST
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.movers import VERLET, Method, NestedScheme
 
 # An evaluation is the same work in all schemes, one force, drift and kick: what is further above the fastest is noise.
 _SAME_WORK = 1.15
@@ -23,7 +22,7 @@ class Measurements:
     Parameters
     ----------
     bench : Bench
-    schemes : sequence of Scheme
+    schemes : sequence of Scheme or NestedScheme
         OpenMM's Verlet integrator is measured beside them where it moves the same bodies.
     duration, confirmation, horizon : float
         Length in ps of a run of the survey, of one that confirms a setting, and of that for which errors are promised.
@@ -33,7 +32,7 @@ class Measurements:
     Attributes
     ----------
     methods : dict
-        Scheme, or `VERLET`, by name.
+        Scheme, plain or nested, or `VERLET`, by name.
     stages : dict
         Force evaluations a step by name.
     seconds : dict
@@ -44,7 +43,7 @@ class Measurements:
     def __init__(
         self,
         bench: Bench,
-        schemes: Sequence[Scheme],
+        schemes: Sequence[Scheme | NestedScheme],
         duration: float,
         confirmation: float,
         horizon: float,
@@ -52,11 +51,13 @@ class Measurements:
     ) -> None:
         self.bench, self._report = bench, report
         self.duration, self.confirmation, self.horizon = duration, confirmation, horizon
-        self.methods: dict[str, str | Scheme] = {s.name: s for s in schemes}
+        self.methods: dict[str, Method] = {s.name: s for s in schemes}
         if bench.has_baseline:
             self.methods[VERLET] = VERLET
         self.stages = {name: bench.mover(method).stages for name, method in self.methods.items()}
         self.seconds: dict[str, float] = {}
+        self._shares: dict[tuple[str, float], float] = {}  # nested evaluations for one of the others, at a step
+        self._plain_seconds = self._nested_seconds = math.nan  # of a force evaluation, and of a nested one
         self.points: list[Point] = []
 
     def at(self, name: str, interval: float, duration: float | None = None) -> Point:
@@ -77,8 +78,9 @@ class Measurements:
                 self.points.remove(known)
                 break
         error = self.bench.run(self.methods[name], step, duration).error(self.horizon)
+        self._shares[name, step] = self.bench.mover(self.methods[name]).fast_share
         error = error if error < LOST * self.bench.scales.kinetic else math.inf
-        point = Point(name, step, error, self.seconds.get(name, math.nan) / interval, duration)
+        point = self._priced(Point(name, step, error, math.nan, duration))
         self.points.append(point)
         shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol a body"
         self._report(f"{name}, {1e3 * interval:.3g} fs an evaluation: {shown}")
@@ -87,10 +89,25 @@ class Measurements:
     def time(self, interval: float) -> None:
         """Time all methods at a time a force evaluation in ps; points learn what they cost."""
         times = self.bench.seconds_per_evaluation(list(self.methods.values()), interval)
-        ours = [t for name, t in zip(self.methods, times, strict=True) if name != VERLET]
-        limit = {name: math.inf if name == VERLET else _SAME_WORK * min(ours) for name in self.methods}
-        self.seconds = {name: min(t, limit[name]) for name, t in zip(self.methods, times, strict=True)}
-        self.points = [replace(p, cost=self.seconds[p.method] * self.stages[p.method] / p.step) for p in self.points]
+        self.seconds = dict(zip(self.methods, times, strict=True))
+        nested = [name for name, method in self.methods.items() if isinstance(method, NestedScheme)]
+        plain = [name for name in self.methods if name != VERLET and name not in nested]
+        least = min(self.seconds[name] for name in plain)
+        for name in plain:
+            self.seconds[name] = min(self.seconds[name], _SAME_WORK * least)
+        shares = {name: self.bench.mover(self.methods[name]).fast_share for name in nested}
+        more = [max(0.0, self.seconds[name] - least) / shares[name] for name in nested]
+        self._plain_seconds, self._nested_seconds = least, min(more, default=0.0)
+        for name in nested:
+            self.seconds[name] = least + shares[name] * self._nested_seconds
+        self.points = [self._priced(p) for p in self.points]
+
+    def _priced(self, point: Point) -> Point:
+        """Return a point with its cost: that of its force evaluations, and of the nested ones that it had."""
+        seconds = self.seconds.get(point.method, math.nan)
+        if isinstance(self.methods[point.method], NestedScheme):
+            seconds = self._plain_seconds + self._shares[point.method, point.step] * self._nested_seconds
+        return replace(point, cost=seconds * self.stages[point.method] / point.step)
 
     def schemes(self) -> list[str]:
         """Return the schemes that were stable at some step."""
@@ -102,7 +119,8 @@ class Measurements:
 
     def order(self, name: str) -> int:
         """Return the order of a method."""
-        return look_up(self.methods[name]).order
+        method = self.methods[name]
+        return 2 if isinstance(method, str) else method.order
 
     def slope(self, name: str) -> float:
         """Return the power with which the error of a method falls with the cost; see `curves.slope`."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -16,12 +18,59 @@ from openmm_exactrb.tuning.start import Start
 
 #: The baseline: OpenMM's own leapfrog with constraints.
 VERLET = "VerletIntegrator"
+_NESTED = " nested"
+
+
+@dataclass(frozen=True)
+class NestedScheme:
+    """A scheme with the bonded forces within its drifts."""
+
+    scheme: Scheme
+
+    @property
+    def name(self) -> str:
+        """What it is called among the methods."""
+        return self.scheme.name + _NESTED
+
+    @property
+    def order(self) -> int:
+        """Order in the step size."""
+        return self.scheme.order
+
+
+#: What is measured: a scheme, plain or nested, or `VERLET`.
+Method = str | Scheme | NestedScheme
+
+
+def is_nested(name: str) -> bool:
+    """Tell whether the name of a method is that of a nested scheme."""
+    return name.endswith(_NESTED)
+
+
+def integrator_of(name: str, step: float, bodies: Sequence[Sequence[int]] | None) -> openmm.Integrator:
+    """Return a new integrator for the name of a method, with a step in ps."""
+    if name == VERLET:
+        return openmm.VerletIntegrator(step)
+    fast = "bonded" if is_nested(name) else None
+    return ExactRigidBodyIntegrator(step, name.removesuffix(_NESTED), bodies=bodies, fast=fast)
 
 
 class Mover(Protocol):
-    """What runs one method: a scheme of ours, or OpenMM's Verlet."""
+    """What runs one method: a scheme of ours, or OpenMM's Verlet.
+
+    Attributes
+    ----------
+    stages : int
+        Force evaluations a step, but for those of nested forces.
+    fast_share : float
+        Evaluations of nested forces for one of the others, since the last `begin`.
+    """
 
     stages: int
+
+    @property
+    def fast_share(self) -> float:
+        """See above."""
 
     def begin(self, h: float) -> None:
         """Go back to the start, and take this step size in ps."""
@@ -37,18 +86,26 @@ class Mover(Protocol):
 
 
 class Ours:
-    """A scheme of the catalogue with the exact rotor."""
+    """A scheme with the exact rotor."""
 
-    def __init__(self, start: Start, scheme: Scheme) -> None:
+    def __init__(self, start: Start, method: Scheme | NestedScheme) -> None:
+        scheme, fast = (method.scheme, "bonded") if isinstance(method, NestedScheme) else (method, None)
         self._start, self.stages = start, scheme.forces
-        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies)
+        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast)
         self._context = start.context(self._integrator)
+
+    @property
+    def fast_share(self) -> float:
+        """Evaluations of nested forces for one of the others, since the last `begin`."""
+        timings = self._integrator.timings
+        return timings.fast_evaluations / max(1, timings.evaluations)
 
     def begin(self, h: float) -> None:
         """Go back to the start, and take this step size in ps."""
         self._integrator.setStepSize(h)
         self._context.setPositions(self._start.positions)
         self._context.setVelocities(self._start.velocities)
+        self._integrator.timings.reset()
 
     def move(self, steps: int) -> None:
         """Make steps."""
@@ -69,6 +126,7 @@ class Verlet:
     """OpenMM's leapfrog, whose velocities are half a step late."""
 
     stages = 1
+    fast_share = 0.0
 
     def __init__(self, start: Start) -> None:
         self._start = start

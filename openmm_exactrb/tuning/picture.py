@@ -11,9 +11,9 @@ import numpy as np
 from openmm_exactrb.tuning.movers import VERLET
 from openmm_exactrb.tuning.record import Record
 
-# Of Okabe and Ito, and of Tol: told apart by colour-blind readers, with markers beside.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#999999", "#882255")
-_MARKERS = "so^vDPX*"
+# Of Okabe and Ito, and of Tol: told apart by colour-blind readers, each with a marker of its own.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#882255")
+_MARKERS = "sD^vpPX*"
 
 
 def draw(record: Record, file: str | os.PathLike[str]) -> None:
@@ -35,20 +35,24 @@ def draw(record: Record, file: str | os.PathLike[str]) -> None:
 
 
 def _curves(axes: Any, record: Record) -> None:
-    ours = 0
-    for method in record.seconds:
-        curve = record.curve(method)
-        style = {"color": "black", "ls": "--", "marker": "o"}
-        if method != VERLET:
-            style = {
-                "color": _COLOURS[ours % len(_COLOURS)],
-                "ls": ("-", ":")[ours // len(_COLOURS) % 2],
-                "marker": _MARKERS[ours % len(_MARKERS)],
-            }
-            ours += 1
-        if curve:
-            values = np.array([(p.cost, p.error) for p in curve])
-            axes.loglog(*values.T, label=method, ms=5, mec="black", mew=0.4, lw=1.2, **style)
+    """Draw the schemes that are the best at some cost each in a colour, the others in grey."""
+    curves = {method: record.curve(method) for method in record.seconds}
+    points = [(p.cost, p.error, method) for method, curve in curves.items() if method != VERLET for p in curve]
+    best = {name for cost, error, name in points if not any(c < cost and e < error for c, e, _ in points)}
+    shown = [method for method in curves if method in best][: len(_COLOURS)]
+    for method, curve in curves.items():
+        if method not in (*shown, VERLET) and curve:
+            axes.loglog(*_of(curve), color="0.8", lw=1.0, zorder=1)
+    if len(curves) > len(shown) + 1:
+        axes.plot([], [], color="0.8", lw=1.0, label="other schemes")
+    for method, colour, marker in zip(shown, _COLOURS, _MARKERS, strict=False):
+        axes.loglog(*_of(curves[method]), color=colour, marker=marker, label=method, ms=6, mec="white", mew=0.5, lw=1.8)
+    if curves.get(VERLET):
+        axes.loglog(*_of(curves[VERLET]), color="black", ls="--", marker="o", label=VERLET, ms=5, mew=0.5, lw=1.5)
+
+
+def _of(curve: Any) -> Any:
+    return np.array([(p.cost, p.error) for p in curve]).T
 
 
 def _marks(axes: Any, record: Record) -> None:
@@ -57,7 +61,7 @@ def _marks(axes: Any, record: Record) -> None:
         axes.axhline(record.target, color="0.4", lw=0.8, ls=(0, (6, 3)), label="target", zorder=0)
     if record.floor is not None:
         floor = record.floor
-        axes.axhspan(1e-3 * floor, floor, color="0.85", label="below the floor of the forces", zorder=0)
+        axes.axhspan(1e-3 * floor, floor, color="0.85", label="below the floor", zorder=0)
     if record.chosen is not None:
         at = record.chosen.cost, record.chosen.error
         label = f"chosen: {record.chosen.method}, {1e3 * record.chosen.step:.3g} fs"
@@ -72,8 +76,8 @@ def _frame(axes: Any, record: Record) -> None:
     axes.set_xlabel("wall time (s per ps)")
     axes.set_ylabel(f"std of total energy over {record.horizon:.3g} ps (kJ/mol per body)")
     axes.set_title(f"{record.n_bodies} bodies, {record.platform} platform")
-    axes.grid(True, which="both", alpha=0.2)
+    axes.grid(True, alpha=0.3)
     for kind in ("major", "minor"):
         getattr(axes.xaxis, f"set_{kind}_formatter")("{x:.3g}")
-    axes.figure.legend(loc="outside right upper", fontsize=8)
+    axes.figure.legend(loc="outside right upper", fontsize=9)
     axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import openmm
 
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.tuning.curves import Point, stable_curve
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.curves import Point, stable_curve, step_at
+from openmm_exactrb.tuning.movers import VERLET, integrator_of
 
 
 @dataclass(frozen=True)
@@ -19,7 +18,7 @@ class Choice:
     Attributes
     ----------
     method : str
-        A scheme of the catalogue, or "VerletIntegrator".
+        A scheme of the catalogue, one with " nested" behind its name, or "VerletIntegrator".
     step : float
         Size of a whole step in ps.
     error : float
@@ -41,9 +40,7 @@ class Choice:
 
     def integrator(self) -> openmm.Integrator:
         """Return a new integrator with this scheme and step."""
-        if self.method == VERLET:
-            return openmm.VerletIntegrator(self.step)
-        return ExactRigidBodyIntegrator(self.step, scheme=self.method, bodies=self.bodies)
+        return integrator_of(self.method, self.step, self.bodies)
 
     def __str__(self) -> str:
         return (
@@ -60,9 +57,9 @@ class Record:
     ----------
     points : tuple of Point
     seconds : mapping
-        Wall time of a force evaluation in s by method.
+        Wall time of a force evaluation in s by method; with that of the nested ones about it, at a short step.
     stages : mapping
-        Force evaluations a step by method.
+        Force evaluations a step by method, without those of nested forces.
     n_bodies : int
     platform : str
     duration, horizon : float
@@ -114,5 +111,4 @@ class Record:
 
     def choice(self, method: str, cost: float, error: float, measured: bool) -> Choice:
         """Return the setting of a method that has a cost."""
-        step = self.stages[method] * self.seconds[method] / cost
-        return Choice(method, step, error, cost, measured, self.bodies)
+        return Choice(method, step_at(self.curve(method), cost), error, cost, measured, self.bodies)

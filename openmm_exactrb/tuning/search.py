@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from openmm_exactrb.tuning.curves import Point, cost_at
+from openmm_exactrb.tuning.curves import Point, cost_at, step_at
 from openmm_exactrb.tuning.measurements import Measurements
 from openmm_exactrb.tuning.movers import VERLET
 
@@ -144,7 +144,7 @@ def _approached(measured: Measurements, name: str, cost: float, target: float, c
     for _ in range(5):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None
-        point = measured.at(name, measured.seconds[name] / cost, measured.confirmation)
+        point = measured.at(name, step_at(measured.curve(name), cost) / measured.stages[name], measured.confirmation)
         if point.error <= target:
             return point
         cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)

@@ -6,7 +6,7 @@ import math
 import textwrap
 
 from openmm_exactrb.tuning.answers import UnreachableError, about_floor, cheapest, unreachable
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.movers import VERLET, is_nested
 from openmm_exactrb.tuning.record import Choice, Record
 
 
@@ -22,8 +22,13 @@ def summary(record: Record) -> str:
 
 
 def table(record: Record) -> str:
-    """Return the errors of all methods over the time a force evaluation."""
-    methods = list(record.seconds)
+    """Return the errors of all methods over the time a force evaluation, those of nested schemes by themselves."""
+    nested = [method for method in record.seconds if is_nested(method)]
+    plain = [method for method in record.seconds if not is_nested(method)]
+    return "\n\n".join(_block(record, methods) for methods in (plain, nested) if methods)
+
+
+def _block(record: Record, methods: list[str]) -> str:
     stable = {method: max((p.step for p in record.curve(method)), default=math.nan) for method in methods}
     rows = [
         ["fs an evaluation", *methods],

@@ -16,12 +16,12 @@ from bathed import droplet_of, molecules, simulation_of, snapshot
 H = 0.01
 
 
-def langevin(scheme="S2_2", **options):
+def langevin(scheme="W2_3", **options):
     return rb.ExactRigidBodyLangevinIntegrator(30.0, 2.0, H, scheme=scheme, **options)
 
 
 MAKERS = {
-    "S2_2": langevin,
+    "W2_3": langevin,
     "BAOAB": lambda: langevin("BAOAB"),
     "ABOBA": lambda: langevin("ABOBA", rotationalFriction=7.0),
     "rescaling": lambda: rb.ExactRigidBodyRescalingIntegrator(30.0, 0.1, H),
@@ -167,7 +167,7 @@ def test_a_reinitialised_context_has_the_seed_that_was_set():
 
 
 def test_baoab_and_aboba_need_one_force_a_step():
-    for scheme, evaluations in (("BAOAB", 21), ("ABOBA", 20), ("S2_2", 41)):
+    for scheme, evaluations in (("BAOAB", 21), ("ABOBA", 20), ("W2_3", 61)):
         integrator = langevin(scheme)
         simulation = droplet_of(integrator)
         integrator.step(20)

@@ -7,12 +7,13 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from bathed import KT, R, dipoles_in_a_field, mean_and_error, molecules, reduced_energies, simulation_of, trapped
+from openmm_exactrb.schemes import shadow
 from thermal_tops import langevin_function
 
 FIELD = 20.0  # mu E / kT: the dipoles swing by 0.3 radians, with a period of 95 fs
 
 
-def langevin(h, scheme="S2_2", friction=5.0, **options):
+def langevin(h, scheme="W2_3", friction=5.0, **options):
     return rb.ExactRigidBodyLangevinIntegrator(300.0, friction, h, scheme=scheme, **options)
 
 
@@ -23,7 +24,7 @@ def hybrid(h, scheme="S2_2", **options):
 # -- a dipole in a field ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "BAOAB"])
+@pytest.mark.parametrize("scheme", ["W2_3", "S2_2", "BAOAB"])
 def test_dipoles_in_a_field_obey_langevin(scheme):
     error, width = mean_and_error(reduced_energies(langevin(0.008, scheme), 500, FIELD, 200, 1000, 5))
     assert width < 0.012
@@ -49,7 +50,7 @@ def test_hybrid_monte_carlo_is_exact_where_langevin_dynamics_is_not():
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize("scheme", ["S2_2", "BAOAB"])
+@pytest.mark.parametrize("scheme", ["W2_3", "S2_2", "BAOAB"])
 def test_dipoles_in_a_field_obey_langevin_to_five_thousandths(scheme):
     error, width = mean_and_error(reduced_energies(langevin(0.008, scheme), 4000, FIELD, 400, 8000, 5))
     assert width < 0.001
@@ -63,6 +64,49 @@ def test_hybrid_monte_carlo_is_exact_to_a_hundredth(scheme, h, proposals):
     error, width = mean_and_error(reduced_energies(integrator, 16, FIELD, 500, 60_000, 5))
     assert width < 0.008
     assert abs(error) < 3.5 * width
+
+
+# -- a harmonic trap ---------------------------------------------------------------------------------------------
+
+
+def trapped_ions(integrator, angle, burn, samples):
+    """Return <z²> and <p²> over their exact values with their errors: ions in a trap with omega h = angle."""
+    h, n = integrator.getStepSize()._value, 2000
+    strength = 23.0 * (angle / h) ** 2
+    system, places = molecules(ions=n)
+    trap = openmm.CustomExternalForce(f"{strength}/2*(x^2+y^2+(z-0.02)^2)")
+    for i in range(n):
+        trap.addParticle(i)
+    system.addForce(trap)
+    simulation = simulation_of(integrator, system, places)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    integrator.setRandomNumberSeed(1)
+    integrator.step(burn)
+    squares = []
+    for _ in range(samples):
+        simulation.step(4)
+        _, state = integrator.bodyState()
+        q = state.R - np.array([[0.0], [0.0], [0.02]])
+        squares.append((strength * (q * q).mean() / KT, (state.P**2).mean() / (23.0 * KT)))
+    return [mean_and_error(series) for series in np.transpose(squares)]
+
+
+def test_baoab_has_the_places_of_a_trap_at_any_step():
+    """With w h = 1.44: <z²> is exact, and <p²> at the end of a step is 1 - (w h)²/4."""
+    (place, width), (momentum, other) = trapped_ions(langevin(0.02, "BAOAB", friction=20.0), 1.44, 100, 400)
+    assert width < 0.0015
+    assert abs(place - 1.0) < 0.005
+    assert abs(momentum - (1.0 - 1.44**2 / 4.0)) < 0.005 + 3.0 * other
+
+
+@pytest.mark.parametrize(("scheme", "angle"), [("V2", 1.0), ("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2)])
+def test_a_trap_is_as_wide_as_the_shadow_energy_says(scheme, angle):
+    """Weak friction: the bath holds <p²> of the only mode there is, and <z²> follows from the energy that is kept."""
+    (place, width), (momentum, other) = trapped_ions(langevin(0.02, scheme, friction=1.0), angle, 200, 400)
+    kinetic, potential = shadow(rb.SCHEMES[scheme], angle)
+    assert max(width, other) < 0.006
+    assert abs(momentum - 1.0) < 0.005 + 3.0 * other
+    assert abs(place - kinetic / potential) < 0.005 + 3.0 * width
 
 
 # -- all degrees of freedom get their share ---------------------------------------------------------------------

@@ -1,9 +1,6 @@
-"""Flexible molecules: constrained clusters and free atoms in a Context, and forces within the drifts."""
+"""Flexible molecules: constrained clusters and free atoms in a Context."""
 
-import copy
 import io
-import pickle
-from pathlib import Path
 
 import numpy as np
 import openmm
@@ -13,50 +10,18 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from orders import slope
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
-PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"
-FORCE_FIELD = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
-CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles, "None": None}
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-
-
-def peptide(constraints="HBonds", **options):
-    """Return topology, System and positions (nm), on the constraints, of alanine dipeptide in vacuum."""
-    pdb = app.PDBFile(str(PEPTIDE))
-    system = FORCE_FIELD.createSystem(
-        pdb.topology, constraints=CONSTRAINTS[constraints], removeCMMotion=False, **options
-    )
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
-    context.setPositions(pdb.positions)
-    context.applyConstraints(1e-9)
-    return pdb.topology, system, positions_of(context)
-
-
-def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):
-    """Return our integrator and its Context, with momenta of a temperature."""
-    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    integrator.setVelocitiesToTemperature(temperature, 3)
-    return integrator, context
-
-
-def positions_of(context):
-    return context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
-
-
-def velocities_of(context):
-    return context.getState(velocities=True).getVelocities(asNumpy=True)._value.copy()
-
-
-def violations(system, x, v):
-    """Return by how much (nm) lengths are missed, and the velocities along constraints times their lengths."""
-    constraints = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    lengths = [abs(np.linalg.norm(x[i] - x[j]) - d._value) for i, j, d in constraints]
-    slips = [abs((x[i] - x[j]) @ (v[i] - v[j])) for i, j, _ in constraints]
-    return max(lengths), max(slips)
-
+from peptides import (
+    FORCE_FIELD,
+    PEPTIDE,
+    REFERENCE,
+    R,
+    end_of,
+    moving,
+    peptide,
+    positions_of,
+    velocities_of,
+    violations,
+)
 
 # -- constraints ------------------------------------------------------------------------------------------------
 
@@ -149,21 +114,6 @@ def test_a_singular_place_is_refused():
 # -- orders -----------------------------------------------------------------------------------------------------
 
 
-def end_of(system, x, scheme, time, **options):
-    """Return end(n), the positions (3, 22) after n steps over a time from the same state."""
-    start, _context = moving(system, x)
-    start.step(20)
-    _, state = start.fullState()
-
-    def end(n):
-        integrator, context = moving(system, x, time / n, scheme, **options)
-        integrator.setBodyState(state)
-        integrator.step(n)
-        return positions_of(context).T
-
-    return end
-
-
 @pytest.mark.parametrize("constraints", ["HBonds", "AllBonds", "None"])
 @pytest.mark.parametrize(
     ("scheme", "steps"), [("S2_2", (8, 16)), ("W4_5", (8, 16)), ("Chin4B", (8, 16)), ("S6_10", (4, 8))]
@@ -173,90 +123,6 @@ def test_schemes_keep_their_order(constraints, scheme, steps):
     time = 0.004 if constraints == "None" else 0.008
     order = {"S2_2": 2, "W4_5": 4, "Chin4B": 4, "S6_10": 6}[scheme]
     assert slope(end_of(system, x, scheme, time), steps) == pytest.approx(order, abs=0.2)
-
-
-@pytest.mark.parametrize("constraints", ["HBonds", "None"])
-@pytest.mark.parametrize(("scheme", "order"), [("S2_2", 2), ("W4_5", 4)])
-def test_nested_schemes_keep_their_order(constraints, scheme, order):
-    _, system, x = peptide(constraints)
-    rb.separate_bonded(system)
-    end = end_of(system, x, scheme, 0.008, fast="bonded", inner=scheme, innerSteps=1)
-    assert slope(end, (4, 8)) == pytest.approx(order, abs=0.2)
-
-
-# -- forces within the drifts -----------------------------------------------------------------------------------
-
-
-def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():
-    _, system, x = peptide()
-    assert rb.separate_bonded(system) == 1
-    plain, _one = moving(system, x)
-    nested, _other = moving(system, x, fast="bonded")
-    for integrator in (plain, nested):
-        integrator.timings.reset()
-        integrator.step(10)
-    assert nested.timings.evaluations == plain.timings.evaluations == 21
-    assert (plain.timings.fast_evaluations, nested.timings.fast_evaluations) == (0, 41)
-    assert nested.totalEnergy()._value == pytest.approx(plain.totalEnergy()._value, abs=0.1)
-
-
-def test_a_step_that_bonds_do_not_bear_is_borne_when_they_are_nested():
-    """What the feature is for: 4 fs a force evaluation, where plain Verlet has several kJ/mol."""
-    _, system, x = peptide("None")
-    rb.separate_bonded(system)
-    errors = []
-    for fast in (None, "bonded"):
-        integrator, _context = moving(system, x, 0.003, "V2", fast=fast)
-        before = integrator.totalEnergy()._value
-        try:
-            integrator.step(100)
-            errors.append(abs(integrator.totalEnergy()._value - before))
-        except rb.NonFiniteError:
-            errors.append(np.inf)
-    assert errors[1] < 1.0
-    assert errors[0] > 20.0 * errors[1]
-
-
-def test_shared_groups_are_refused_with_what_to_do():
-    _, system, x = peptide()
-    with pytest.raises(ValueError, match=r"NonbondedForce are both in force group 0.*separate_bonded"):
-        moving(system, x, fast="bonded")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"fast": (7,)}, "no force in group 7"),
-        ({"fast": (0, 1)}, "fast names all forces"),
-        ({"fast": (0,)}, "innerSteps="),  # no bonds in it that tell how fast it is
-    ],
-)
-def test_groups_that_cannot_be_nested_are_refused(options, message):
-    _, system, x = peptide()
-    rb.separate_bonded(system)
-    with pytest.raises(ValueError, match=message):
-        moving(system, x, **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"fast": "angles"}, 'fast is None, "bonded" or force groups'),
-        ({"fast": (32,)}, 'fast is None, "bonded" or force groups'),
-        ({"fast": ()}, 'fast is None, "bonded" or force groups'),
-        ({"fast": "bonded", "inner": "V2_C17"}, "drifts and kicks alone"),
-        ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
-    ],
-)
-def test_what_is_no_nesting_is_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        rb.ExactRigidBodyIntegrator(0.001, **options)
-
-
-def test_copies_nest_as_the_original_does():
-    integrator = rb.ExactRigidBodyIntegrator(0.002, fast=(1, 2), inner="V2", innerSteps=3)
-    for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
-        assert twin.getNesting() == integrator.getNesting()
 
 
 # -- OpenMM's own tools -----------------------------------------------------------------------------------------
@@ -359,39 +225,6 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     length, slip = violations(system, positions_of(context), velocities_of(context))
     assert length < 1e-14
     assert slip < 1e-13
-
-
-# -- baths and engines ------------------------------------------------------------------------------------------
-
-
-def test_strong_friction_makes_every_kinetic_energy_canonical():
-    """The noise acts along the constraints only: a chi-square number of all degrees of freedom after each step."""
-    _, system, x = peptide()
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1e5, 1e-4)
-    integrator.setRandomNumberSeed(4)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    freedom, energies = sum(integrator.degreesOfFreedom()), []
-    for _ in range(300):
-        integrator.step(1)
-        energies.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R))
-    assert stats.kstest(energies, stats.chi2(freedom).cdf).pvalue > 0.01
-    length, slip = violations(system, positions_of(context), velocities_of(context))
-    assert length < 1e-15
-    assert slip < 1e-13
-
-
-def test_rescaling_accounts_for_the_energy_along_the_constraints_alone():
-    _, system, x = peptide()
-    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.0005, "W4_5")
-    integrator.setRandomNumberSeed(4)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    integrator.setVelocitiesToTemperature(300.0, 1)
-    before = integrator.effectiveEnergy()._value
-    integrator.step(100)
-    assert abs(integrator.heat()._value) > 1.0
-    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-3)
 
 
 def test_the_device_is_refused_for_clusters_and_nesting():

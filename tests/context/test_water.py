@@ -47,8 +47,8 @@ def energy_noise(simulation, n_samples=20, steps=5):
 # -- molecules --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p"])
-def test_water_models_of_openmm_run_and_keep_their_energy_and_shape(model):
+@pytest.mark.parametrize("model", ["tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"])
+def test_water_models_run_and_keep_their_energy_and_shape(model):
     topology, system, positions = rb.rigid_water(8, model=model)
     simulation = start(topology, system, positions, h=0.001)
     bodies, _ = simulation.integrator.bodyState()
@@ -63,7 +63,7 @@ def test_water_models_of_openmm_run_and_keep_their_energy_and_shape(model):
     for i in range(system.getNumConstraints()):
         p, q, d = system.getConstraintParameters(i)
         assert abs(np.linalg.norm(x[p] - x[q]) - d._value) < 1e-13
-    if model in ("tip4pew", "tip5p"):
+    if model in ("tip4pew", "tip5p", "tip4p2005"):
         assert system.isVirtualSite(3)
 
 

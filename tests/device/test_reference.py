@@ -1,5 +1,7 @@
 """The program of the device against the host, on the Reference platform."""
 
+import copy
+
 import numpy as np
 import openmm
 import pytest
@@ -15,11 +17,7 @@ def droplet():
     return system, positions
 
 
-def has_gradients(name):
-    return bool(rb.SCHEMES[name].gradients)
-
-
-@pytest.mark.parametrize("name", [name for name in rb.SCHEMES if not has_gradients(name)])
+@pytest.mark.parametrize("name", rb.SCHEMES)
 def test_every_scheme_moves_as_on_the_host(name, droplet):
     host, device = pair(*droplet, scheme=name)
     (x, v), (x1, v1) = stepped(host, 20), stepped(device, 20)
@@ -257,19 +255,39 @@ def test_refusals(droplet):
         rb.ExactRigidBodyIntegrator(0.001, engine="gpu")
     with pytest.raises(ValueError, match="exact rotor only"):
         rb.ExactRigidBodyIntegrator(0.001, rotor="mclachlan_reich", engine="device")
-    for name in filter(has_gradients, rb.SCHEMES):
-        with pytest.raises(ValueError, match=f"the letter 'C.*' of scheme {name}: take engine='host'"):
-            rb.ExactRigidBodyIntegrator(0.001, name, engine="device")
+    own = rb.schemes.Scheme("own", 2, (("A", 0.5), ("B3", 1.0), ("A", 0.5)))
+    with pytest.raises(ValueError, match="the letter 'B3' of scheme own: take engine='host'"):
+        rb.ExactRigidBodyIntegrator(0.001, own, engine="device")
     cpu = openmm.Platform.getPlatform("CPU")
     with pytest.raises(ValueError, match="12 times a Verlet step"):
         context_of(system, positions, "device", platform=cpu)
     _, with_sites, places = rb.rigid_water(2, model="tip4pew")
     with pytest.raises(ValueError, match="virtual sites at the end of a step only"):
         context_of(with_sites, places, "device")
-    taken = rb.rigid_water(2)[1]
-    taken.getForce(0).setForceGroup(31)
-    with pytest.raises(ValueError, match="needs force group 31 for itself"):
-        context_of(taken, rb.rigid_water(2)[2], "device")
+
+
+def test_the_force_group_of_the_sums_is_nobody_elses(droplet):
+    system, positions = droplet
+    taken = copy.deepcopy(system)
+    force = taken.getForce(0)
+    force.setForceGroup(31)
+    sentence = f"needs force group 31 for itself, and {force.getName()} is in it .give that force another one with"
+    with pytest.raises(ValueError, match=f"{sentence} setForceGroup, 30 is free.; engine='host' can do it"):
+        context_of(taken, positions, "device")
+    auto = context_of(taken, positions, "auto")
+    assert auto.getIntegrator().getEngine() == "host"
+    assert "30 is free" in auto.getIntegrator().engineNote()
+    for group in range(31):
+        other = openmm.CustomExternalForce("0")
+        other.setForceGroup(group)
+        taken.addForce(other)
+    with pytest.raises(ValueError, match="give that force one of another force, none is free"):
+        context_of(taken, positions, "device")
+    removed = copy.deepcopy(system)
+    remover = openmm.CMMotionRemover()
+    remover.setForceGroup(31)  # it has no forces
+    removed.addForce(remover)
+    stepped(context_of(removed, positions, "device"), 1)
 
 
 def test_auto_takes_the_host_where_there_is_no_device(droplet):

@@ -111,7 +111,7 @@ def test_a_ferrofluid_has_the_susceptibility_of_the_literature():
 
 @pytest.mark.validate
 def test_the_stockmayer_liquid_has_the_dielectric_constant_of_an_ewald_sum():
-    """By a reaction field, which is not enough with mu² = 3 in a box of this size: see docs/guide.md."""
+    """By a reaction field, which is not enough with mu² = 3 in a box of this size: see docs/tutorials/dielectric.md."""
     value, error = liquid(1.0, 500.0, rb.ReactionField())
     assert error < 0.05 * value
     assert_agrees("mu² = 1, reaction field", value, error, *by_ewald_sum(1.0))

@@ -1,4 +1,4 @@
-"""How long a step a scheme bears."""
+"""How long a step a scheme bears, and which energy of an oscillator it keeps."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import stability_limit
+from openmm_exactrb.schemes import shadow, stability_limit, symmetric
 from words import advanced
 
 
@@ -41,3 +41,42 @@ def test_a_harmonic_oscillator_is_bounded_up_to_the_limit_and_not_beyond(scheme)
         assert np.abs(power).max() < 100.0
     growth = np.abs(np.linalg.eigvals(step_of_an_oscillator(scheme, limit + 3e-4))).max()
     assert 40_000 * np.log(growth) > np.log(1e3)
+
+
+def test_the_shadow_energy_is_kept_by_steps(scheme):
+    scheme = replace(scheme, processor=())
+    step = 0.2
+    kinetic, potential = shadow(scheme, step)
+    form, matrix = np.diag([potential, kinetic]), step_of_an_oscillator(scheme, step)
+    np.testing.assert_allclose(matrix.T @ form @ matrix, form, atol=1e-13)
+    # It is an energy: its motion over the step is the step.
+    omega = np.sqrt(kinetic * potential)
+    assert np.trace(matrix) == pytest.approx(2.0 * np.cos(omega * step), abs=1e-13)
+    assert omega == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.parametrize("first", ["kick", "drift"])
+@pytest.mark.parametrize("outer", [0.16, 1.0 / 6.0, 0.1931833275037836, 0.222])
+def test_the_shadow_begins_with_the_commutators_of_two_stages(first, outer):
+    """Of B(l) A(1/2) B(1 - 2l) A(1/2) B(l): (6l - 1)/12 and (6l² - 6l + 1)/6, times step². Or A and B change over."""
+    table = {"b" if first == "kick" else "a": (outer,)}
+    scheme, step = symmetric("two", order=2, stages=2, first=first, **table), 0.01
+    of_momenta, of_places = (part - 1.0 for part in shadow(scheme, step)[:: 1 if first == "kick" else -1])
+    assert of_momenta / step**2 == pytest.approx((6.0 * outer - 1.0) / 12.0, abs=2e-5)
+    assert of_places / step**2 == pytest.approx((6.0 * outer**2 - 6.0 * outer + 1.0) / 6.0, abs=2e-5)
+
+
+def test_the_shadow_goes_on_beyond_half_a_turn():
+    """Steps of S2_3 touch the bound of stability where they turn an oscillator by half a period."""
+    scheme = rb.SCHEMES["S2_3"]
+    before, after = shadow(scheme, 2.9), shadow(scheme, 3.6)
+    for step, (kinetic, potential) in ((2.9, before), (3.6, after)):
+        assert np.trace(step_of_an_oscillator(scheme, step)) == pytest.approx(
+            2.0 * np.cos(np.sqrt(kinetic * potential) * step), abs=1e-13
+        )
+    assert 0.8 < np.sqrt(after.kinetic * after.potential) < 1.2
+
+
+def test_an_unstable_step_has_no_shadow():
+    with pytest.raises(ValueError, match=r"V2 is not stable at a step of 2\.1/omega"):
+        shadow(rb.SCHEMES["V2"], 2.1)

@@ -1,0 +1,172 @@
+"""Rigid water in a periodic box with PME: how far the energy strays in 30 ps, beside OpenMM's Verlet at the same cost.
+
+216 molecules of each model on the CPU platform, whose forces are of single precision, with a switch before the cutoff
+and tight PME, so that the integrator is seen and not the cutoff. Each run starts from canonical water that
+LangevinMiddleIntegrator has made with a seed of its own. A run is one recipe of an ensemble: the command goes on where
+it stopped. Results go to out/boxes: a table (CSV) and `energy.png`, the energy of the first model over time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb import ensemble
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+OUT = Path("out/boxes")
+MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
+VERLET = "Verlet"
+WINDOWS = (2.0, 10.0, 30.0)  # ps
+SAMPLED = 0.02  # ps
+TEMPERATURE = 300.0  # K
+
+
+def context_of(n: int, model: str, integrator: openmm.Integrator) -> tuple[openmm.Context, list]:
+    """Return a Context on the CPU platform that gives the same numbers at every run, and positions."""
+    _, system, positions = rb.rigid_water(
+        n,
+        model=model,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=0.85,
+        switchDistance=0.75,
+        ewaldErrorTolerance=1e-5,
+    )
+    options = {"Threads": "1", "DeterministicForces": "true"}
+    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options), positions
+
+
+def start_of(n: int, model: str, seed: int) -> openmm.State:
+    """Return water that has forgotten its lattice."""
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
+    integrator.setRandomNumberSeed(seed)
+    context, positions = context_of(n, model, integrator)
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    integrator.step(2_500)
+    return context.getState(positions=True, velocities=True)
+
+
+def energies_of(model: str, method: str, rate: float, duration: float, seed: int, n: int) -> dict:
+    """Run water and return its total energy in kJ/mol a molecule, every 20 fs."""
+    if method == VERLET:
+        integrator = openmm.VerletIntegrator(1.0 / rate)
+        integrator.setConstraintTolerance(1e-8)
+    else:
+        integrator = rb.ExactRigidBodyIntegrator(rb.SCHEMES[method].forces / rate, scheme=method)
+    context, _ = context_of(n, model, integrator)
+    start = start_of(n, model, seed)
+    context.setPositions(start.getPositions())
+    context.setVelocities(start.getVelocities())
+    h = integrator.getStepSize()._value
+    every = max(1, round(SAMPLED / h))
+    energies = []
+    for _ in range(round(duration / (every * h))):
+        integrator.step(every)
+        state = context.getState(energy=True)
+        energies.append((state.getPotentialEnergy() + state.getKineticEnergy())._value / n)
+    return {"interval": every * h, "energies": energies}
+
+
+def spread(runs: list[dict], window: float) -> tuple[float, float]:
+    """Return the standard deviation of the energy within windows, over all runs, and its error between the runs."""
+    variances = []
+    for run in runs:
+        energies = np.array(run["energies"])
+        parts = np.array_split(energies, max(1, round(len(energies) * run["interval"] / window)))
+        variances.append(np.mean([part.var() for part in parts]))
+    mean = np.mean(variances)
+    error = np.std(variances, ddof=1) / np.sqrt(len(variances)) if len(variances) > 1 else np.nan
+    return float(np.sqrt(mean)), float(error / (2 * np.sqrt(mean)))
+
+
+def main() -> None:
+    args = parse()
+    args.out.mkdir(parents=True, exist_ok=True)
+    points = list(itertools.product(args.models, args.rates, [VERLET, *args.schemes]))
+    fixed = {"duration": args.picoseconds, "n": args.molecules}
+    recipes = {
+        point: [
+            ensemble.Recipe(energies_of, model=point[0], rate=point[1], method=point[2], seed=seed, **fixed)
+            for seed in range(1, args.starts + 1)
+        ]
+        for point in points
+    }
+    outcomes = ensemble.run([r for some in recipes.values() for r in some], args.out / "runs", workers=args.workers)
+    by_key = {outcome.recipe.key: outcome for outcome in outcomes}
+    rows, found = [], {}
+    for point, some in recipes.items():
+        runs = [by_key[recipe.key] for recipe in some]
+        found[point] = [run.result for run in runs if run.error is None]
+        failed = len(runs) - len(found[point])
+        row = [*point, len(found[point]), failed]
+        for window in WINDOWS:
+            row += spread(found[point], window) if found[point] and window <= args.picoseconds else (np.nan, np.nan)
+        rows.append(row)
+    write(rows, args.out / "table.csv")
+    first = (args.models[0], args.rates[0])
+    draw({method: found[*first, method][0] for method in (VERLET, args.schemes[0])}, *first, args.out / "energy.png")
+
+
+def write(rows: list[list], file: Path) -> None:
+    """Write the table, and print it with how many times each lies below Verlet's."""
+    names = [f"{what}_{window:g}_ps" for window in WINDOWS for what in ("std", "error")]
+    with file.open("w", newline="") as out:
+        table = csv.writer(out)
+        table.writerow(["model", "forces_per_ps", "method", "starts", "failed", *names])
+        table.writerows([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows)
+    verlet = {tuple(row[:2]): row[-2] for row in rows if row[2] == VERLET}
+    for row in rows:
+        model, rate, method, starts, failed, *numbers = row
+        shown = ", ".join(f"{std:.2e} in {w:g} ps" for std, w in zip(numbers[::2], WINDOWS, strict=True))
+        times = verlet[model, rate] / numbers[-2]
+        print(f"{model} {rate:g} per ps {method}: {shown}, {times:.1f} times less ({starts} starts, {failed} failed)")
+
+
+def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:
+    """Draw how the total energy strays from its first value, in J/mol a molecule."""
+    figure, axes = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
+    for (method, run), colour in zip(runs.items(), ("#E69F00", "#0072B2"), strict=True):
+        energies = 1000.0 * np.array(run["energies"])
+        time = run["interval"] * np.arange(1, len(energies) + 1)
+        name = "OpenMM's VerletIntegrator" if method == VERLET else f"ExactRigidBodyIntegrator, {method}"
+        width = 0.5 if method == VERLET else 1.2
+        axes.plot(time, energies - energies.mean(), color=colour, lw=width, label=name)
+    axes.set_xlabel("time (ps)")
+    axes.set_ylabel("total energy − mean\n(J/mol per molecule)")
+    axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both", fontsize=11)
+    axes.margins(x=0.01)
+    legend = figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    for line in legend.get_lines():
+        line.set_linewidth(2.5)
+    figure.savefig(file, dpi=150)
+    plt.close(figure)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--models", nargs="+", choices=MODELS, default=MODELS, metavar="NAME", help=", ".join(MODELS))
+    add("--rates", nargs="+", type=float, default=[500.0], metavar="RATE", help="force evaluations per ps")
+    add("--schemes", nargs="+", choices=rb.SCHEMES, default=["W2_5", "S2_2", "W2_4"], metavar="NAME")
+    add("--starts", type=int, default=3, help="runs of each, each from a start of its own (%(default)s)")
+    add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
+    add("--molecules", type=int, default=216)
+    add("--workers", type=int, default=None, help="processes; one for each core unless given")
+    add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

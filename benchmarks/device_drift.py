@@ -1,0 +1,65 @@
+"""The drift of the energy on a device in mixed precision, and that of the same droplets on the host.
+
+Droplets of rigid water, each start on both engines, 100 000 steps. Printed for each run: the slope of the total energy
+per molecule, of a straight line through it, and how far the energy is from that line; at the end, of each engine, the
+mean slope of all starts with its standard error. The kinetic energy is that of the bodies in float64, the potential
+energy that of the platform.
+
+    python benchmarks/device_drift.py --platform CUDA
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+
+import numpy as np
+import openmm
+from openmm import unit
+
+import openmm_exactrb as rb
+
+RT = (unit.MOLAR_GAS_CONSTANT_R * 100.0 * unit.kelvin).value_in_unit(unit.kilojoule_per_mole)
+
+
+def energies(engine, seed, options):
+    """Return times (ns) and total energies (kJ/mol) of a run."""
+    _, system, positions = rb.rigid_water(options.molecules)
+    integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine)
+    platform = openmm.Platform.getPlatform(options.platform)
+    context = openmm.Context(system, integrator, platform, {"Precision": "mixed"})
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(100.0, seed)
+    found = []
+    for _ in range(options.steps // options.every):
+        integrator.step(options.every)
+        found.append((1e-3 * context.getTime()._value, integrator.totalEnergy()._value))
+    return np.array(found).T
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--platform", default="CUDA")
+    parser.add_argument("--scheme", default="S2_2", choices=tuple(rb.SCHEMES))
+    parser.add_argument("--molecules", type=int, default=8)
+    parser.add_argument("--step", type=float, default=0.0005, help="in ps")
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--every", type=int, default=100, help="steps between two energies")
+    parser.add_argument("--starts", type=int, default=3)
+    options = parser.parse_args()
+    slopes = {"host": [], "device": []}
+    print(f"{options.platform}, mixed, {options.scheme}, {options.molecules} molecules, {1e3 * options.step:g} fs")
+    print(f"{'start':>5} {'engine':7} {'kJ/mol/ns/molecule':>20} {'kJ/mol about the line':>22}")
+    for seed, engine in itertools.product(range(1, options.starts + 1), slopes):
+        times, found = energies(engine, seed, options)
+        line = np.polyfit(times, found, 1)
+        slopes[engine].append(line[0] / options.molecules)
+        rest = np.std(found - np.polyval(line, times))
+        print(f"{seed:5d} {engine:7} {slopes[engine][-1]:20.2e} {rest:22.2e}", flush=True)
+    for engine, found in slopes.items():
+        error = np.std(found, ddof=1) / np.sqrt(len(found))
+        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT at 100 K is {RT:.2f} kJ/mol")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""What the shadow energies of splittings say of rigid water: temperatures and potential energy before any run.
+
+A symmetric splitting keeps an energy beside the true one. Of an oscillator of the frequency w it is that of
+`openmm_exactrb.schemes.shadow`, which tells how hot and how wide the oscillator looks at the ends of steps. Here the
+spectrum of the linear momenta of water and that of its angular momenta, each about one axis of the molecule, take the
+places of oscillators, all of which share one temperature. What comes out is T_rot - T_tr and the error of the potential
+energy for each scheme and each time a force evaluation. It knows nothing of resonances of long steps with fast motion,
+which heat, and of friction, which pulls each mode to the temperature of the bath.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.schemes import shadow
+
+TEMPERATURE = 298.15
+STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def momenta(model: str, picoseconds: float):
+    """Return linear and angular momenta, (steps, 3, n), of 216 molecules, each over the root of its mass or moment."""
+    _, system, positions = rb.rigid_water(
+        216, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85, ewaldErrorTolerance=1e-4
+    )
+    integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004, scheme="S2_2")
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    integrator.setVelocitiesToTemperature(TEMPERATURE, 1)
+    integrator.step(2500)
+    integrator.setFriction(0.0)
+    integrator.setStepSize(STEP)
+    linear, angular = [], []
+    for _ in range(round(picoseconds / STEP)):
+        integrator.step(1)
+        bodies, state = integrator.bodyState()
+        linear.append(state.P / np.sqrt(bodies.mass))
+        angular.append(state.m / np.sqrt(bodies.principal_moments))
+    return np.array(linear), np.array(angular)
+
+
+def spectrum(series) -> np.ndarray:
+    """Return the power of a series (steps, 3, n) over frequencies, as parts of one."""
+    windows = series[: len(series) // WINDOW * WINDOW].reshape(-1, WINDOW, *series.shape[1:])
+    tapered = windows * np.hanning(WINDOW)[:, None, None]
+    power = (np.abs(np.fft.rfft(tapered, axis=1)) ** 2).mean(axis=(0, 2, 3))[1:]
+    return power / power.sum()
+
+
+def predicted(scheme, interval: float, frequencies, translational, rotational) -> tuple[float, float, float]:
+    """Return T_rot - T_tr in K, the error of U in kJ/mol a molecule, and the part of rotation that is beyond stability.
+
+    What is beyond stability is taken like the fastest motion that is not.
+    """
+    h = scheme.forces * interval
+    kinetic, potential, stable = [], [], []
+    for w in frequencies:
+        try:
+            found = shadow(scheme, w * h)
+        except ValueError:
+            stable.append(False)
+            found = kinetic[-1], potential[-1]
+        else:
+            stable.append(True)
+        kinetic.append(found[0])
+        potential.append(found[1])
+    cold_tr, cold_rot = (float((part / kinetic).sum()) for part in (translational, rotational))
+    shared = 2.0 * TEMPERATURE / (cold_tr + cold_rot)
+    wide = float(((translational + rotational) / potential).sum())
+    return (
+        shared * (cold_rot - cold_tr),
+        1.5 * R * (shared * wide - 2.0 * TEMPERATURE),
+        float(rotational[~np.array(stable)].sum()),
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Temperatures and energy of water from shadow energies.")
+    parser.add_argument("--model", default="spce", help="%(default)s")
+    parser.add_argument("--length", type=float, default=24.0, metavar="PS", help="%(default)s")
+    parser.add_argument("--schemes", nargs="+", default=["V2", "V2_drift", "S2_2", "SBAB_2", "SABA_2", "S2_3", "W2_3"])
+    parser.add_argument("--intervals", nargs="+", type=float, default=[2, 4, 6], metavar="FS", help="a force")
+    args = parser.parse_args()
+    linear, angular = momenta(args.model, args.length)
+    frequencies = 2.0 * np.pi * np.fft.rfftfreq(WINDOW, STEP)[1:]
+    parts = spectrum(linear), spectrum(angular)
+    for name, part in zip(("translation", "rotation"), parts, strict=True):
+        print(f"{name}: root mean square frequency {np.sqrt((part * frequencies**2).sum()):.0f}/ps")
+    for name in args.schemes:
+        for interval in args.intervals:
+            difference, energy, lost = predicted(rb.SCHEMES[name], 0.001 * interval, frequencies, *parts)
+            beyond = f", {lost:.1%} of rotation beyond stability" if lost > 5e-4 else ""
+            print(f"{name:8} {interval:g} fs a force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f}{beyond}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,52 @@
+"""A heat bath as per-DOF statements: friction and noise that are the same for all replicas of a body.
+
+OpenMM's own random numbers differ from particle to particle. So every component of every replica has a generator, which
+began where that of the other replicas of the body did: then nothing has to be sent from one particle to the others. It
+is the sum of four generators by B. A. Wichmann and I. D. Hill, Comput. Stat. Data Anal. 51, 1614 (2006),
+doi:10.1016/j.csda.2006.05.019, of period 2^121; its products are below 2^47, so float64 has them exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.device import names
+from openmm_exactrb.device.expressions import AXES, INVERSE_INERTIA, times
+from openmm_exactrb.device.program import Program
+from openmm_exactrb.device.rows import Table
+
+#: Multipliers and moduli: r <- multiplier r mod modulus, and the sum of r/modulus without its whole part is uniform.
+GENERATORS = ((11600, 2147483579), (47003, 2147483543), (23000, 2147483423), (33000, 2147483123))
+
+
+def streams(n_bodies: int, seed: int) -> NDArray[np.float64]:
+    """Return where the generators of a number of bodies begin, (4, n_bodies, 3)."""
+    rng = np.random.default_rng(seed)
+    begin = [rng.integers(1, modulus, (n_bodies, 3)) for _, modulus in GENERATORS]
+    return np.array(begin, dtype=np.float64)
+
+
+def exchange(program: Program, table: Table, part: str) -> None:
+    """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
+
+    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn in every row. It changes a, g,
+    n, p and y.
+    """
+    times(program, table, "n", ((part, "begins"),) * 3)
+    program.let("a", _uniform(program))
+    program.let("y", _uniform(program))
+    program.let("g", "sqrt(-2*log(1-a))")
+    program.let("y", f"{2.0 * np.pi!r}*y")
+    program.let("a", "exp(-n*_x(bath))")
+    program.let("P", "P*a+g*cos(y)*sqrt(_z(bath)*(1-a*a)/_y(inverse))")
+    program.let("a", "exp(-n*_y(bath))")
+    program.let("L", f"L*a+g*sin(y)*{AXES}*sqrt(_z(bath)*(1-a*a)/max({INVERSE_INERTIA},1e-300))")
+
+
+def _uniform(program: Program) -> str:
+    """Write the next state of the generators, and return the expression of a number from 0 to 1, without 1."""
+    for name, (multiplier, modulus) in zip(names.STREAMS, GENERATORS, strict=True):
+        program.let(name, f"{multiplier}*{name}-{modulus}*floor({multiplier}*{name}/{modulus})")
+    total = "+".join(f"{name}/{modulus}" for name, (_, modulus) in zip(names.STREAMS, GENERATORS, strict=True))
+    return f"total-floor(total);total={total}"

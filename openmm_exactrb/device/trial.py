@@ -1,0 +1,84 @@
+"""Which engine is faster in a Context: a few steps of both, in Contexts of their own."""
+
+from __future__ import annotations
+
+import copy
+import statistics
+import time
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.context import arrays
+
+_KINDS = ("device", "host")
+# Of each engine: what a round takes at least, in s, or its steps at most; and the rounds, by turns.
+_ROUND, _STEPS, _ROUNDS = 0.02, 64, 5
+# What tells a device; other properties of a Context say what came of it.
+_PROPERTIES = ("Precision", "DeviceIndex", "OpenCLPlatformIndex")
+_known: dict[tuple[Any, ...], tuple[float, float]] = {}
+
+
+def verdict(context: Any, integrator: Any) -> tuple[bool, str]:
+    """Return whether the device is no slower than the host in a Context, and a sentence with both times.
+
+    They are measured once in a process for a device, a scheme, a kind of integrator and a number of particles. The
+    Context stays as it is.
+    """
+    platform, properties = context.getPlatform(), _properties(context)
+    scheme, particles = integrator.getScheme().name, context.getSystem().getNumParticles()
+    key = (platform.getName(), *properties.items(), type(integrator), scheme, particles)
+    if key not in _known:
+        _known[key] = _timed(context, integrator)
+    device, host = _known[key]
+    note = f"{platform.getName()} needs {1e3 * device:.3g} ms for a step, the host with it {1e3 * host:.3g} ms"
+    return device <= host, note
+
+
+def _timed(context: Any, integrator: Any) -> tuple[float, float]:
+    """Return the seconds that a step takes on the device and on the host."""
+    contexts = [_twin(context, integrator, kind) for kind in _KINDS]
+    steps = [_enough(twin.getIntegrator()) for twin in contexts]
+    rounds = [
+        [_seconds(twin.getIntegrator(), n) for twin, n in zip(contexts, steps, strict=True)] for _ in range(_ROUNDS)
+    ]
+    device, host = (statistics.median(times) for times in zip(*rounds, strict=True))
+    return device, host
+
+
+def _twin(context: Any, integrator: Any, engine: str) -> openmm.Context:
+    """Return a Context of copies, with the state of another one and an engine that was asked for."""
+    asked = integrator.getSettings()
+    own = type(integrator)(**asked["arguments"] | {"engine": engine})
+    for name, value in asked["settings"].items():
+        getattr(own, f"set{name}")(value)
+    twin = openmm.Context(copy.deepcopy(context.getSystem()), own, context.getPlatform(), _properties(context))
+    state = context.getState(positions=True, velocities=True, parameters=True)
+    twin.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    for name, value in state.getParameters().items():
+        twin.setParameter(name, value)
+    twin.setPositions(arrays.positions(state))
+    twin.setVelocities(arrays.velocities(state))
+    return twin
+
+
+def _properties(context: Any) -> dict[str, str]:
+    platform = context.getPlatform()
+    known = set(platform.getPropertyNames()) & set(_PROPERTIES)
+    return {name: platform.getPropertyValue(context, name) for name in sorted(known)}
+
+
+def _enough(integrator: Any) -> int:
+    """Return how many steps make a round, after some that compile kernels."""
+    integrator.step(2)
+    steps = 1
+    while steps < _STEPS and _seconds(integrator, steps) * steps < _ROUND:
+        steps *= 2
+    return steps
+
+
+def _seconds(integrator: Any, steps: int) -> float:
+    """Return the time of a step; a call ends with reading positions, so that the device has finished."""
+    start = time.perf_counter()
+    integrator.step(steps)
+    return (time.perf_counter() - start) / steps

@@ -1,0 +1,211 @@
+"""Baths of flexible molecules: along the constraints alone, and with forces within the drifts."""
+
+import copy
+import itertools
+import pickle
+
+import numpy as np
+import openmm
+import pytest
+from scipy import stats
+
+import openmm_exactrb as rb
+from peptides import REFERENCE, R, moving, peptide, positions_of, velocities_of, violations
+
+
+def test_strong_friction_makes_every_kinetic_energy_canonical():
+    """The noise acts along the constraints only: a chi-square number of all degrees of freedom after each step."""
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1e5, 1e-4)
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    freedom, energies = sum(integrator.degreesOfFreedom()), []
+    for _ in range(300):
+        integrator.step(1)
+        energies.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R))
+    assert stats.kstest(energies, stats.chi2(freedom).cdf).pvalue > 0.01
+    length, slip = violations(system, positions_of(context), velocities_of(context))
+    assert length < 1e-15
+    assert slip < 1e-13
+
+
+def test_rescaling_accounts_for_the_energy_along_the_constraints_alone():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.0005, "W4_5")
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    before = integrator.effectiveEnergy()._value
+    integrator.step(100)
+    assert abs(integrator.heat()._value) > 1.0
+    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-3)
+
+
+BATHS = {
+    "Langevin": lambda h, **options: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, h, **options),
+    "rescaling": lambda h, **options: rb.ExactRigidBodyRescalingIntegrator(300.0, 1e300, h, **options),
+    "hybrid": lambda h, **options: rb.ExactRigidBodyHybridIntegrator(300.0, 0.0, h, **options),
+}
+
+
+def bathed(integrator, system, x, seed=4):
+    integrator.setRandomNumberSeed(seed)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 3)
+    return context
+
+
+@pytest.mark.parametrize("scheme", ["S2_2", "W4_5"])
+@pytest.mark.parametrize("bath", ["Langevin", "hybrid"])
+def test_a_bath_that_does_nothing_leaves_the_nested_trajectory_bit_for_bit(bath, scheme):
+    _, system, x = peptide()
+    rb.separate_bonded(system)
+    alone, _context = moving(system, x, 0.001, scheme, fast="bonded")
+    integrator = BATHS[bath](0.001, scheme=scheme, fast="bonded")
+    _other = bathed(integrator, system, x)
+    for moved in (alone, integrator):
+        moved.timings.reset()
+        moved.step(20)
+    if bath == "hybrid":
+        assert integrator.acceptanceRate() == 1.0  # else momenta would have turned
+    for ours, plain in zip(integrator.fullState()[1], alone.fullState()[1], strict=True):
+        np.testing.assert_array_equal(ours, plain)
+    assert integrator.timings.evaluations == alone.timings.evaluations
+    assert integrator.timings.fast_evaluations == alone.timings.fast_evaluations
+
+
+def test_a_bath_within_a_step_leaves_the_bonded_forces_about_it():
+    """BAOAB without friction is velocity Verlet: each half of its drift has half of the inner steps."""
+    _, system, x = peptide()
+    rb.separate_bonded(system)
+    plain, _one = moving(system, x, 0.001, "V2", fast="bonded", inner="S2_2", innerSteps=2)
+    within = rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.001, "BAOAB", fast="bonded", inner="S2_2", innerSteps=2)
+    _other = bathed(within, system, x)
+    for moved in (plain, within):
+        moved.step(20)
+    for ours, theirs in zip(within.bodyState()[1], plain.bodyState()[1], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
+    assert within.timings.fast_evaluations == plain.timings.fast_evaluations
+
+
+@pytest.mark.parametrize("maker", BATHS.values(), ids=BATHS)
+def test_copies_of_baths_nest_as_the_original_does(maker):
+    integrator = maker(0.002, fast=(1, 2), inner="V2", innerSteps=3)
+    for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
+        assert type(twin) is type(integrator)
+        assert twin.getNesting() == integrator.getNesting()
+
+
+def test_rescaling_nested_keeps_the_effective_energy():
+    _, system, x = peptide()
+    rb.separate_bonded(system)
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.002, "W4_5", fast="bonded")
+    _context = bathed(integrator, system, x)
+    before = integrator.effectiveEnergy()._value
+    integrator.step(50)
+    assert abs(integrator.heat()._value) > 1.0
+    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-2)
+
+
+def quadratic_cluster():
+    """Return a System of XH3 whose members are drawn to places, by forces of two groups, and these (nm).
+
+    Both are harmonic: what holds the cluster, and the bond from its middle to an atom that stands still.
+    """
+    system = openmm.System()
+    for mass in (12.0, 1.0, 1.0, 1.0, 0.0):
+        system.addParticle(mass)
+    places = np.array([[0.0, 0, 0], [0.1, 0, 0.03], [-0.05, 0.087, 0.03], [-0.05, -0.087, 0.03], [0, 0, -0.15]])
+    for i in range(1, 4):
+        system.addConstraint(0, i, float(np.linalg.norm(places[i])))
+    field = openmm.CustomExternalForce("500*(x^2 + y^2 + 2*z^2)")
+    for i in range(1, 4):
+        field.addParticle(i)
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(0, 4, 0.15, 3e5)
+    bond.setForceGroup(1)
+    for force in (field, bond):
+        system.addForce(force)
+    return system, places
+
+
+@pytest.mark.parametrize("bath", ["Langevin", "hybrid"])
+def test_equipartition_of_a_nested_constrained_cluster(bath):
+    """Twice the kinetic energy is kT for each degree of freedom, with steps that only nesting bears."""
+    system, x = quadratic_cluster()
+    h = 0.012  # the bond alone turns by 2 within a step
+    kind = {"Langevin": rb.ExactRigidBodyLangevinIntegrator, "hybrid": rb.ExactRigidBodyHybridIntegrator}[bath]
+    integrator = kind(300.0, 5.0, h, "S2_2", fast="bonded")
+    _context = bathed(integrator, system, x)
+    freedom, ratios = sum(integrator.degreesOfFreedom()), []
+    assert freedom == 9
+    integrator.step(200)
+    for _ in range(800):
+        integrator.step(4)
+        ratios.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R * freedom))
+    blocks = np.reshape(ratios, (20, -1)).mean(axis=1)
+    error = blocks.std(ddof=1) / np.sqrt(20)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=4.0 * error)
+    assert error < 0.04  # a bath that heats what constraints hold would be off by a third
+    if bath == "hybrid":
+        assert 0.5 < integrator.acceptanceRate() < 1.0
+
+
+def test_more_proposals_are_taken_where_bonds_are_nested():
+    _, system, x = peptide("None")
+    rb.separate_bonded(system)
+    rates = []
+    for fast in (None, "bonded"):
+        integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 5.0, 0.008, "S2_2", stepsPerProposal=2, fast=fast)
+        _context = bathed(integrator, system, x)
+        integrator.step(60)
+        rates.append(integrator.acceptanceRate())
+    assert rates[1] > 0.8
+    assert rates[1] > rates[0] + 0.2
+
+
+def torsions(x):
+    """Return phi and psi in degrees."""
+    angles = []
+    for atoms in ([4, 6, 8, 10], [6, 8, 10, 16]):
+        a, b, c = (x[j] - x[i] for i, j in itertools.pairwise(atoms))
+        n, m = np.cross(a, b), np.cross(b, c)
+        angles.append(np.degrees(np.arctan2(np.linalg.norm(b) * (a @ m), n @ m)))
+    return angles
+
+
+def populations(integrator, system, x, steps, every):
+    """Return blocks (20, 3) of populations: phi above -85, psi above 100 and psi below 50 degrees."""
+    context = bathed(integrator, system, x) if hasattr(integrator, "fullState") else None
+    if context is None:
+        integrator.setRandomNumberSeed(5)
+        context = openmm.Context(system, integrator, REFERENCE)
+        context.setPositions(x)
+        context.setVelocitiesToTemperature(300.0, 5)
+    integrator.step(steps // 20)
+    found = []
+    for _ in range(steps // every):
+        integrator.step(every)
+        phi, psi = torsions(positions_of(context))
+        found.append([phi > -85.0, psi > 100.0, psi < 50.0])
+    found = np.array(found, dtype=float)[len(found) % 20 :]
+    return found.reshape(20, -1, 3).mean(axis=1)
+
+
+@pytest.mark.validate
+def test_populations_of_torsions_are_those_of_small_steps():
+    """Alanine dipeptide at 4 fs, nested, against OpenMM's LangevinMiddleIntegrator at 1 fs."""
+    _, system, x = peptide()
+    theirs = populations(openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.001), system, x, 3_000_000, 100)
+    rb.separate_bonded(system)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2", fast="bonded")
+    ours = populations(integrator, system, x, 100_000, 10)
+    error = np.sqrt((ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / 20)
+    print(theirs.mean(axis=0), ours.mean(axis=0), error)
+    assert (error < 0.03).all()
+    assert (np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) < 4.0 * error).all()
+    assert (theirs.mean(axis=0) > 0.05).all()  # all of them are states that are visited
+    assert (theirs.mean(axis=0) < 0.95).all()

@@ -1,0 +1,20 @@
+"""Makes steps on OpenCL and says on standard error where they begin and end: kind, scheme."""
+
+import sys
+
+import openmm
+
+import openmm_exactrb as rb
+
+kind, scheme = sys.argv[1:]
+_, system, positions = rb.rigid_water(4)
+if kind == "langevin":
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, scheme, engine="device")
+else:
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device")
+platform = openmm.Platform.getPlatform("OpenCL")
+context = openmm.Context(system, integrator, platform, {"Precision": "mixed"})
+context.setPositions(positions)
+for steps in (3, 5, 15):
+    integrator.step(steps)
+    print(f"steps {steps}", file=sys.stderr, flush=True)

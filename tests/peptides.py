@@ -1,0 +1,67 @@
+"""Alanine dipeptide in vacuum, as our integrators move it."""
+
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
+FORCE_FIELD = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
+CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles, "None": None}
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def peptide(constraints="HBonds", **options):
+    """Return topology, System and positions (nm), on the constraints, of alanine dipeptide in vacuum."""
+    pdb = app.PDBFile(str(PEPTIDE))
+    system = FORCE_FIELD.createSystem(
+        pdb.topology, constraints=CONSTRAINTS[constraints], removeCMMotion=False, **options
+    )
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    context.setPositions(pdb.positions)
+    context.applyConstraints(1e-9)
+    return pdb.topology, system, positions_of(context)
+
+
+def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):
+    """Return our integrator and its Context, with momenta of a temperature."""
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(temperature, 3)
+    return integrator, context
+
+
+def positions_of(context):
+    return context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
+
+
+def velocities_of(context):
+    return context.getState(velocities=True).getVelocities(asNumpy=True)._value.copy()
+
+
+def violations(system, x, v):
+    """Return by how much (nm) lengths are missed, and the velocities along constraints times their lengths."""
+    constraints = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    lengths = [abs(np.linalg.norm(x[i] - x[j]) - d._value) for i, j, d in constraints]
+    slips = [abs((x[i] - x[j]) @ (v[i] - v[j])) for i, j, _ in constraints]
+    return max(lengths), max(slips)
+
+
+def end_of(system, x, scheme, time, **options):
+    """Return end(n), the positions (3, 22) after n steps over a time from the same state."""
+    start, _context = moving(system, x)
+    start.step(20)
+    _, state = start.fullState()
+
+    def end(n):
+        integrator, context = moving(system, x, time / n, scheme, **options)
+        integrator.setBodyState(state)
+        integrator.step(n)
+        return positions_of(context).T
+
+    return end

@@ -1,0 +1,90 @@
+"""Schemes with nested bonded forces among those that are tried."""
+
+import math
+from pathlib import Path
+
+import openmm
+import pytest
+from equilibrium import equilibrated
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb.tuning.movers import VERLET
+
+PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"
+
+
+@pytest.fixture(scope="module")
+def peptide():
+    """System, with all forces in group 0, and State of alanine dipeptide in vacuum, with bonds to hydrogen held."""
+    pdb = app.PDBFile(str(PEPTIDE))
+    force_field = app.ForceField("amber14-all.xml")
+    system = force_field.createSystem(pdb.topology, constraints=app.HBonds, removeCMMotion=False)
+    return system, equilibrated(system, pdb.positions, picoseconds=1.0)
+
+
+def tuned(system, state, **options):
+    lines = []
+    result = rb.tune(system, state, platform="Reference", duration=0.3, report=lines.append, **options)
+    return result, lines
+
+
+@pytest.fixture(scope="module")
+def nested(peptide):
+    system = openmm.XmlSerializer.clone(peptide[0])
+    rb.separate_bonded(system)
+    return tuned(system, peptide[1], schemes=["S2_2"], levels=3)
+
+
+def test_nested_schemes_are_tried_where_bonded_forces_have_a_group_of_their_own(nested):
+    result, lines = nested
+    assert {p.method for p in result.points} == {"S2_2", "S2_2 nested", VERLET}
+    assert any(line.startswith("S2_2 nested, ") for line in lines)
+    assert "S2_2 nested" in str(result)
+    assert not any("nested" in note for note in result.notes)
+
+
+def test_what_is_nested_is_told_to_be_stable_with_longer_steps(nested):
+    result, lines = nested
+    longest = {name: result.largest_stable_step(name) for name in ("S2_2", "S2_2 nested")}
+    assert longest["S2_2 nested"] > 1.3 * longest["S2_2"]
+    unstable = [p for p in result.points if p.method == "S2_2" and math.isinf(p.error)]
+    assert unstable
+    assert any(line.startswith("S2_2, ") and line.endswith("unstable") for line in lines)
+
+
+def test_nested_evaluations_have_their_price(nested):
+    """The same forces a ps cost more, by what the inner evaluations take, and more so at longer steps."""
+    result, _ = nested
+    extra = {}
+    for p in result.curve("S2_2 nested"):
+        extra[p.step] = p.cost * p.step / 2.0 - result.seconds["S2_2"]
+    assert all(e > 0.0 for e in extra.values())
+    assert extra[max(extra)] > extra[min(extra)]
+    for p in result.curve("S2_2"):
+        assert p.cost * p.step / 2.0 == pytest.approx(result.seconds["S2_2"], rel=1e-12)
+
+
+def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):
+    result, _ = nested
+    point = result.curve("S2_2 nested")[0]
+    choice = result.error_at(point.cost, "S2_2 nested")
+    assert choice.step == pytest.approx(point.step, rel=1e-12)
+    integrator = choice.integrator()
+    assert integrator.getScheme().name == "S2_2"
+    assert integrator.getNesting().fast == "bonded"
+
+
+def test_without_a_group_of_their_own_it_says_how_to_get_one(peptide):
+    result, _ = tuned(*peptide, schemes=["S2_2"], levels=3)
+    assert not any("nested" in p.method for p in result.points)
+    (note,) = (note for note in result.notes if "nested" in note)
+    assert "separate_bonded(system)" in note
+    assert "separate_bonded(system)" in str(result)
+
+
+def test_nothing_is_nested_that_nobody_wants(peptide):
+    system = openmm.XmlSerializer.clone(peptide[0])
+    rb.separate_bonded(system)
+    result, _ = tuned(system, peptide[1], schemes=["S2_2"], levels=3, nest=False)
+    assert not any("nested" in text for text in (*result.notes, *(p.method for p in result.points)))
