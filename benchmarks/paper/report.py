@@ -30,8 +30,8 @@ INTRODUCTION = """\
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, *The exact computation of the free rigid body motion and its use in
 splitting methods*, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393.
 
-This page is written by `make paper`, from the data in `docs/paper/data`: for every table and figure the paper's claims,
-our numbers, and whether they agree. Numbers are measured by the scripts in `benchmarks/paper`. Each claim is followed by
+This page is written by `make paper`, from the data in `docs/paper/data` (`make paper ARGS=--stored` writes it from the
+data that are there): for every table and figure the paper's claims, our numbers, and whether they agree. Numbers are measured by the scripts in `benchmarks/paper`. Each claim is followed by
 the criteria that it is judged by, and the verdict is computed from them and from nothing else:
 
 - it **agrees** if all its criteria are met, in every draw of random starts where there are several;
