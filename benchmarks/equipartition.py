@@ -273,7 +273,7 @@ def draw(rows: list[tuple], file: Path) -> None:
             lines.setdefault((above, name, names[0]), []).append((interval, *found[quantity]))
         lines.setdefault((below, names[0], names[0]), []).append((interval, *found["U"]))
     for shift, ((axes, name, _), points) in enumerate(lines.items()):
-        colour, marker = STYLES.get(name, ("#000000", "x"))
+        colour, marker = STYLES.get(name, ("#999999", "x"))
         x, y, error = np.array(sorted(points)).T
         label = name if axes is above else None
         nudged = x + 0.02 * (shift % 7 - 3)  # so that error bars do not hide each other
