@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> None:
     simulation.context.setPositions(modeller.positions)
     if not job.resuming:
         simulation.minimizeEnergy()
-        integrator.setVelocitiesToTemperature(300 * kelvin, 1)
+        equilibrate(simulation)
     job.advance(simulation, args.steps)
 
     bodies, _ = integrator.bodyState()
@@ -74,9 +74,22 @@ def run(args: argparse.Namespace) -> None:
     translation, rotation = integrator.temperatures()
     print(f"{bodies.n_turning} rigid molecules and {len(bodies) - bodies.n_turning} ions")
     print(f"temperature of translation {translation._value:.0f} K, of rotation {rotation._value:.0f} K")
-    print(f"std of the total energy {np.std(table[:, -1]) / len(bodies):.1e} kJ/mol a molecule")
+    print(f"std of the total energy {np.std(table[:, -1]) / len(bodies):.1e} kJ/mol per molecule")
     print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, temperatures.png")
     draw(table, integrator.degreesOfFreedom(), picture)
+
+
+# %%
+# A start that has been minimised takes half of the kinetic energy into its potential energy. So the momenta are drawn
+# anew a few times, until both kinds of motion have the temperature that is wanted.
+
+
+def equilibrate(simulation: app.Simulation, times: int = 20) -> None:
+    for seed in range(1, times + 1):
+        simulation.integrator.setVelocitiesToTemperature(300 * kelvin, seed)
+        simulation.integrator.step(10)
+    simulation.context.setTime(0.0)
+    simulation.context.setStepCount(0)
 
 
 # %%
@@ -91,18 +104,18 @@ def draw(table: np.ndarray, degrees: tuple[int, int], file: Path) -> None:
         ("translation", table[:, 2], degrees[0], "#0072B2", "-"),
         ("rotation", table[:, 3], degrees[1], "#D55E00", "--"),
     ):
-        axes.plot(table[:, 1], 2.0 * energy / (kb * n), style, color=colour, label=name)
+        temperature = 2.0 * energy / (kb * n)
+        label = f"{name}, mean {temperature.mean():.0f} K"
+        axes.plot(table[:, 1], temperature, style, color=colour, label=label)
+    axes.axhline(300.0, color="0.5", lw=0.8, ls=":")
     axes.set_xlabel("time (ps)")
     axes.set_ylabel("temperature (K)")
+    axes.set_ylim(200.0, 400.0)
     axes.set_title("Sodium and chloride in rigid water")
     axes.grid(True, alpha=0.3)
-    axes.legend()
+    axes.legend(loc="lower right")
     figure.savefig(file, dpi=150)
 
-
-# %%
-# The momenta were drawn at 300 K, about half of which goes into the potential energy of a start that had been
-# minimised.
 
 if __name__ == "__main__":
     main()

@@ -8,7 +8,7 @@ the integrator is ours. It moves the same box from the same start once with Open
 with its topology as PDB), the energies and a picture of the energy error; after an accident the same command with
 ``--resume`` goes on.
 
-This page shows ``python examples/water_box.py --duration 0.6``.
+This page shows ``python examples/water_box.py --duration 2``.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def run(args: argparse.Namespace) -> None:
             job.advance(simulation, steps, progress=bar.update)
         errors[name] = np.loadtxt(job.folder / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, [1, -1]].T
         noise = np.std(errors[name][1]) / pdb.topology.getNumResidues()
-        print(f"{name:<40} std of the total energy {noise:.1e} kJ/mol a molecule")
+        print(f"{name:<40} std of the total energy {noise:.1e} kJ/mol per molecule")
     draw(errors, pdb.topology.getNumResidues(), args.force_interval, picture)
     print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, energy_error.png")
 

@@ -69,11 +69,11 @@ class Claim:
         return words[1] if any(c.held for c in self.criteria) else words[2]
 
 
-def line(claim: Claim) -> str:
-    """Return a claim in markdown."""
-    judged = f" Criterion: {'; '.join(map(str, claim.criteria))}." if claim.criteria else ""
+def entry(claim: Claim) -> str:
+    """Return a claim in markdown: the sentence with its verdict, our numbers, and each criterion with its outcome."""
     verdict = claim.verdict
-    return f"- *{claim.sentence}* Measured: {claim.numbers}{judged} **{verdict[0].upper()}{verdict[1:]}.**"
+    lines = [f"- *{claim.sentence}* **{verdict[0].upper()}{verdict[1:]}.**", f"  - Measured: {claim.numbers}"]
+    return "\n".join(lines + [f"  - Criterion: {criterion}." for criterion in claim.criteria])
 
 
 def summary(claims: list[tuple[str, Claim]]) -> str:

@@ -88,20 +88,25 @@ def main(script):
     run(script, parser.parse_args().quick)
 
 
-def run(script, quick, own=False, **options):
+def run(script, quick, own=False, stored=False, **options):
     """Compute, keep the data, draw, and print the table and the claims of one script; return its data.
 
-    The full version goes to docs/paper; the quick one, and one with a user's own options, to out/paper/quick.
+    The full version goes to docs/paper; the quick one, and one with a user's own options, to out/paper/quick. With
+    `stored` the data of the last run are drawn and judged anew, and nothing is computed.
     """
     folder = FOLDERS[quick or own]
     (folder / "data").mkdir(parents=True, exist_ok=True)
-    data = _plain(script.compute(quick, **options))
-    (folder / "data" / f"{script.NAME}.json").write_text(json.dumps(data, separators=(",", ":")) + "\n")
+    kept = folder / "data" / f"{script.NAME}.json"
+    if stored:
+        data = json.loads(kept.read_text())
+    else:
+        data = _plain(script.compute(quick, **options))
+        kept.write_text(json.dumps(data, separators=(",", ":")) + "\n")
     for name, figure in script.draw(data):
         save(figure, folder / f"{name}.png")
     print(script.table(data))
     for claim in script.claims(data):
-        print(claims.line(claim))
+        print(claims.entry(claim))
     return data
 
 

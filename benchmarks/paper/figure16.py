@@ -3,7 +3,7 @@
 It tells what a high order buys for a molecular system, and that with McLachlan-Reich in place of the exact flow every
 scheme ends as second order. The start is random, and the paper gives no more of it than its energy. Ours are the ten
 of 4000 random starts whose energies are nearest to the printed one: a selection, in each of them one pair is close.
-Beside them stand five that nobody chose, in which next to nothing happens.
+The verdicts are those of the ten. Beside them stand five that nobody chose, in which next to nothing happens.
 """
 
 import sys

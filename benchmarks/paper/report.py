@@ -30,8 +30,8 @@ INTRODUCTION = """\
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, *The exact computation of the free rigid body motion and its use in
 splitting methods*, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393.
 
-This page is written by `make paper`, from the data in `docs/paper/data`: for every table and figure the paper's claims,
-our numbers, and whether they agree. Numbers are measured by the scripts in `benchmarks/paper`. Each claim is followed by
+This page is written by `make paper`, from the data in `docs/paper/data` (`make paper ARGS=--stored` writes it from the
+data that are there): for every table and figure the paper's claims, our numbers, and whether they agree. Numbers are measured by the scripts in `benchmarks/paper`. Each claim is followed by
 the criteria that it is judged by, and the verdict is computed from them and from nothing else:
 
 - it **agrees** if all its criteria are met, in every draw of random starts where there are several;
@@ -69,7 +69,7 @@ def page(results):
         parts.append(f"## {script.TITLE}\n")
         parts.append(f"{(script.__doc__ or '').split(chr(10) * 2, 1)[1].strip()}\n")
         for own in (False, True):
-            found = [claims.line(claim) for claim in script.claims(data) if claim.ours is own]
+            found = [claims.entry(claim) for claim in script.claims(data) if claim.ours is own]
             parts += ["\nBeyond the paper:\n"] * bool(own and found) + found
         parts += ["", script.table(data), ""]
         parts += [f"![{name}](paper/{name}.png)\n" for name in pictures]
@@ -79,11 +79,13 @@ def page(results):
 def main():
     parser = argparse.ArgumentParser(description=textwrap.shorten(__doc__, 100))
     parser.add_argument("--quick", action="store_true", help="small versions, into out/paper/quick")
-    quick = parser.parse_args().quick
+    parser.add_argument("--stored", action="store_true", help="judge and draw the data of the last run anew")
+    args = parser.parse_args()
+    quick = args.quick
     results = []
     for script, pictures in SECTIONS:
         print(f"\n{script.TITLE}", flush=True)
-        results.append((script, pictures, common.run(script, quick)))
+        results.append((script, pictures, common.run(script, quick, stored=args.stored)))
     place = common.FOLDERS[True] / "paper.md" if quick else common.FOLDERS[False].with_suffix(".md")
     place.write_text(page(results))
 

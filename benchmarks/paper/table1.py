@@ -140,6 +140,11 @@ def table(data):
     return common.markdown((*header, "µs per call of one body", f"µs per body of {errors.size}"), lines)
 
 
+def bodies_of(data):
+    """Return the number of bodies of all draws."""
+    return np.size(data["methods"][METHODS[0]]["errors"])
+
+
 def claims(data):
     methods = data["methods"]
     medians = {method: np.median(methods[method]["errors"], axis=1) for method in METHODS}
@@ -176,7 +181,9 @@ def claims(data):
     share = data["third_kind_share"]
     yield Claim(
         "The computational effort is dominated by the elliptic integrals of the third kind.",
-        "their part of the time of a call is " + ", ".join(f"{s:.2f} ({m})" for m, s in share.items()) + ".",
+        f"their part of the time of a call of {bodies_of(data)} bodies is "
+        + ", ".join(f"{s:.2f} ({m})" for m, s in share.items())
+        + ".",
         tuple(Criterion.of(f"it is above one half for {method}", s > 0.5) for method, s in share.items()),
     )
 

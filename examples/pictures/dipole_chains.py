@@ -2,14 +2,15 @@
 Dipoles in chains
 =================
 
-A cold droplet as arrows, coloured by the energy of each dipole in the field of the others.
+A cold droplet: bound neighbours are joined, and each chain has a colour of its own.
 """
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 from openmm import app
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 import openmm_exactrb as rb
 
@@ -26,24 +27,32 @@ bonds = np.array([[a.index, b.index] for a, b in topology.bonds()])
 centres, tips = x[bonds[:, 0]], x[bonds[:, 1]]
 directions = tips - centres
 directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-# Energy of each dipole in the field of the others, in kJ/mol; mu² = 2.
+# The energy of each pair in kJ/mol; mu² = 2. A pair head to tail at its best distance has -2.6.
 r = centres[:, None] - centres
 d = np.linalg.norm(r, axis=2) + np.eye(n)
-pair = 2.0 * np.einsum("ik,jk->ij", directions, directions) / d**3
+pair = 2.0 * np.einsum("ik,jk->ij", directions, directions) / d**3 + 4.0 / d**12
 pair -= 6.0 * np.einsum("ik,ijk->ij", directions, r) * np.einsum("jk,ijk->ij", directions, r) / d**5
-field = (pair * (1.0 - np.eye(n))).sum(axis=1)
+bound = (pair < -1.0) & ~np.eye(n, dtype=bool)
+count, chain = connected_components(csr_array(bound), directed=False)
+sizes = np.bincount(chain)
+largest = np.argsort(-sizes)[:6]
 
 # %%
-# Each dipole as an arrow through its centre.
+# Chains are drawn as lines from centre to centre, which an arrow for each dipole points along.
 
-figure = plt.figure(figsize=(8.8, 7.4), layout="constrained")
+figure = plt.figure(figsize=(8.2, 7.4), layout="constrained")
 axes = figure.add_subplot(projection="3d")
-norm = plt.Normalize(field.min(), field.max())
-colours = plt.get_cmap("viridis")(norm(field))
-axes.scatter(*centres.T, s=30, color=colours, depthshade=False, edgecolors="0.3", linewidths=0.4)
-for centre, direction, colour in zip(centres, directions, colours, strict=True):
-    axes.quiver(*(centre - 0.5 * direction), *direction, color=colour, lw=2.2, arrow_length_ratio=0.4)
-axes.set_box_aspect(np.ptp(centres, axis=0), zoom=1.25)
+okabe_ito = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+colours = np.array(["#BBBBBB"] * count, dtype=object)
+colours[largest] = okabe_ito[: len(largest)]
+for i, j in np.argwhere(np.triu(bound)):
+    axes.plot(*centres[[i, j]].T, color=colours[chain[i]], lw=3.0, alpha=0.7)
+for centre, direction, colour in zip(centres, directions, colours[chain], strict=True):
+    axes.quiver(*(centre - 0.4 * direction), *(0.8 * direction), color=colour, lw=1.6, arrow_length_ratio=0.5)
+for k, colour in zip(largest, okabe_ito, strict=False):
+    axes.plot([], [], color=colour, lw=3.0, label=f"{sizes[k]} dipoles")
+axes.plot([], [], color="#BBBBBB", lw=3.0, label="shorter chains")
+axes.set_box_aspect(np.ptp(centres, axis=0), zoom=1.2)
 for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
     axis.pane.set_alpha(0.0)
     axis.line.set_color("0.6")
@@ -52,7 +61,6 @@ axes.set_xlabel("x (nm)")
 axes.set_ylabel("y (nm)")
 axes.set_zlabel("z (nm)")
 axes.view_init(elev=18.0, azim=-55.0)
-mappable = mpl.cm.ScalarMappable(norm, "viridis")
-figure.colorbar(mappable, ax=axes, shrink=0.7, label="dipole energy in the field of the others (kJ/mol)")
-axes.set_title(f"{n} soft dipoles in a weak trap, cooled for 40 ps with momenta drawn at 6 K: chains")
+axes.legend(loc="upper left", fontsize=9, title="bound by more than 1 kJ/mol")
+axes.set_title(f"{n} soft dipoles in a weak trap, cooled for 40 ps with momenta drawn at 6 K", fontsize=11)
 plt.show()
