@@ -202,7 +202,7 @@ def _take_up_images(program: Program) -> None:
     The particles of a body may be in several molecules, so each has its own. Before bodies are loaded, 1/M is zero.
     """
     program.let("p", "x-R-d-image")
-    program.let("image", f"image+p*step(abs(p)-{_STILL})+log(min(1,1e30*_y(inverse)))")
+    program.let("image", f"image+p*step(abs(p)-{_STILL})+(1-loaded)/loaded;loaded=min(1,1e30*_y(inverse))")
 
 
 def _show(program: Program) -> None:

@@ -7,6 +7,8 @@ after it, lend their place.
 
 from __future__ import annotations
 
+import math
+
 from openmm_exactrb.device.expressions import turned
 from openmm_exactrb.device.program import Program
 from openmm_exactrb.elliptic import RULES
@@ -33,7 +35,7 @@ def _unit_momentum(program: Program, time: str) -> None:
     speed = f"abs(_x(abc)*{time})*norm"
     program.let(
         "g",
-        f"vector(norm,2*step(_z(L))-1,select(step({RANGE}-{speed}),{time}*norm,log({RANGE}-{speed})));"
+        f"vector(norm,2*step(_z(L))-1,select(step({RANGE}-{speed}),{time}*norm,sqrt({RANGE}-{speed})));"
         "norm=sqrt(dot(L,L))",
     )
     program.let("y", "L*vector(_y(g),1,_y(g))/max(_x(g),1e-100)+vector(0,0,step(1e-90-_x(g)))")
@@ -87,8 +89,15 @@ def _turn(program: Program) -> None:
     )
     program.let("p", "vector(_x(p)*cd-_y(p)*w1,_x(p)*w1+_y(p)*cd,0);cd=_x(c)*_y(c);w1=_z(c)")
     program.let("v", "vector(y1*n1+y2*n2,y2*n1-y1*n2,0);y1=_x(y);y2=_y(y);n1=_x(n);n2=_y(n)")
-    program.let("p", "0.5*(_x(a)+atan2(_x(p)*_y(v)+_y(p)*_x(v),_x(p)*_x(v)-_y(p)*_y(v)))")
-    program.let("p", "vector(cos(_x(p)),sin(_x(p)),0)")
+    program.let("p", "vector(_x(p)*_x(v)-_y(p)*_y(v),_x(p)*_y(v)+_y(p)*_x(v),0)")
+    # Half the angle of p, as a unit number: devices compute functions of vectors for each component, so there are few.
+    program.let(
+        "v",
+        "vector(select(step(co),root,abs(si)*0.5/root),select(step(co),si*0.5/root,select(step(si),root,-root)),0);"
+        "root=sqrt(0.5*(1+abs(co)));co=_x(p)/norm;si=_y(p)/norm;norm=sqrt(_x(p)*_x(p)+_y(p)*_y(p))",
+    )
+    program.let("p", f"sin(vector(half+{0.5 * math.pi!r},half,0));half=0.5*_x(a)")
+    program.let("p", "vector(_x(p)*_x(v)-_y(p)*_y(v),_x(p)*_y(v)+_y(p)*_x(v),0)")
     program.let("v", "vector(_x(n)*_x(p)-_y(n)*_y(p),_x(n)*_y(p)+_y(n)*_x(p),(1+_z(y))*(1+_z(n)))")
     program.let("c", "(_z(v)*_x(p)+_x(y)*_x(v)+_y(y)*_y(v))*0.5/sqrt(_z(v))")
     program.let(
