@@ -44,6 +44,7 @@ benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/dipole_cost.py
 	$(BIN)/python benchmarks/water.py
 	$(BIN)/python benchmarks/peptide.py
+	$(BIN)/python benchmarks/protein.py
 	$(BIN)/python benchmarks/dipole_precision.py
 	$(BIN)/python benchmarks/roundoff.py
 

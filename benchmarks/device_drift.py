@@ -46,11 +46,12 @@ def main():
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--every", type=int, default=100, help="steps between two energies")
     parser.add_argument("--starts", type=int, default=3)
+    parser.add_argument("--first", type=int, default=1, help="seed of the first start; the next one has the next seed")
     options = parser.parse_args()
     slopes = {"host": [], "device": []}
     print(f"{options.platform}, mixed, {options.scheme}, {options.molecules} molecules, {1e3 * options.step:g} fs")
     print(f"{'start':>5} {'engine':7} {'kJ/mol/ns/molecule':>20} {'kJ/mol about the line':>22}")
-    for seed, engine in itertools.product(range(1, options.starts + 1), slopes):
+    for seed, engine in itertools.product(range(options.first, options.first + options.starts), slopes):
         times, found = energies(engine, seed, options)
         line = np.polyfit(times, found, 1)
         slopes[engine].append(line[0] / options.molecules)

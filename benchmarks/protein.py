@@ -40,7 +40,7 @@ METHODS = {
 WITH_PAIRS = "with 1-4"
 #: Steps of MTSIntegrator's bonded forces, in ps.
 INNER = 0.001
-COLUMNS = ("method", "forces_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_per_force", "cpu_s_a_ps")
+COLUMNS = ("method", "forces_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_per_force")
 # Bonds (nm), angles and torsions (degrees) of an ideal helix: C-N, N-CA, CA-C and what each new atom turns about.
 BACKBONE = {"N": (0.1329, 116.6, -47.0), "CA": (0.1458, 121.7, 180.0), "C": (0.1525, 111.0, -57.0)}
 
@@ -135,27 +135,8 @@ def prepared(bare, method, rate):
     return system, integrator
 
 
-def seconds_a_ps(system, integrator, start, rate):
-    """Return processor time a ps, without the first steps and the energies that the errors need.
-
-    The fastest of three rounds counts, because whatever else the machine does only adds to it.
-    """
-    context = context_of(system, integrator)
-    context.setPositions(start[0])
-    context.setVelocities(start[1])
-    forces = integrator.forceEvaluationsPerStep if isinstance(integrator, rb.ExactRigidBodyIntegrator) else 1
-    steps, times = max(1, round(24 / forces)), []
-    integrator.step(2)
-    for _ in range(3):
-        begun = time.process_time()
-        integrator.step(steps)
-        times.append(time.process_time() - begun)
-    return min(times) / (steps * forces) * rate
-
-
 def measured(bare, starts, duration, method, rate):
-    """Return a row."""
-    seconds = seconds_a_ps(*prepared(bare, method, rate), starts[0], rate)
+    """Return a row: standard deviations in windows of 0.5 ps and in whole runs, and bonded evaluations per force."""
     system, integrator = prepared(bare, method, rate)
     try:
         spread = energy_noise(system, integrator, starts, duration, "CPU")
@@ -163,11 +144,34 @@ def measured(bare, starts, duration, method, rate):
         spread = (np.inf,)
     ours = isinstance(integrator, rb.ExactRigidBodyIntegrator) and integrator.timings
     bonded = ours.fast_evaluations / ours.evaluations if ours else np.nan
-    return method, rate, spread[0], spread[-1], bonded, seconds
+    return method, rate, spread[0], spread[-1], bonded
 
 
-def run(name, topology, positions, starts, duration, rate, names):
-    """Measure methods that have no row yet, and print all of them over Verlet."""
+def seconds_a_ps(bare, start, rate, names, rounds, forces):
+    """Return processor times a ps: of some rounds through all methods the fastest.
+
+    So that all of them meet the same neighbours on the machine, which only add to the times.
+    """
+    runs = {}
+    for method in names:
+        system, integrator = prepared(bare, method, rate)
+        context = context_of(system, integrator)
+        context.setPositions(start[0])
+        context.setVelocities(start[1])
+        each = integrator.forceEvaluationsPerStep if isinstance(integrator, rb.ExactRigidBodyIntegrator) else 1
+        integrator.step(2)
+        runs[method] = context, integrator, each, max(1, round(forces / each))
+    times = {method: [] for method in names}
+    for _ in range(rounds):
+        for method, (_context, integrator, each, steps) in runs.items():
+            begun = time.process_time()
+            integrator.step(steps)
+            times[method].append((time.process_time() - begun) / (steps * each) * rate)
+    return {method: min(seconds) for method, seconds in times.items()}
+
+
+def run(name, topology, positions, starts, duration, rate, names, rounds=(5, 12)):
+    """Measure methods that have no row yet, time all of them, and print them over Verlet."""
     bare = app.ForceField(*FORCE_FIELD).createSystem(
         topology,
         nonbondedMethod=app.PME,
@@ -188,14 +192,16 @@ def run(name, topology, positions, starts, duration, rate, names):
             with file.open("a") as lines:
                 csv.writer(lines).writerow(row)
             known[method] = dict(zip(COLUMNS, row, strict=True))
+    stable = [method for method in known if np.isfinite(float(known[method]["energy_std_half_ps"]))]
+    seconds = seconds_a_ps(bare, begins[0], rate, stable, *rounds)
     print(f"{name}: {bodies}, {rate} evaluations a ps, {starts} starts of {duration:g} ps\n")
     print("| method | std, kJ/mol | Verlet's over it | bonded evaluations per force | time over Verlet's |")
     print("|" + 5 * " --- |")
-    base, base_time = (float(known["Verlet"][column]) for column in ("energy_std_half_ps", "cpu_s_a_ps"))
+    base = float(known["Verlet"]["energy_std_half_ps"])
     for method, row in known.items():
-        error, seconds, bonded = (float(row[c]) for c in ("energy_std_half_ps", "cpu_s_a_ps", "bonded_per_force"))
-        cells = f"{error:.3g}", f"{base / error:.2g}", f"{bonded:.2g}", f"{seconds / base_time:.2f}"
-        print(f"| {method} | " + " | ".join(cells) + " |")
+        error, bonded = float(row["energy_std_half_ps"]), float(row["bonded_per_force"])
+        took = f"{seconds[method] / seconds['Verlet']:.2f}" if method in stable else ""
+        print(f"| {method} | {error:.3g} | {base / error:.2g} | {bonded:.2g} | {took} |")
 
 
 def main():
@@ -209,7 +215,7 @@ def main():
     args = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     if args.quick:
-        run("short", *solvated_helix(4), 1, 0.5, 250, ["Verlet", "S2_3 nested"])
+        run("short", *solvated_helix(4), 1, 0.5, 250, ["Verlet", "S2_3 nested"], (2, 6))
         return
     if args.pdb is None:
         name, topology, positions = "helix", *solvated_helix(35)

@@ -30,22 +30,19 @@ import matplotlib.pyplot as plt
 PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description="Alanine dipeptide in rigid water.")
-    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of 4 fs (%(default)s)")
-    parser.add_argument("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
-    rb.Run.add_options(parser, "out/peptide")
-    args = parser.parse_args()
-    try:
-        run(args)
-    except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
-        sys.exit(f"solvated_peptide.py: {error}")
+# %%
+# Two lines are ours: ``separate_bonded`` gives the bonded forces of any System a force group of their own, and the
+# integrator nests what is in it.
+
+
+def integrator_for(system: openmm.System) -> rb.ExactRigidBodyIntegrator:
+    rb.separate_bonded(system)
+    return rb.ExactRigidBodyIntegrator(4 * femtoseconds, scheme="S2_2", fast="bonded")
 
 
 # %%
-# Force field and System are those of any script. Two lines are ours: ``separate_bonded`` gives the bonded forces a
-# force group of their own, and the integrator nests what is in it. Water is found to be rigid, and the groups of the
-# peptide that constraints hold, such as CH\ :sub:`3`, move along them without any tolerance.
+# Force field and System are those of any script. Water is found to be rigid, and the groups of the peptide that
+# constraints hold, such as CH\ :sub:`3`, move along them without any tolerance.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -65,8 +62,7 @@ def run(args: argparse.Namespace) -> None:
         constraints=app.HBonds,
         rigidWater=True,
     )
-    rb.separate_bonded(system)
-    integrator = rb.ExactRigidBodyIntegrator(4 * femtoseconds, scheme="S2_2", fast="bonded")
+    integrator = integrator_for(system)
     platform = openmm.Platform.getPlatform(args.platform)
     simulation = app.Simulation(modeller.topology, system, integrator, platform)
     simulation.context.setPositions(modeller.positions)
@@ -112,6 +108,19 @@ def draw(table: np.ndarray, file: Path) -> None:
 
 # %%
 # How many bonded evaluations a step takes follows from the fastest bond; ``inner`` and ``innerSteps`` set it otherwise.
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Alanine dipeptide in rigid water.")
+    parser.add_argument("--steps", type=int, default=500, metavar="N", help="steps of 4 fs (%(default)s)")
+    parser.add_argument("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
+    rb.Run.add_options(parser, "out/peptide")
+    args = parser.parse_args()
+    try:
+        run(args)
+    except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
+        sys.exit(f"solvated_peptide.py: {error}")
+
 
 if __name__ == "__main__":
     main()

@@ -19,7 +19,7 @@ PATH = re.compile(r"`((?:tests|benchmarks|examples|docs|openmm_exactrb)/[\w./-]*
 
 def pieces(page):
     """Yield the pieces of Python of a page, each with the line where it begins."""
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     for found in PIECE.finditer(text):
         yield text.count("\n", 0, found.start(1)), re.sub(r"^:\w+:$", "", found[1], flags=re.M)
 
@@ -40,5 +40,5 @@ def test_pieces_run_as_they_are_printed(page, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_files_that_a_page_names_exist(page):
-    missing = [name for name in PATH.findall(page.read_text()) if not (ROOT / name).exists()]
+    missing = [name for name in PATH.findall(page.read_text(encoding="utf-8")) if not (ROOT / name).exists()]
     assert missing == []

@@ -37,6 +37,7 @@ _FORCE, _MOVE, _MOMENTUM = 1.0 / STRENGTH, 2.0**-24, 2.0**-34
 _STILL = 1e-9
 # The time of a drift where "c" holds times.
 _DRIFT = "(_y(c)*_z(shape))"
+_PLACE, _DISPLACED_PLACE = "R+d+image", "R+move+d+image"
 _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
@@ -91,7 +92,8 @@ def _turn(program: Program, table: Table) -> None:
         _take_up_images(program)
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
-        _place(program)  # OpenMM's constraints have lengths in single precision
+        # OpenMM's constraints have lengths in single precision.
+        program.let("x", _DISPLACED_PLACE if table.has("shift") else _PLACE)
     with program.when(f"{names.NEEDED} > 0"):
         _gather_forces(program)
         _row(program, table)
@@ -166,15 +168,16 @@ def _displace(program: Program) -> None:
     program.let("sq", "q")
     program.let("sw", "w")
     program.let("p", turned_back("q", "w", "N"))
-    program.let("y", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
-    program.let("twist", "cross(y,p)")
-    program.let("g", "0.5*sqrt(dot(y,y))")
-    program.let("n", "0.5*y*sin(g)/max(g,1e-300)")
+    program.let("c", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
+    program.let("twist", "cross(c,p)")
+    program.let("g", "0.5*sqrt(dot(c,c))")
+    program.let("n", "0.5*c*sin(g)/max(g,1e-300)")
     program.let("g", "cos(g)")
     program.let("q", "sw*n+g*sq+cross(sq,n)")
     program.let("w", "sw*g-dot(sq,n)")
     program.let("d", turned("q", "w", "s"))
-    program.let("x", "R+_z(a)*F*_y(inverse)+d+image")
+    program.let("move", "_z(a)*F*_y(inverse)")
+    program.let("x", _DISPLACED_PLACE)
 
 
 def _summed(scale: float) -> str:
@@ -190,7 +193,7 @@ def _sum(program: Program, name: str, of: str, scale: float) -> None:
 
 
 def _place(program: Program) -> None:
-    program.let("x", "R+d+image")
+    program.let("x", _PLACE)
 
 
 def _take_up_images(program: Program) -> None:
@@ -203,23 +206,21 @@ def _take_up_images(program: Program) -> None:
 
 
 def _show(program: Program) -> None:
-    """Write the velocities of the particles."""
+    """Write the velocities of the particles, and in y too, to see what OpenMM makes of them."""
     program.let("p", f"L*{INVERSE_INERTIA}")
     program.let("v", f"P*_y(inverse)+{turned('q', 'w', 'cross(p,s)')}")
+    program.let("y", "v")
 
 
 def _openmm(program: Program) -> None:
     """Write what OpenMM does between steps, and take it up."""
-    with program.when(f"{names.PUSHED} > 0"):
-        program.let("y", "v")
     program.integrator.addUpdateContextState()
     with program.when(f"{names.BAROSTAT} > 0"):
         program.total(names.MOVED, f"step(abs(x-R-d-image)-{_STILL})")
-        with program.when(f"{names.MOVED} > 0"):
-            _take_up_moves(program)
+    with program.when(f"{names.MOVED} > 0"):
+        _take_up_moves(program)
     with program.when(f"{names.PUSHED} > 0"):
         _take_up_velocities(program)
-        _show(program)
 
 
 def _take_up_moves(program: Program) -> None:
@@ -232,14 +233,22 @@ def _take_up_moves(program: Program) -> None:
         program.let("p", "p-n")
     _place(program)
     program.number(names.KNOWN, 0.0)
+    program.number(names.MOVED, 0.0)
 
 
 def _take_up_velocities(program: Program) -> None:
-    """Add up what a thermostat, or the remover of the motion of the centre of mass, changed of the momenta."""
+    """Add up what a thermostat, or the remover of the motion of the centre of mass, changed of the momenta.
+
+    The remover gives all particles one velocity more, which turns no body.
+    """
     program.let("p", "m*(v-y)")
     program.let("c", "cross(d,p)")
     _sum(program, "n", "p", _MOMENTUM)
     program.let("P", "P+n")
-    _sum(program, "n", "c", _MOMENTUM)
-    program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
+    _show(program)
     _place(program)
+    with program.when(f"{names.PUSHED} > 1"):
+        _sum(program, "n", "c", _MOMENTUM)
+        program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
+        _show(program)
+        _place(program)

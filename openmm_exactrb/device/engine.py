@@ -143,7 +143,7 @@ def device(
     gather.install(system, Session(context, integrator, named).bodies)
     gather.make_kernels(context)
     session, couplings = Replicas(context, integrator, named), Couplings(context, named or [])
-    pushed = couplings.pushes or couplings.removes_motion
+    pushed = 2 if couplings.pushes else couplings.removes_motion
     for name, value in ((names.SITES, sites), (names.BAROSTAT, couplings.moves), (names.PUSHED, pushed)):
         integrator.setGlobalVariableByName(name, float(value))
     kinetic = rigid(session.bodies.mass, rotor_of_sums(rotor, session.bodies.inertia), rotor.order)

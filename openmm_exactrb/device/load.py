@@ -30,7 +30,9 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
             attitudes = matrix(state.q[0][:, kind.bodies]).transpose(2, 0, 1)
             values["d"][kind.particles] = turned(attitudes, kind.sites)
     if _has(integrator, names.DISPLACED[0]):
-        values |= dict(zip(names.DISPLACED, (values["q"], values["w"], 0.0 * values["q"]), strict=True))
+        values |= dict(
+            zip(names.DISPLACED, (values["q"], values["w"], 0.0 * values["q"], 0.0 * values["q"]), strict=True)
+        )
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
     for name, value in ((names.KNOWN, 0.0), (names.LOADED, 1.0), (names.CHANGED, 1.0)):

@@ -19,15 +19,16 @@ FORCES = ("F", "N")
 SPAN = "at"
 #: For what is soon forgotten; velocities are one more, until they are shown.
 TEMPORARY = ("a", "g", "y", "c", "p", "n")
-#: Where forces are taken at displaced places: the attitude there is not, and the commutator with the torque.
-DISPLACED = ("sq", "sw", "twist")
+#: Where forces are taken at displaced places: the attitude that is not, the commutator with the torque, and how far the
+#: centre is displaced.
+DISPLACED = ("sq", "sw", "twist", "move")
 #: Of a heat bath: (friction, that of rotation, kT), and the states of the generators of random numbers.
 BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
 
 _PREFIX = "exactrb_"
 #: 1 once bodies are loaded: before that, steps make positions nan.
 LOADED = f"{_PREFIX}loaded"
-#: 1 where a System has virtual sites; a barostat; something that changes velocities.
+#: 1 where a System has virtual sites; a barostat; what removes the motion of the centre of mass, 2 for a thermostat.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
 #: device does not know these numbers yet, or those of a bath.

@@ -30,8 +30,8 @@ def streams(n_bodies: int, seed: int) -> NDArray[np.float64]:
 def exchange(program: Program, table: Table, part: str) -> None:
     """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
 
-    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn in every row. It changes a, g,
-    n, p and y.
+    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn in every row. The variables
+    a, g, n, p and y change.
     """
     times(program, table, "n", ((part, "begins"),) * 3)
     program.let("a", _uniform(program))

@@ -14,8 +14,15 @@ from openmm_exactrb.context import arrays
 _KINDS = ("device", "host")
 # Of each engine: what a round takes at least, in s, or its steps at most; and the rounds, by turns.
 _ROUND, _STEPS, _ROUNDS = 0.02, 64, 5
-# What tells a device; other properties of a Context say what came of it.
-_PROPERTIES = ("Precision", "DeviceIndex", "OpenCLPlatformIndex")
+# What a Context is asked for; other properties say what came of it.
+_PROPERTIES = (
+    "DeviceIndex",
+    "DeterministicForces",
+    "DisablePmeStream",
+    "OpenCLPlatformIndex",
+    "Precision",
+    "UseCpuPme",
+)
 _known: dict[tuple[Any, ...], tuple[float, float]] = {}
 
 

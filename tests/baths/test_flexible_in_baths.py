@@ -204,8 +204,8 @@ def test_populations_of_torsions_are_those_of_small_steps():
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2", fast="bonded")
     ours = populations(integrator, system, x, 100_000, 10)
     error = np.sqrt((ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / 20)
-    print(theirs.mean(axis=0), ours.mean(axis=0), error)
-    assert (error < 0.03).all()
+    print(theirs.mean(axis=0), ours.mean(axis=0), error)  # seen with -s
+    assert (error < 0.05).all()
     assert (np.abs(ours.mean(axis=0) - theirs.mean(axis=0)) < 4.0 * error).all()
     assert (theirs.mean(axis=0) > 0.05).all()  # all of them are states that are visited
     assert (theirs.mean(axis=0) < 0.95).all()

@@ -8,6 +8,8 @@ import openmm_exactrb as rb
 
 kind, scheme = sys.argv[1:]
 _, system, positions = rb.rigid_water(4)
+if kind == "remover":
+    system.addForce(openmm.CMMotionRemover())
 if kind == "langevin":
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, scheme, engine="device")
 else:

@@ -145,6 +145,18 @@ def test_temperature_and_friction_are_taken_up():
     assert not np.isnan(shown(context)).any()
 
 
+def test_a_temperature_that_is_set_in_plain_openmm():
+    _, system, positions = rb.rigid_water(2)
+    context = langevin(system, positions, 1e4)
+    integrator = context.getIntegrator()
+    integrator.step(1)
+    integrator.setGlobalVariableByName("exactrb_kT", 0.0)
+    integrator.setGlobalVariableByName("exactrb_changed", 1.0)
+    openmm.CustomIntegrator.step(integrator, 1)
+    # The bath is the last letter of a step: nothing moves behind it.
+    assert np.abs(shown(context)[1]).max() < 1e-3 * np.sqrt(KT)
+
+
 def test_refusals():
     with pytest.raises(ValueError, match="Langevin's bath only, not velocity rescaling: take engine='host'"):
         rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.001, engine="device")

@@ -54,6 +54,14 @@ def test_three_kernels_a_stage_and_one_a_step_two_sums_and_nothing_sent(shim, ki
     assert "read" not in counts
 
 
+def test_the_remover_of_the_motion_of_the_centre_of_mass_costs_one_sum_a_step(shim):
+    counts = enqueued(shim, "remover", "S2_2")
+    assert counts["computePerDof"] == 3 * 2 + 1 + 2
+    assert counts["computeBondedForces"] == 2 * 2 + 1
+    assert "upload" not in counts
+    assert "read" not in counts
+
+
 def test_a_displaced_place_costs_another_stage(shim):
     counts = enqueued(shim, "plain", "Chin4A")
     forces = rb.SCHEMES["Chin4A"].forces

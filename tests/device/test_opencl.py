@@ -43,6 +43,15 @@ def test_virtual_sites_in_double_precision(model, platform):
     assert abs(energies[1] - energies[0]) < 1e-5
 
 
+@pytest.mark.parametrize("scheme", ["Chin4A", "V2_C17"])
+def test_virtual_sites_at_displaced_places_and_in_processed_schemes(scheme, platform):
+    _, system, positions = rb.rigid_water(4, model="tip4pew")
+    both = pair(system, positions, platform=platform, precision="double", scheme=scheme)
+    one, other = (stepped(context, 5) for context in both)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(other[1], one[1], rtol=0.0, atol=1e-7)
+
+
 def triclinic(system):
     """Lean the box of a System over."""
     a, b, c = (np.array(vector._value) for vector in system.getDefaultPeriodicBoxVectors())

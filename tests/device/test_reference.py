@@ -141,6 +141,14 @@ def test_long_steps_are_made_of_several_rotations(droplet):
     np.testing.assert_allclose(*(stepped(context, 10) for context in both), rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.parametrize("scheme", ["Chin4A", "V2_gradient_C17"])
+def test_displaced_places_and_several_rotations(scheme, droplet):
+    both = pair(*droplet, scheme=scheme, h=0.002, kelvin=20000.0)
+    one, other = (stepped(context, 3) for context in both)
+    assert both[1].getIntegrator().getGlobalVariableByName("exactrb_turns") > 1.0
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-11)
+
+
 def test_bodies_that_come_to_turn_fast_are_turned_in_shorter_rotations(droplet):
     both = pair(*droplet, h=0.004, scheme="V2_drift", kelvin=1.0)
     one, other = (stepped(context, 12) for context in both)
@@ -191,8 +199,9 @@ def box_of(context):
     return np.array(context.getState().getPeriodicBoxVectors()._value)
 
 
-def test_the_motion_of_the_centre_of_mass_is_removed():
-    host, device = pair(*liquid(openmm.CMMotionRemover(2)), scheme="S2_2")
+@pytest.mark.parametrize("scheme", ["S2_2", "Chin4A"])
+def test_the_motion_of_the_centre_of_mass_is_removed(scheme):
+    host, device = pair(*liquid(openmm.CMMotionRemover(2)), scheme=scheme)
     for context in (host, device):
         context.setVelocities(shown(context)[1] + [1.0, 2.0, 3.0])
     (x, v), (x1, v1) = stepped(host, 10), stepped(device, 10)

@@ -77,6 +77,15 @@ def test_the_shadow_goes_on_beyond_half_a_turn():
     assert 0.8 < np.sqrt(after.kinetic * after.potential) < 1.2
 
 
+def test_w2_3_passes_half_a_turn_and_keeps_fast_momenta_as_hot_as_slow_ones():
+    scheme = rb.SCHEMES["W2_3"]
+    assert stability_limit(scheme) == pytest.approx(4.545, abs=0.005)
+    for force in (0.3, 0.6, 0.9, 1.1):  # omega times the time a force: up to 183/ps at 6 fs
+        assert shadow(scheme, 3.0 * force).kinetic == pytest.approx(1.0, abs=0.02)
+    assert shadow(rb.SCHEMES["S2_3"], 2.7).kinetic > 1.04
+    assert shadow(rb.SCHEMES["S2_2"], 2.2).kinetic < 0.9
+
+
 def test_an_unstable_step_has_no_shadow():
     with pytest.raises(ValueError, match=r"V2 is not stable at a step of 2\.1/omega"):
         shadow(rb.SCHEMES["V2"], 2.1)

@@ -3,7 +3,7 @@
 216 molecules of each model on the CPU platform, whose forces are of single precision, with a switch before the cutoff
 and tight PME, so that the integrator is seen and not the cutoff. Each run starts from canonical water that
 LangevinMiddleIntegrator has made with a seed of its own. A run is one recipe of an ensemble: the command goes on where
-it stopped. Results go to out/boxes: a table (CSV) and `energy.png`, the energy of the first model over time.
+it stopped. Results go to out/water_boxes: a table (CSV) and `energy.png`, the energy of the first model over time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from openmm_exactrb import ensemble
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-OUT = Path("out/boxes")
+OUT = Path("out/water_boxes")
 MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
 VERLET = "Verlet"
 WINDOWS = (2.0, 10.0, 30.0)  # ps
