@@ -15,7 +15,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 
-SETTINGS = (("V2", 3.0), ("S2_2", 3.0), ("S2_2", 4.0), ("S2_2", 6.0), ("W2_4", 4.0), ("W4_5", 2.0))  # fs a force
+SETTINGS = (("V2", 3.0), ("S2_2", 3.0), ("S2_2", 4.0), ("S2_2", 6.0), ("W2_4", 4.0), ("W4_5", 2.0))  # fs per force
 
 
 def start_of(system: openmm.System, positions, steps: int) -> openmm.State:
@@ -54,7 +54,7 @@ def main() -> None:
         error = np.sqrt(rate * (1.0 - rate) / proposals)
         cost = integrator.timings.evaluations / proposals
         print(
-            f"{scheme:5} {interval:g} fs a force: {rate:.3f} +- {error:.3f}, {cost:.2f} forces a proposal", flush=True
+            f"{scheme:5} {interval:g} fs per force: {rate:.3f} +- {error:.3f}, {cost:.2f} forces a proposal", flush=True
         )
 
 

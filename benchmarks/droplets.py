@@ -197,7 +197,7 @@ def table(scheme):
 
 
 def run(model, state, scheme, h, duration, interval=0.02):
-    """Return the energies of a run in kJ/mol a molecule, some `interval` apart, and the state at its end."""
+    """Return the energies of a run in kJ/mol per molecule, some `interval` apart, and the state at its end."""
     R, P, q, m = (np.ascontiguousarray(a).copy() for a in state)
     q, m = q[None], m[None]
     every = max(1, round(interval / h))

@@ -104,7 +104,7 @@ def integrator_of(method: str, interval: float, friction: float) -> openmm.Integ
 def run_of(
     model: str, method: str, interval: float, pressure: float | None, length: float, seed: int, n: int, friction: float
 ) -> dict:
-    """Run water and return samples by name: temperatures in K, energy in kJ/mol a molecule, density in kg/m³."""
+    """Run water and return samples by name: temperatures in K, energy in kJ/mol per molecule, density in kg/m³."""
     integrator = integrator_of(method, interval, friction)
     integrator.setRandomNumberSeed(seed)
     h = integrator.getStepSize()._value
@@ -250,7 +250,7 @@ def write(rows: list[tuple], file: Path) -> None:
     """Write the table, and print it."""
     with file.open("w", newline="") as out:
         table = csv.writer(out)
-        table.writerow(["model", "ensemble", "method", "fs a force", "ps", "quantity", "mean", "error"])
+        table.writerow(["model", "ensemble", "method", "fs per force", "ps", "quantity", "mean", "error"])
         for *point, found in rows:
             for name, (mean, error) in found.items():
                 table.writerow([*point, name, f"{mean:.5g}", f"{error:.2g}"])
@@ -280,7 +280,7 @@ def draw(rows: list[tuple], file: Path) -> None:
         axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=label)
     above.axhline(0.0, color="0.6", lw=0.8)
     above.set_ylabel("T_rot − T_tr (K)")
-    below.set_ylabel("potential energy\n(kJ/mol a molecule)")
+    below.set_ylabel("potential energy\n(kJ/mol per molecule)")
     below.set_xticks(sorted({row[3] for row in rows if row[:2] == first}))
     below.set_xlabel("time a force evaluation (fs)")
     above.set_title(f"{first[0]}, {first[1]}")

@@ -19,13 +19,13 @@ ROTORS = ("mclachlan_reich", "exact")
 
 
 def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):
-    """Return the standard deviation of the total energy in kJ/mol a molecule; a recipe.
+    """Return the standard deviation of the total energy in kJ/mol per molecule; a recipe.
 
     Parameters
     ----------
     scheme, rotor : str
     rate : float
-        Forces a ps.
+        Forces per ps.
     seed : int
         Of the Langevin run that makes the start.
     n : int
@@ -72,7 +72,7 @@ def main():
     for outcome in outcomes:
         scheme, rotor, rate, _ = (outcome.recipe.arguments[name] for name in axes)
         found.setdefault((scheme, rotor, rate), []).append(outcome.result)
-    print("| scheme | rotor | " + " | ".join(f"{rate} a ps" for rate in RATES) + " |")
+    print("| scheme | rotor | " + " | ".join(f"{rate} per ps" for rate in RATES) + " |")
     print("| --- " * (2 + len(RATES)) + "|")
     for scheme in SCHEMES:
         for rotor in ROTORS:

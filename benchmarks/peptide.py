@@ -2,9 +2,9 @@
 
 Alanine dipeptide (amber14) in a droplet of 32 TIP3P molecules without cutoff, on Reference, with bonds to hydrogen
 constrained or, with --constraints None, with none but those of water. Standard deviation of the total energy within
-windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces a ps, all from the same starts,
+windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces per ps, all from the same starts,
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
-own, "with 1-4" the pairs three bonds apart too; of these, the evaluations a ps are counted beside.
+own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long. Rows go to
 out/benchmarks/peptide_*.csv, with processor time (one thread) a ps; what stands there is not run again, so that the
@@ -40,7 +40,7 @@ FAMILIES = ("Verlet", "MTSIntegrator", "plain", "nested", "nested with 1-4")
 INNER = 0.0005
 #: Starts and length (ps) of the survey, and how many of a family at a rate are then run for long.
 SURVEY, BEST = (2, 0.5), 1
-#: Marks of the picture's axis of time, in s a ps.
+#: Marks of the picture's axis of time, in s per ps.
 TIMES = (0.03, 0.1, 0.3, 1.0)
 COLUMNS = ("method", "nonbonded_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_a_ps", "cpu_s_a_ps")
 
@@ -83,7 +83,7 @@ def substeps(rate):
 
 
 def prepared(bare, method, rate):
-    """Return System and integrator of a method with `rate` evaluations of the nonbonded forces a ps."""
+    """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
     bonded = rb.separate_bonded(system, exceptions=method.endswith(WITH_PAIRS))
     if family(method) == "Verlet":
@@ -99,7 +99,7 @@ def prepared(bare, method, rate):
 
 
 def measured(bare, starts, duration, method, rate):
-    """Return a row: errors in kJ/mol of the whole droplet, evaluations of bonded forces a ps, seconds a ps."""
+    """Return a row: errors in kJ/mol of the whole droplet, evaluations of bonded forces per ps, seconds per ps."""
     system, integrator = prepared(bare, method, rate)
     start = time.process_time()
     try:
@@ -137,7 +137,7 @@ class Table:
         self.rows[method, rate] = [swing, whole, bonded, seconds]
         with self.file.open("a") as file:
             file.write(",".join(map(str, row)) + "\n")
-        print(f"{rate:5d} a ps {method:>26}: " + ", ".join(f"{x:.2g}" for x in row[2:]), flush=True)
+        print(f"{rate:5d} per ps {method:>26}: " + ", ".join(f"{x:.2g}" for x in row[2:]), flush=True)
 
     def best(self, rate, kind, n):
         """Return the n methods of a family with the least energy error at a rate, the best one first."""
@@ -208,7 +208,7 @@ def main():
     parser.add_argument("--waters", type=int, default=32, metavar="N", help="molecules of water (%(default)s)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="starts (%(default)s)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="PS", help="ps from each start (%(default)s)")
-    parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations a ps")
+    parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations per ps")
     parser.add_argument("--quick", action="store_true", help="short runs")
     args = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 PME on the CPU platform, bonds to hydrogen constrained, amber14 with TIP3P: standard deviation of the total energy
 within windows of 0.5 ps, and processor time (one thread), both over those of OpenMM's VerletIntegrator, which gets the
-same number of evaluations of the nonbonded forces a ps. Without --pdb it is a helix of 35 alanines, built and solvated
+same number of evaluations of the nonbonded forces per ps. Without --pdb it is a helix of 35 alanines, built and solvated
 here; any solvated PDB file with standard residues and water will do in its place, such as the villin headpiece that
 OpenMM's Python examples come with (input.pdb).
 
@@ -119,7 +119,7 @@ def equilibrated(system, positions, picoseconds, n_starts, file):
 
 
 def prepared(bare, method, rate):
-    """Return System and integrator of a method with `rate` evaluations of the nonbonded forces a ps."""
+    """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
     bonded = rb.separate_bonded(system, exceptions=method.endswith(WITH_PAIRS))
     if method == "Verlet":
@@ -148,7 +148,7 @@ def measured(bare, starts, duration, method, rate):
 
 
 def seconds_a_ps(bare, start, rate, names, rounds, forces):
-    """Return processor times a ps: of some rounds through all methods the fastest.
+    """Return processor times per ps: of some rounds through all methods the fastest.
 
     So that all of them meet the same neighbours on the machine, which only add to the times.
     """
@@ -194,7 +194,7 @@ def run(name, topology, positions, starts, duration, rate, names, rounds=(5, 12)
             known[method] = dict(zip(COLUMNS, row, strict=True))
     stable = [method for method in known if np.isfinite(float(known[method]["energy_std_half_ps"]))]
     seconds = seconds_a_ps(bare, begins[0], rate, stable, *rounds)
-    print(f"{name}: {bodies}, {rate} evaluations a ps, {starts} starts of {duration:g} ps\n")
+    print(f"{name}: {bodies}, {rate} evaluations per ps, {starts} starts of {duration:g} ps\n")
     print("| method | std, kJ/mol | Verlet's over it | bonded evaluations per force | time over Verlet's |")
     print("|" + 5 * " --- |")
     base = float(known["Verlet"]["energy_std_half_ps"])
@@ -209,7 +209,7 @@ def main():
     parser.add_argument("--pdb", type=Path, help="a solvated protein (a helix that is built here)")
     parser.add_argument("--starts", type=int, default=2, metavar="N", help="starts (%(default)s)")
     parser.add_argument("--duration", type=float, default=1.0, metavar="PS", help="ps from each start (%(default)s)")
-    parser.add_argument("--rate", type=int, default=250, metavar="N", help="evaluations a ps (%(default)s)")
+    parser.add_argument("--rate", type=int, default=250, metavar="N", help="evaluations per ps (%(default)s)")
     parser.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS), metavar="NAME")
     parser.add_argument("--quick", action="store_true", help="short runs of a short helix")
     args = parser.parse_args()

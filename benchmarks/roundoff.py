@@ -2,7 +2,7 @@
 
 1. Heavy tops, up to 1e6 steps; as sums high + low, and with every drift and kick rounded to float64.
 2. An isolated droplet of 27 soft dipoles in OpenMM on Reference, 1e5 steps, the same two, and OpenMM's own
-   VerletIntegrator with SETTLE from the same starts, with as many forces a unit of time.
+   VerletIntegrator with SETTLE from the same starts, with as many forces per unit of time.
 
 Each start is kept in out/benchmarks/roundoff/ when it is done, so that a run that was stopped goes on. Root mean
 squares over the starts go to docs/roundoff.csv and docs/roundoff.png. --quick makes a hundredth of the steps, in a

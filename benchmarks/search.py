@@ -35,7 +35,7 @@ from openmm_exactrb.schemes import scheme as look_up
 MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
 TRAINING, TEST = {"n": 24, "seeds": (11,)}, {"n": 32, "seeds": (101, 102, 103, 104, 105, 106)}
 FAMILIES = (
-    # without force gradients, 3 to 8 forces a step
+    # without force gradients, 3 to 8 forces per step
     *("BABABAB", "BABABABAB", "ABABABABA", "BABABABABAB", "ABABABABABA", "BABABABABABAB", "ABABABABABABA"),
     *("BABABABABABABAB", "ABABABABABABABA", "BABABABABABABABAB"),
     # with them
@@ -128,7 +128,7 @@ def of_order_four(family, free, x=0.05):
 
 
 def linear(scheme, rate, weights=None):
-    """Return the energy error that vibrations of water leave, in kJ/mol a molecule and root of their number.
+    """Return the energy error that vibrations of water leave, in kJ/mol per molecule and root of their number.
 
     Six degrees of freedom share what is conserved: an alpha and a beta that are the same for all are no error.
     """
@@ -145,7 +145,7 @@ def linear(scheme, rate, weights=None):
 def linear_optima(family, rate, tries=40, seed=0):
     """Return the best points of a family for oscillators, best first, of which no two are close.
 
-    From a row of Verlet steps, disturbed, at four times as many forces a ps, down to the rate that is asked for.
+    From a row of Verlet steps, disturbed, at four times as many forces per ps, down to the rate that is asked for.
     """
     rng, found = np.random.default_rng([seed, *family.encode()]), []
     even, gradients, weights = np.array(_even(family)), slots(family, "C"), spectrum()
@@ -192,7 +192,7 @@ def spread(energies, interval, window):
 
 
 def error(scheme, rate, n, model, seed, window, duration):
-    """Return the standard deviation of the energy of a droplet in kJ/mol a molecule."""
+    """Return the standard deviation of the energy of a droplet in kJ/mol per molecule."""
     kind, *_ = droplets.prepared(n, model)
     h = scheme.forces / rate
     energies, _ = droplets.run(kind, droplets.start(n, model, seed), scheme, h, duration)
@@ -215,7 +215,7 @@ def gains(scheme, rate, n, seeds, models, window, duration):
 
 
 def screened(family, rate, n, seeds, models, factors=(1.0, 1.3, 1.7, 2.4), tries=12, window=10.0, duration=10.0):
-    """Try the best points for oscillators, found for somewhat more forces a ps too, on droplets; a recipe.
+    """Try the best points for oscillators, found for somewhat more forces per ps too, on droplets; a recipe.
 
     Forces that are not linear often do better with coefficients of a shorter step.
 
@@ -333,7 +333,7 @@ def searched(families, rates, best, budget, folder, workers):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rates", nargs="+", type=int, default=[250, 500, 1000, 2000], help="forces a ps")
+    parser.add_argument("--rates", nargs="+", type=int, default=[250, 500, 1000, 2000], help="forces per ps")
     parser.add_argument("--families", nargs="+", default=list(FAMILIES))
     parser.add_argument("--best", type=int, default=4, help="how many of a rate are improved, and judged")
     parser.add_argument("--budget", type=float, default=120.0, help="seconds to improve each of them; 0 leaves it out")

@@ -56,7 +56,7 @@ def spectrum(series) -> np.ndarray:
 
 
 def predicted(scheme, interval: float, frequencies, translational, rotational) -> tuple[float, float, float]:
-    """Return T_rot - T_tr in K, the error of U in kJ/mol a molecule, and the part of rotation that is beyond stability.
+    """Return T_rot - T_tr in K, the error of U in kJ/mol per molecule, and the part of rotation that is beyond stability.
 
     What is beyond stability is taken like the fastest motion that is not.
     """
@@ -98,7 +98,7 @@ def main() -> None:
         for interval in args.intervals:
             difference, energy, lost = predicted(rb.SCHEMES[name], 0.001 * interval, frequencies, *parts)
             beyond = f", {lost:.1%} of rotation beyond stability" if lost > 5e-4 else ""
-            print(f"{name:8} {interval:g} fs a force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f}{beyond}")
+            print(f"{name:8} {interval:g} fs per force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f}{beyond}")
 
 
 if __name__ == "__main__":

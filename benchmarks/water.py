@@ -1,7 +1,7 @@
 """Rigid water: energy error against cost for OpenMM's own integrator and each of ours, side by side.
 
 1. A droplet of 64 TIP3P molecules without cutoff on Reference: standard deviation of the total energy within windows
-   of 0.5, 2, 10 and 30 ps, against force evaluations a ps, all from the same six starts. A scheme whose step is long
+   of 0.5, 2, 10 and 30 ps, against force evaluations per ps, all from the same six starts. A scheme whose step is long
    against the vibrations has an energy that wanders: short windows alone flatter it.
 2. 895 molecules with PME on the CPU platform: wall time of a force evaluation inside our step, beside a bare loop of
    setPositions and getState(forces), and beside VerletIntegrator.step.
@@ -34,7 +34,7 @@ import matplotlib.pyplot as plt
 
 OUT = Path("out/benchmarks")
 WINDOWS = (0.5, 2.0, 10.0, 30.0)  # ps
-RATES = (250, 300, 500, 1000, 2000)  # force evaluations a ps
+RATES = (250, 300, 500, 1000, 2000)  # force evaluations per ps
 VERLET = "OpenMM's Verlet"
 LAMMPS = "LAMMPS rigid/nve/small"
 BASE = (VERLET, LAMMPS)  # always drawn
@@ -157,7 +157,7 @@ def lammps_noise(starts, rate, duration):
 
 
 def droplet(args):
-    """Part 1: energy error against force evaluations a ps."""
+    """Part 1: energy error against force evaluations per ps."""
     n, duration = 64, args.picoseconds
     _, system, positions = water(n, nonbondedMethod=app.NoCutoff)
     starts = equilibrated(system, positions, "Reference", 2.0 if args.quick else 20.0, args.starts)
@@ -167,7 +167,7 @@ def droplet(args):
         errors = [error / n for error in noise]
         rows.append((method, rate, *errors))
         shown = ", ".join(f"{error:.1e} in {window:g} ps" for error, window in zip(errors, lengths, strict=True))
-        print(f"{rate:5d} a ps {method:>24}: {shown}", flush=True)
+        print(f"{rate:5d} per ps {method:>24}: {shown}", flush=True)
 
     for rate in args.rates:
         verlet = openmm.VerletIntegrator(1.0 / rate)
@@ -188,7 +188,7 @@ def droplet(args):
 
 def print_table(rows, lengths):
     """Print for each rate and window the least error, and how many times it lies below Verlet's."""
-    print("\n| force evaluations a ps | window | Verlet | best of ours | times less |\n" + "| --- " * 5 + "|")
+    print("\n| force evaluations per ps | window | Verlet | best of ours | times less |\n" + "| --- " * 5 + "|")
     for rate in dict.fromkeys(row[1] for row in rows):
         here = [row for row in rows if row[1] == rate]
         for column, window in enumerate(lengths, 2):
@@ -324,7 +324,7 @@ def main():
     parser.add_argument("--part", action="append", type=int, choices=(1, 2, 3), help="a part to run (all)")
     parser.add_argument("--quick", action="store_true", help="short runs")
     parser.add_argument("--schemes", nargs="+", default=list(rb.SCHEMES), help="of part 1 (all)")
-    parser.add_argument("--rates", nargs="+", type=int, default=RATES, help="force evaluations a ps of part 1")
+    parser.add_argument("--rates", nargs="+", type=int, default=RATES, help="force evaluations per ps of part 1")
     parser.add_argument("--starts", type=int, default=6, help="of part 1")
     parser.add_argument("--picoseconds", type=float, default=WINDOWS[-1], help="length of the runs of part 1")
     args = parser.parse_args()

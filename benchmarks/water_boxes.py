@@ -59,7 +59,7 @@ def start_of(n: int, model: str, seed: int) -> openmm.State:
 
 
 def energies_of(model: str, method: str, rate: float, duration: float, seed: int, n: int) -> dict:
-    """Run water and return its total energy in kJ/mol a molecule, every 20 fs."""
+    """Run water and return its total energy in kJ/mol per molecule, every 20 fs."""
     if method == VERLET:
         integrator = openmm.VerletIntegrator(1.0 / rate)
         integrator.setConstraintTolerance(1e-8)
@@ -135,7 +135,7 @@ def write(rows: list[list], file: Path) -> None:
 
 
 def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:
-    """Draw how the total energy strays from its first value, in J/mol a molecule."""
+    """Draw how the total energy strays from its first value, in J/mol per molecule."""
     figure, axes = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
     for (method, run), colour in zip(runs.items(), ("#E69F00", "#0072B2"), strict=True):
         energies = 1000.0 * np.array(run["energies"])

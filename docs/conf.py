@@ -103,7 +103,7 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
 
 def scheme_table() -> str:
     """Return the catalogue of schemes as a table, for the guide."""
-    rows = ["| name | orders | forces a step | starts with | kind | stable step a force |", "| --- " * 6 + "|"]
+    rows = ["| name | orders | forces per step | starts with | kind | stable step per force |", "| --- " * 6 + "|"]
     for name, scheme in CATALOGUE.items():
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
         stable = stability_limit(scheme, 1e-3) / scheme.forces

@@ -16,7 +16,9 @@ from openmm.unit import femtoseconds, kelvin, picosecond
 import openmm_exactrb as rb
 
 topology, system, positions = rb.rigid_water(64, model="spce")
-integrator = rb.ExactRigidBodyLangevinIntegrator(298 * kelvin, 5 / picosecond, 12 * femtoseconds)  # three forces a step
+integrator = rb.ExactRigidBodyLangevinIntegrator(
+    298 * kelvin, 5 / picosecond, 12 * femtoseconds
+)  # three forces per step
 context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
 
 integrator.setRandomNumberSeed(1)

@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
 
     energy = np.loadtxt(args.out / "energies.csv", delimiter=",", skiprows=1, ndmin=2)[:, -1]
     print(f"energy of bonds and angles: {inner:.6f} kJ/mol before, {inner_energy(simulation):.6f} after")
-    print(f"std of the total energy {np.std(energy) / args.n:.1e} kJ/mol a molecule")
+    print(f"std of the total energy {np.std(energy) / args.n:.1e} kJ/mol per molecule")
     print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, cluster.png")
     x = simulation.context.getState(positions=True).getPositions(asNumpy=True)._value
     time = args.steps * integrator.getStepSize().value_in_unit(unit.picosecond)

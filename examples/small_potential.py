@@ -21,7 +21,7 @@ before = energy(tops, start)
 
 
 def error(scheme, per_time):
-    """Return the largest error of the energy along a run, with so many evaluations of the torques a unit of time."""
+    """Return the largest error of the energy along a run, with so many evaluations of the torques per unit of time."""
     h, state, largest = scheme.stages / per_time, start, np.zeros(len(before))
     for _ in range(max(1, round(50.0 / h))):
         state = integrate(tops, state, h, 1, scheme)
@@ -35,7 +35,7 @@ def error(scheme, per_time):
 
 names = ("V2", "SRKN4_6b", "SRKN6_14a", "SABA_4", "ABA_8_6_4", "ABA_10_6_4", "V2_C17")
 curves = {name: [error(rb.SCHEMES[name], n) for n in evaluations] for name in names}
-print(f"{'evaluations a unit of time':<28}" + "".join(f"{n:>10}" for n in evaluations))
+print(f"{'evaluations per unit of time':<28}" + "".join(f"{n:>10}" for n in evaluations))
 for name, errors in curves.items():
     print(f"{name:<28}" + "".join(f"{value:>10.1e}" for value in errors))
 
@@ -48,7 +48,7 @@ for (name, errors), colour, marker in zip(curves.items(), colours, "os^vDP*", st
     axes.loglog(evaluations, errors, marker=marker, color=colour, label=name)
 axes.set_xticks(evaluations, map(str, evaluations))
 axes.minorticks_off()
-axes.set_xlabel("torque evaluations a unit of time")
+axes.set_xlabel("torque evaluations per unit of time")
 axes.set_ylabel("relative energy error")
 axes.set_title("Heavy tops, potential 1/1000 of the kinetic energy")
 axes.grid(True, alpha=0.3)

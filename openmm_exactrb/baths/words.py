@@ -15,7 +15,7 @@ PROPOSAL = "X"
 
 _REFERENCE = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990"
 
-#: Splittings with a bath within them, which need one force a step.
+#: Splittings with a bath within them, which need one force per step.
 WITHIN = {
     name: Scheme(name, 2, spelled(" ".join(name)), reference=f"{_REFERENCE}, for particles")
     for name in ("BAOAB", "ABOBA")

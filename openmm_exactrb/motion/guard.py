@@ -18,7 +18,7 @@ LIGHT = 299_792.458
 _GROWN = 1.5
 # More energy than this part of the kinetic energy cannot come from the errors of a run that follows its equations.
 _GAINED = 0.5
-# What single precision may leave of an energy, and kJ/mol a body that say nothing: a start at rest has less.
+# What single precision may leave of an energy, and kJ/mol per body that say nothing: a start at rest has less.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 
 

@@ -15,10 +15,10 @@ _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
 # Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
 # for nothing else: benchmarks/search.py.
-_TUNED = "openmm-exactrb, tuned on rigid water at {} fs a force evaluation"
+_TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
-# energies of fast and slow modes at 4 to 6 fs a force: benchmarks/shadow.py.
-_EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs a force evaluation"
+# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/shadow.py.
+_EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
 )

@@ -107,7 +107,7 @@ class Scheme:
 
     @property
     def forces(self) -> int:
-        """Force evaluations a step, where the force-gradient kicks take forces at displaced places."""
+        """Force evaluations per step, where the force-gradient kicks take forces at displaced places."""
         return self.stages + sum(count(self.word, letter) for letter, _ in self.gradients)
 
     @property

@@ -78,7 +78,7 @@ def tune(
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, best of an equilibrated run; or positions, in nm if without a unit.
     target : float, optional
-        Wanted standard deviation of the total energy in kJ/mol a body. Without one all levels are measured, and the
+        Wanted standard deviation of the total energy in kJ/mol per body. Without one all levels are measured, and the
         result is asked.
     schemes : sequence of str or Scheme, optional
         `CANDIDATES` unless given. OpenMM's VerletIntegrator is measured beside them where constraints hold all bodies.
@@ -119,7 +119,7 @@ def tune(
         If something is missing or does not fit, all velocities are zero without a temperature, or a scheme is unknown
         or cannot serve.
     """
-    wanted = None if target is None else positive(target, "target", "kJ/mol a body")
+    wanted = None if target is None else positive(target, "target", "kJ/mol per body")
     chosen = _schemes(CANDIDATES if schemes is None else schemes)
     levels = whole(levels, "levels", least=3)
     length = None if duration is None else positive(_in(unit.picosecond, duration), "duration", "ps")

@@ -30,7 +30,7 @@ def least_error(record: Record, cost: float, method: str | None) -> Choice:
     found = [choice for choice in (_at_cost(record, curve, cost) for curve in curves) if choice is not None]
     if not found:
         least = min((p.cost for curve in curves for p in curve), default=math.inf)
-        raise UnreachableError(f"no stable setting costs {cost:.3g} s a ps or less: the cheapest costs {least:.3g}")
+        raise UnreachableError(f"no stable setting costs {cost:.3g} s per ps or less: the cheapest costs {least:.3g}")
     return min(found, key=lambda choice: choice.error)
 
 
@@ -41,7 +41,7 @@ def unreachable(record: Record, target: float, method: str | None = None) -> str
         return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
     least = min(points, key=lambda p: p.error)
     text = (
-        f"an error of {target:.3g} kJ/mol a body was not reached: the smallest found is {least.error:.2g}, with "
+        f"an error of {target:.3g} kJ/mol per body was not reached: the smallest found is {least.error:.2g}, with "
         f"{least.method} and a step of {1e3 * least.step:.3g} fs"
     )
     return text + ("; smaller steps were not tried" if record.floor is None else f". {about_floor(record.floor)}")
@@ -50,7 +50,7 @@ def unreachable(record: Record, target: float, method: str | None = None) -> str
 def about_floor(floor: float) -> str:
     """Return a sentence about the error below which smaller steps do not bring it."""
     return (
-        f"Below {floor:.1e} kJ/mol a body smaller steps do not lower the error: what is left comes from the "
+        f"Below {floor:.1e} kJ/mol per body smaller steps do not lower the error: what is left comes from the "
         "forces (single precision, a cutoff without a switch, a loose ewaldErrorTolerance), not from the scheme. "
         "Take the Reference platform or double precision, or smoother forces"
     )

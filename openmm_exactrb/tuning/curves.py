@@ -18,9 +18,9 @@ class Point:
     step : float
         Size of a whole step in ps.
     error : float
-        Standard deviation in kJ/mol a body to expect over the horizon; infinite where the run was unstable.
+        Standard deviation in kJ/mol per body to expect over the horizon; infinite where the run was unstable.
     cost : float
-        Wall time in s a ps.
+        Wall time in s per ps.
     duration : float
         Length of the run in ps.
     """

@@ -23,7 +23,7 @@ class Series:
     Attributes
     ----------
     energies : (n,) array
-        Total energy in kJ/mol a body.
+        Total energy in kJ/mol per body.
     interval : float
         Time between two of them in ps.
     stable : bool

@@ -34,7 +34,7 @@ class Measurements:
     methods : dict
         Scheme, plain or nested, or `VERLET`, by name.
     stages : dict
-        Force evaluations a step by name.
+        Force evaluations per step by name.
     seconds : dict
         Wall time of a force evaluation in s by name, once `time` was called.
     points : list of Point
@@ -82,8 +82,8 @@ class Measurements:
         error = error if error < LOST * self.bench.scales.kinetic else math.inf
         point = self._priced(Point(name, step, error, math.nan, duration))
         self.points.append(point)
-        shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol a body"
-        self._report(f"{name}, {1e3 * interval:.3g} fs an evaluation: {shown}")
+        shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol per body"
+        self._report(f"{name}, {1e3 * interval:.3g} fs per evaluation: {shown}")
         return point
 
     def time(self, interval: float) -> None:

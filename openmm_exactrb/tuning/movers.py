@@ -61,7 +61,7 @@ class Mover(Protocol):
     Attributes
     ----------
     stages : int
-        Force evaluations a step, but for those of nested forces.
+        Force evaluations per step, but for those of nested forces.
     fast_share : float
         Evaluations of nested forces for one of the others, since the last `begin`.
     """

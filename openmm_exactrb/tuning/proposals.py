@@ -73,7 +73,7 @@ class Proposal:
     def __str__(self) -> str:
         return (
             f"{self.method} with proposals of {1e3 * self.step:.4g} fs: {self.acceptance:.2f} are taken, "
-            f"{self.cost:.3g} s for a ps of progress ({86.4 / self.cost:.3g} ns a day)"
+            f"{self.cost:.3g} s for a ps of progress ({86.4 / self.cost:.3g} ns per day)"
         )
 
 

@@ -22,9 +22,9 @@ class Choice:
     step : float
         Size of a whole step in ps.
     error : float
-        Standard deviation of the total energy in kJ/mol a body to expect over the horizon.
+        Standard deviation of the total energy in kJ/mol per body to expect over the horizon.
     cost : float
-        Wall time in s a ps.
+        Wall time in s per ps.
     confirmed : bool
         Whether this very setting was run; else it lies between two that were.
     bodies : list of lists of int, optional
@@ -44,8 +44,8 @@ class Choice:
 
     def __str__(self) -> str:
         return (
-            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol a body, "
-            f"{self.cost:.3g} s a ps ({86.4 / self.cost:.3g} ns a day)"
+            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol per body, "
+            f"{self.cost:.3g} s per ps ({86.4 / self.cost:.3g} ns per day)"
         )
 
 
@@ -59,17 +59,17 @@ class Record:
     seconds : mapping
         Wall time of a force evaluation in s by method; with that of the nested ones about it, at a short step.
     stages : mapping
-        Force evaluations a step by method, without those of nested forces.
+        Force evaluations per step by method, without those of nested forces.
     n_bodies : int
     platform : str
     duration, horizon : float
         Length in ps of the runs of the survey, and of the runs for which errors are promised.
     target : float, optional
-        In kJ/mol a body.
+        In kJ/mol per body.
     chosen : Choice, optional
         For the target, where it was reached.
     floor : float, optional
-        The error below which smaller steps do not bring it, in kJ/mol a body.
+        The error below which smaller steps do not bring it, in kJ/mol per body.
     notes : tuple of str
     bodies : list of lists of int, optional
     """

@@ -23,7 +23,7 @@ class Tuning(Record):
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol a body within a run as long as the horizon. For the
+            Standard deviation of the total energy in kJ/mol per body within a run as long as the horizon. For the
             target that was tuned for, and without one, the choice was confirmed by a longer run; others are
             interpolated with `cheapest`.
 
@@ -32,7 +32,7 @@ class Tuning(Record):
         UnreachableError
             With the smallest error that was found.
         """
-        target = self.target if target is None else positive(target, "target", "kJ/mol a body")
+        target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
             raise ValueError("give best() a target: tune() was called without one")
         if self.chosen is not None and target == self.target:
@@ -56,7 +56,7 @@ class Tuning(Record):
         ValueError
             If the method was not measured or the target is not positive.
         """
-        return answers.cheapest(self, positive(target, "target", "kJ/mol a body"), method)
+        return answers.cheapest(self, positive(target, "target", "kJ/mol per body"), method)
 
     def error_at(self, cost: float, method: str | None = None) -> Choice:
         """Return the setting with the least energy error at a cost, and the error with it.
@@ -64,7 +64,7 @@ class Tuning(Record):
         Parameters
         ----------
         cost : float
-            Wall time in s a ps.
+            Wall time in s per ps.
         method : str, optional
             As for `cheapest`.
 
@@ -75,7 +75,7 @@ class Tuning(Record):
         ValueError
             If the method was not measured or the cost is not positive.
         """
-        return answers.least_error(self, positive(cost, "cost", "s a ps"), method)
+        return answers.least_error(self, positive(cost, "cost", "s per ps"), method)
 
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme that kept its energy to a tenth of the kinetic energy.
@@ -107,7 +107,7 @@ class Tuning(Record):
             point["error"] = point["error"] if math.isfinite(point["error"]) else None
         steps = {name: [p.step for p in self.curve(name)] for name in self.seconds}
         content["largest_stable_steps"] = {name: max(s, default=None) for name, s in steps.items()}
-        content["units"] = {"error": "kJ/mol a body", "step": "ps", "cost": "s a ps", "seconds": "s"}
+        content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
         return content
 
     def to_json(self) -> str:

@@ -26,7 +26,7 @@ class Scales(NamedTuple):
         1/omega in ps, where omega² is the mean square of force over mass, and of torque over moment of inertia, over
         kT: the root mean square frequency in equilibrium.
     kinetic : float
-        Kinetic energy in kJ/mol a body.
+        Kinetic energy in kJ/mol per body.
     """
 
     n_bodies: int

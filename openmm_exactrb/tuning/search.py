@@ -23,7 +23,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     floor : float or None
-        The error below which smaller steps do not bring it, in kJ/mol a body.
+        The error below which smaller steps do not bring it, in kJ/mol per body.
     chosen : Point or None
         The cheapest that holds the target.
     """
@@ -39,7 +39,7 @@ def search(measured: Measurements, target: float | None, levels: int) -> Found:
     ----------
     measured : Measurements
     target : float or None
-        Standard deviation of the total energy in kJ/mol a body.
+        Standard deviation of the total energy in kJ/mol per body.
     levels : int
         Most levels.
     """

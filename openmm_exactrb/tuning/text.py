@@ -15,7 +15,7 @@ def summary(record: Record) -> str:
     lines = [
         f"{record.n_bodies} bodies on {record.platform}. Error: standard deviation of the total energy in kJ/mol a "
         f"body, within {record.horizon:.3g} ps",
-        f"(measured over {record.duration:.3g} ps and carried on). Cost: wall time in s a ps.",
+        f"(measured over {record.duration:.3g} ps and carried on). Cost: wall time in s per ps.",
     ]
     wrapped = (textwrap.fill(answer, 120) for answer in _answers(record))
     return "\n".join([*lines, "", table(record), "", *wrapped])
@@ -31,10 +31,10 @@ def table(record: Record) -> str:
 def _block(record: Record, methods: list[str]) -> str:
     stable = {method: max((p.step for p in record.curve(method)), default=math.nan) for method in methods}
     rows = [
-        ["fs an evaluation", *methods],
+        ["fs per evaluation", *methods],
         *_rows_of_errors(record, methods),
         ["largest step, fs", *(f"{1e3 * stable[method]:.4g}" for method in methods)],
-        ["ms an evaluation", *(f"{1e3 * record.seconds[method]:.3g}" for method in methods)],
+        ["ms per evaluation", *(f"{1e3 * record.seconds[method]:.3g}" for method in methods)],
     ]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)

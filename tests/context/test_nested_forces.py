@@ -36,7 +36,7 @@ def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():
 
 
 def test_a_step_that_bonds_do_not_bear_is_borne_when_they_are_nested():
-    """What the feature is for: 4 fs a force evaluation, where plain Verlet has several kJ/mol."""
+    """What the feature is for: 4 fs per force evaluation, where plain Verlet has several kJ/mol."""
     _, system, x = peptide("None")
     rb.separate_bonded(system)
     errors = []

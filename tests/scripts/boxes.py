@@ -74,7 +74,7 @@ def energy(simulation):
 
 
 def swing(simulation, steps=10):
-    """Return the standard deviation of the total energy over some steps, in kJ/mol a molecule."""
+    """Return the standard deviation of the total energy over some steps, in kJ/mol per molecule."""
     energies = []
     for _ in range(steps):
         simulation.step(1)

@@ -93,12 +93,12 @@ def test_the_largest_stable_step_lies_below_an_unstable_one(tuned):
 
 def test_it_prints_well(tuned, lines):
     text = str(tuned)
-    for part in ("kJ/mol a body", "fs an evaluation", "largest step, fs", "target 0.001:", VERLET, *FEW):
+    for part in ("kJ/mol per body", "fs per evaluation", "largest step, fs", "target 0.001:", VERLET, *FEW):
         assert part in text
     assert tuned.best().method in text
     assert max(map(len, text.splitlines())) < 130
     assert len(lines) == len({*lines})
-    assert all("fs an evaluation" in line for line in lines)
+    assert all("fs per evaluation" in line for line in lines)
 
 
 def test_it_goes_into_json_and_a_picture(tuned, tmp_path):

@@ -54,7 +54,7 @@ def test_what_is_nested_is_told_to_be_stable_with_longer_steps(nested):
 
 
 def test_nested_evaluations_have_their_price(nested):
-    """The same forces a ps cost more, by what the inner evaluations take, and more so at longer steps."""
+    """The same forces per ps cost more, by what the inner evaluations take, and more so at longer steps."""
     result, _ = nested
     extra = {}
     for p in result.curve("S2_2 nested"):

@@ -46,7 +46,7 @@ def test_the_cheapest_is_the_first_and_lies_between_refusals_and_small_steps(fou
         assert tried[0].acceptance >= tried[-1].acceptance
         best = min(tried, key=lambda p: p.cost)
         assert best.step > tried[0].step
-    assert "ns a day" in str(found[0])
+    assert "ns per day" in str(found[0])
 
 
 def test_the_advice_makes_an_integrator_of_its_setting(found, droplet):
