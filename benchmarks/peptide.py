@@ -7,7 +7,7 @@ which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator 
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long. Rows go to
-out/benchmarks/peptide_*.csv, with processor time (one thread) a ps; what stands there is not run again, so that the
+out/benchmarks/peptide_*.csv, with processor time (one thread) per ps; what stands there is not run again, so that the
 same command goes on after a break. Pictures lie beside. --quick runs a short version.
 """
 
@@ -166,7 +166,7 @@ def run(constraints, waters, n_starts, duration, rates, survey):
 
 def print_table(table, rates, column, what):
     """Print the errors of the best of each family."""
-    print(f"\nstandard deviation in {what}, kJ/mol\n\n| a ps | " + " | ".join(FAMILIES) + " |")
+    print(f"\nstandard deviation in {what}, kJ/mol\n\n| per ps | " + " | ".join(FAMILIES) + " |")
     print("|" + (1 + len(FAMILIES)) * " --- |")
     for rate in rates:
         cells = []

@@ -56,7 +56,7 @@ def spectrum(series) -> np.ndarray:
 
 
 def predicted(scheme, interval: float, frequencies, translational, rotational) -> tuple[float, float, float]:
-    """Return T_rot - T_tr in K, the error of U in kJ/mol per molecule, and the part of rotation that is beyond stability.
+    """Return T_rot - T_tr in K, the error of U in kJ/mol per molecule, and the part of rotation beyond stability.
 
     What is beyond stability is taken like the fastest motion that is not.
     """

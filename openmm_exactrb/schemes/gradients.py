@@ -72,7 +72,7 @@ def force_gradient(
 #: Kicks between half drifts: order 2, of which a change of coordinates makes 4.
 TAKAHASHI_IMADA = force_gradient("TI2", "ACA", order=2, e=(1.0 / 12.0,), reference=_TAKAHASHI_IMADA)
 
-#: By the number of forces per step, those at displaced places counted. The tables of Schäfers and others are for kicks by
+#: By the number of forces per step, with those at displaced places. The tables of Schäfers and others are for kicks by
 #: forces at displaced places: e = 2 c/b in their letters.
 FORCE_GRADIENT = (
     TAKAHASHI_IMADA,
