@@ -3,8 +3,8 @@
 PME on the CPU platform, bonds to hydrogen constrained, amber14 with TIP3P: standard deviation of the total energy
 within windows of 0.5 ps, and processor time (one thread), both over those of OpenMM's VerletIntegrator, which gets the
 same number of evaluations of the nonbonded forces per ps. Without --pdb it is a helix of 35 alanines, built and
-solvated here; any solvated PDB file with standard residues and water will do in its place, such as the villin headpiece that
-OpenMM's Python examples come with (input.pdb).
+solvated here; any solvated PDB file with standard residues and water will do in its place, such as the villin headpiece
+that OpenMM's Python examples come with (input.pdb).
 
 Starts and rows go to out/benchmarks/protein_*; what stands there is not run again, so that the same command goes on
 after a break. --quick runs a short version.
