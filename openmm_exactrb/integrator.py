@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import weakref
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -247,10 +248,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         return bodies.translational_freedom - 3 * parts.couplings.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return the translational and the rotational temperature of the bodies."""
+        """Return the translational and the rotational temperature of the bodies; nan of what has no freedom."""
         pairs = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True)
         translational, rotational = (
-            (2.0 * energy / (max(freedom, 1) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
+            (2.0 * energy / ((freedom or math.nan) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
             for energy, freedom in pairs
         )
         return translational, rotational

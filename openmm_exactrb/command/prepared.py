@@ -13,6 +13,7 @@ from openmm import app, unit
 
 from openmm_exactrb.command.boxes import Box
 from openmm_exactrb.command.progress import Progress
+from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
 from openmm_exactrb.states import loadState, read_xml
@@ -73,7 +74,7 @@ def step_of(
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     integrator = openmm.LangevinMiddleIntegrator(args.temperature * unit.kelvin, _FRICTION, _STEP)
     integrator.setRandomNumberSeed(args.seed)
-    simulation = app.Simulation(box.topology, box.system, integrator, platform)
+    simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     if box.state is not None:
         loadState(simulation, box.state)
     else:

@@ -9,11 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import openmm
 from openmm import app
 
 from openmm_exactrb.command import arguments, boxes, ensembles, outcome, prepared
 from openmm_exactrb.command.progress import Progress
+from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.runs import Run
@@ -114,12 +114,13 @@ def carry_out(args: argparse.Namespace) -> int:
     job = Run.from_options(args, free=_FREE)
     if args.scheme is not None:
         look_up(args.scheme)
-    platform = _platform(args.platform)
+    platform = platform_of(args.platform)
     box = boxes.load(args)
     ensembles.couple(box.system, args)
     start = prepared.start_of(job, args, box, platform)
     scheme, step = prepared.step_of(job, args, box, start, platform)
-    simulation = app.Simulation(box.topology, box.system, ensembles.integrator_of(args, scheme, step), platform)
+    integrator = ensembles.integrator_of(args, scheme, step)
+    simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     loadState(simulation, start)
 
     for name, maker in _reporters(args).items():
@@ -141,13 +142,3 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
     if args.ensemble == "npt":
         reporters[outcome.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
     return reporters
-
-
-def _platform(name: str | None) -> openmm.Platform:
-    platforms = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
-    found = {platform.getName(): platform for platform in platforms}
-    if name is None:
-        return max(platforms, key=lambda platform: platform.getSpeed())
-    if name not in found:
-        raise ValueError(f"there is no platform {name!r} here: choose one of {', '.join(found)}")
-    return found[name]

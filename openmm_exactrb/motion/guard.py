@@ -127,7 +127,7 @@ class Guard:
             closest = f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. "
         return (
             f"step {number}, after {time:.6g} ps: {what}. {closest}The Context keeps the state before this step: "
-            "take a smaller step size, or minimise the energy first"
+            "take a smaller step size (numbers without a unit are ps), or minimise the energy first"
         )
 
 

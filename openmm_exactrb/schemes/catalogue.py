@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -243,5 +244,7 @@ def scheme(name: str | Scheme) -> Scheme:
     if generated and name not in CATALOGUE:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
     if name not in CATALOGUE:
-        raise ValueError(f"unknown scheme {name!r}: choose one of {', '.join(CATALOGUE)}")
+        near = difflib.get_close_matches(name.upper(), CATALOGUE, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ValueError(f"unknown scheme {name!r}: {hint}choose one of {', '.join(CATALOGUE)}")
     return CATALOGUE[name]

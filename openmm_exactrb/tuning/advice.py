@@ -88,9 +88,9 @@ def tune(
         In K: minimise positions that come without velocities, draw momenta and let them mix with the positions, 20
         times within some periods. Needed where all velocities are zero.
     platform : str or openmm.Platform, optional
-        The fastest one here unless given.
+        That of OPENMM_DEFAULT_PLATFORM, else the fastest one here, unless given.
     properties : mapping, optional
-        Of the platform.
+        Of the platform; mixed precision where there is a choice, unless given.
     bodies : sequence of sequences of int, optional
         As in `ExactRigidBodyIntegrator`; those of the integrator of a Simulation unless given.
     horizon : float or Quantity, optional

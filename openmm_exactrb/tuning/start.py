@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from openmm import app, unit
 
 from openmm_exactrb.context.couplings import COUPLINGS
+from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 
 Array = NDArray[np.float64]
@@ -108,12 +109,11 @@ def start_of(
         v = _coordinates(velocities, system, unit.nanometer / unit.picosecond, "velocities")
     notes = [f"{', '.join(left_out)} of the System left out of the measurements"] if left_out else []
     if parameters:  # not those of the forces left out
-        known = openmm.Context(twin, openmm.VerletIntegrator(0.001), _named("Reference")).getParameters()
+        known = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference")).getParameters()
         parameters = {name: value for name, value in parameters.items() if name in known}
-    named = _fastest() if platform is None else platform
-    named = named if isinstance(named, str) else named.getName()
-    _named(named)
-    return Start(twin, x, v, box, parameters, named, dict(properties or {}), bodies), notes
+    chosen = platform_of(platform)
+    wanted = mixed(chosen) if properties is None else dict(properties)
+    return Start(twin, x, v, box, parameters, chosen.getName(), wanted, bodies), notes
 
 
 def _from_state(state: openmm.State, velocities: Any) -> tuple[Any, Any, Any, dict[str, float]]:
@@ -142,15 +142,3 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     if not np.isfinite(array).all():
         raise ValueError(f"{what} are not finite")
     return array
-
-
-def _named(platform: str) -> openmm.Platform:
-    names = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
-    if platform not in names:
-        raise ValueError(f"there is no platform {platform!r} here: choose one of {', '.join(names)}")
-    return openmm.Platform.getPlatform(platform)
-
-
-def _fastest() -> openmm.Platform:
-    platforms = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
-    return max(platforms, key=lambda platform: platform.getSpeed())
