@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -125,7 +126,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         energies = [host.session.bodies.kinetic_energies(state.rounded) for state in self._around[1:]]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-        translational, rotational = (energy / (max(freedom, 1) * R) * unit.kelvin for energy, freedom in pairs)
+        translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)
         return translational, rotational
 
     @abstractmethod
