@@ -9,8 +9,8 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).parent.parent
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-RECIPE = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text())
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+RECIPE = yaml.safe_load((ROOT / "packaging" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
 
 
 def lowest(requirements):
@@ -20,7 +20,7 @@ def lowest(requirements):
 
 
 def test_the_lowest_versions_are_those_that_are_tested():
-    text = (ROOT / "constraints" / "lowest.txt").read_text()
+    text = (ROOT / "constraints" / "lowest.txt").read_text(encoding="utf-8")
     pinned = {
         name: tuple(map(int, version.split("."))) for name, version in re.findall(r"^([\w-]+)==(.*)$", text, re.M)
     }
@@ -44,12 +44,12 @@ def test_the_conda_recipe_says_what_the_project_says():
 
 
 def test_the_citation_is_of_this_version():
-    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["license"]) == (PROJECT["version"], PROJECT["license"])
 
 
 def test_links_of_the_readme_lead_to_files():
-    targets = re.findall(r"\]\((?![a-z]+:|#)([^)]+)\)", (ROOT / "README.md").read_text())
+    targets = re.findall(r"\]\((?![a-z]+:|#)([^)]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
     assert targets
     assert [target for target in targets if not (ROOT / target.partition("#")[0]).exists()] == []
 

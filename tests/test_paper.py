@@ -28,7 +28,7 @@ def quick(tmp_path_factory):
 
 
 def test_every_figure_is_drawn_and_shown(quick):
-    page = (quick / "paper.md").read_text()
+    page = (quick / "paper.md").read_text(encoding="utf-8")
     shown = re.findall(r"\(paper/(figure\d\d)\.png\)", page)
     assert sorted(shown) == [f"figure{k:02d}" for k in range(1, 19)]
     for name in shown:
@@ -51,7 +51,7 @@ def verdict_of(entry):
 
 
 def test_every_verdict_follows_from_the_criteria_beside_it(quick):
-    page = (quick / "paper.md").read_text()
+    page = (quick / "paper.md").read_text(encoding="utf-8")
     assert len(written(page)) == page.count("  - Measured: ") > 30
     for entry in written(page):
         verdict, kind = verdict_of(entry)
@@ -59,7 +59,7 @@ def test_every_verdict_follows_from_the_criteria_beside_it(quick):
 
 
 def test_the_papers_claims_and_ours_are_counted_apart(quick):
-    page = (quick / "paper.md").read_text()
+    page = (quick / "paper.md").read_text(encoding="utf-8")
     beyond = sum(len(written(part.split("\n## ")[0])) for part in page.split("Beyond the paper:\n")[1:])
     assert beyond > 3
     assert int(re.search(r"Of (\d+) sentences of our own", page)[1]) == beyond
@@ -67,7 +67,7 @@ def test_the_papers_claims_and_ours_are_counted_apart(quick):
 
 
 def test_no_verdict_compares_compiled_code_with_numpy(quick):
-    page = (quick / "paper.md").read_text()
+    page = (quick / "paper.md").read_text(encoding="utf-8")
     compiled = [line for line in page.splitlines() if "exact_compiled" in line]
     assert compiled
     assert all("| compiled |" in line for line in compiled)  # rows of tables, where it is marked
@@ -122,7 +122,7 @@ def test_the_energies_by_which_starts_are_chosen_are_openmms(quick):
 
 
 def test_the_satellite_is_the_papers(quick):
-    data = json.loads((quick / "data" / "satellite.json").read_text())
+    data = json.loads((quick / "data" / "satellite.json").read_text(encoding="utf-8"))
     assert abs(data["SRKN6_14a exact 0.1"]["H0"] - 1.21595664e7) < 1.0
     assert data["SRKN6_14a exact 0.1"]["largest"] < 2e-7
 
@@ -135,11 +135,11 @@ def test_what_is_computed_is_kept(quick):
 
 
 def test_the_page_is_written_anew_from_what_is_stored(quick):
-    page = (quick / "paper.md").read_text()
+    page = (quick / "paper.md").read_text(encoding="utf-8")
     (quick / "paper.md").unlink()
     data = {file: file.stat().st_mtime_ns for file in (quick / "data").iterdir()}
     subprocess.run([sys.executable, str(REPORT), "--quick", "--stored"], cwd=quick.parents[2], check=True)
-    assert (quick / "paper.md").read_text() == page
+    assert (quick / "paper.md").read_text(encoding="utf-8") == page
     assert data == {file: file.stat().st_mtime_ns for file in data}
 
 

@@ -24,7 +24,7 @@ from openmm_exactrb.rotors import rotor_of_sums
 from orders import slope
 
 ROOT = Path(__file__).parent.parent
-PAGE = (ROOT / "docs" / "contributing.md").read_text()
+PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
 
 
 def recipe(title):
@@ -43,9 +43,9 @@ def typed(title):
 
 def put_after(file, line, text):
     """Put text behind the first line of a file that ends in this."""
-    content = file.read_text()
+    content = file.read_text(encoding="utf-8")
     assert content.count(line) == 1, (file, line)
-    file.write_text(content.replace(line, line + text))
+    file.write_text(content.replace(line, line + text), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def tested(tmp_path_factory):
     put_after(root / named(page, "_SCHEMES"), "_SCHEMES = (\n", f"{scheme.rstrip()},\n")
     page, (module, entry) = recipe("A rotor")
     (file,) = re.findall(r"One file, `(\S+)`", page)
-    (root / file).write_text(module)
+    (root / file).write_text(module, encoding="utf-8")
     registry = root / named(page, "ROTORS")
     put_after(registry, "from openmm_exactrb.rotors import ", f"{Path(file).stem}, ")
     put_after(registry, "        for entry in (\n", f"{entry.rstrip()},\n")

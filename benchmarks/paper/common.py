@@ -54,7 +54,7 @@ def in_pieces(name, function, pieces):
     todo = []
     for k, piece in enumerate(pieces):
         if file_of(piece).exists():
-            results[k] = json.loads(file_of(piece).read_text())["result"]
+            results[k] = json.loads(file_of(piece).read_text(encoding="utf-8"))["result"]
         else:
             todo.append(k)
     with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=_one_thread) as pool:
@@ -63,7 +63,7 @@ def in_pieces(name, function, pieces):
             k = running[done]
             text = json.dumps({"piece": pieces[k], "result": _plain(done.result())})
             partial = file_of(pieces[k]).with_suffix(".part")
-            partial.write_text(text)
+            partial.write_text(text, encoding="utf-8")
             partial.replace(file_of(pieces[k]))
             results[k] = json.loads(text)["result"]
     return [results[k] for k in range(len(pieces))]
@@ -98,7 +98,7 @@ def run(script, quick, own=False, stored=False, **options):
     (folder / "data").mkdir(parents=True, exist_ok=True)
     kept = folder / "data" / f"{script.NAME}.json"
     if stored:
-        data = json.loads(kept.read_text())
+        data = json.loads(kept.read_text(encoding="utf-8"))
     else:
         data = _plain(script.compute(quick, **options))
         kept.write_text(json.dumps(data, separators=(",", ":")) + "\n")

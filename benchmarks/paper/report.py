@@ -87,7 +87,7 @@ def main():
         print(f"\n{script.TITLE}", flush=True)
         results.append((script, pictures, common.run(script, quick, stored=args.stored)))
     place = common.FOLDERS[True] / "paper.md" if quick else common.FOLDERS[False].with_suffix(".md")
-    place.write_text(page(results))
+    place.write_text(page(results), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -141,10 +141,11 @@ def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> P
 def _approached(measured: Measurements, name: str, cost: float, target: float, chosen: Point | None) -> Point | None:
     """Run a method longer at a cost, and at higher ones until it holds the target or is no longer the best."""
     slope = max(measured.slope(name), float(measured.order(name)))
+    curve = measured.curve(name)  # before longer runs show steps of it to be unstable
     for _ in range(5):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None
-        point = measured.at(name, step_at(measured.curve(name), cost) / measured.stages[name], measured.confirmation)
+        point = measured.at(name, step_at(curve, cost) / measured.stages[name], measured.confirmation)
         if point.error <= target:
             return point
         cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)

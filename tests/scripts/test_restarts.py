@@ -46,10 +46,12 @@ def test_a_new_process_goes_on_with_the_same_bits(save, load, tmp_path):
 
 
 INTERRUPTED = """
+import signal
 import sys
 sys.path[:0] = {path!r}
 from boxes import coordinates, quietly, water, energy
 from openmm import app
+signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever began the tests may have it ignored
 simulation = water()
 simulation.reporters.append(app.DCDReporter(sys.argv[1], 1))
 print("ready", flush=True)
