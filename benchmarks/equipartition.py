@@ -282,7 +282,7 @@ def draw(rows: list[tuple], file: Path) -> None:
     above.set_ylabel("T_rot − T_tr (K)")
     below.set_ylabel("potential energy\n(kJ/mol per molecule)")
     below.set_xticks(sorted({row[3] for row in rows if row[:2] == first}))
-    below.set_xlabel("time a force evaluation (fs)")
+    below.set_xlabel("time per force evaluation (fs)")
     above.set_title(f"{first[0]}, {first[1]}")
     figure.legend(loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
