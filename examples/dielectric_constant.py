@@ -14,7 +14,7 @@ literature. It is dilute, and its short chains turn slowly: ``--duration 10000 -
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
 
-This page shows ``python examples/dielectric_constant.py --duration 1500``; without options the script runs for 2000 ps.
+This page shows ``python examples/dielectric_constant.py --duration 400``; without options the script runs for 2000 ps.
 """
 
 from __future__ import annotations

@@ -245,6 +245,6 @@ def scheme(name: str | Scheme) -> Scheme:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
     if name not in CATALOGUE:
         near = difflib.get_close_matches(name.upper(), CATALOGUE, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
+        hint = f"{near[0]} was meant perhaps; " if near else ""
         raise ValueError(f"unknown scheme {name!r}: {hint}choose one of {', '.join(CATALOGUE)}")
     return CATALOGUE[name]
