@@ -62,7 +62,7 @@ def tune(
 ) -> Tuning:
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
-    The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol a
+    The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol per
     body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs
     `duration`; how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is
     run over all of a horizon that is named, and over half of the usual one. A wandering energy is known badly from one

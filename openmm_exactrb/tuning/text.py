@@ -13,7 +13,7 @@ from openmm_exactrb.tuning.record import Choice, Record
 def summary(record: Record) -> str:
     """Return a table of all methods, and what follows from it."""
     lines = [
-        f"{record.n_bodies} bodies on {record.platform}. Error: standard deviation of the total energy in kJ/mol a "
+        f"{record.n_bodies} bodies on {record.platform}. Error: standard deviation of the total energy in kJ/mol per "
         f"body, within {record.horizon:.3g} ps",
         f"(measured over {record.duration:.3g} ps and carried on). Cost: wall time in s per ps.",
     ]
