@@ -46,7 +46,7 @@ EWALD = {(0.822, 1.15, 3.0): [(LAMMPS, 64.6, 1.8)], (0.822, 1.15, 1.0): [(LAMMPS
 FERROFLUID = {
     (0.05, 1.0, 3.0): [
         ("Wang, Holm and Müller (2002)", 1.822, 0.017),
-        ("ESPResSo, the long run behind a test of that tutorial", 1.86, 0.0),
+        ("ESPResSo", 1.86, 0.0),
     ]
 }
 BOUNDARIES = {"ewald": rb.Ewald(), "reaction field": rb.ReactionField()}
