@@ -13,6 +13,7 @@ import openmm
 
 import openmm_exactrb
 from openmm_exactrb import kernels
+from openmm_exactrb.context.platforms import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE
 
@@ -39,7 +40,7 @@ def lines() -> Iterator[str]:
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
     yield f"kernels: {_kernels()}"
     yield "platforms, fastest first:"
-    for found in sorted(_platforms(), key=lambda found: -found.getSpeed()):
+    for found in platforms():
         yield f"  {found.getName()}, speed {found.getSpeed():g}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
@@ -62,7 +63,3 @@ def _kernels() -> str:
     if os.environ.get(kernels.SWITCH) == "0":
         return f"numpy, since {kernels.SWITCH}=0"
     return "numpy; with numba they are compiled, and several times faster"
-
-
-def _platforms() -> list[openmm.Platform]:
-    return [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]

@@ -22,6 +22,7 @@ def carry_out(capsys, *arguments):
 
 
 PLAIN = "--platform", "Reference", "--quiet"
+BOX = ["--cutoff", "0.4", "--ewald-tolerance", "0.01", "--equilibration", "0.01", "--duration", "0.01", "--no-picture"]
 SHORT = "--step", "2fs", "--scheme", "S2_2", "--interval", "4fs", *PLAIN
 
 
@@ -99,19 +100,8 @@ def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
 
 
 def test_water_is_made_in_a_box(tmp_path, capsys):
-    options = (
-        "--cutoff",
-        "0.4",
-        "--ewald-tolerance",
-        "0.01",
-        "--equilibration",
-        "0.01",
-        "--duration",
-        "0.01",
-        "--no-picture",
-    )
     status, _, errors = carry_out(
-        capsys, "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *options, *SHORT, "--out", tmp_path / "out"
+        capsys, "run", "--solvate", 27, "--forcefield", "tip4pew.xml", *BOX, *SHORT, "--out", tmp_path / "out"
     )
     assert (status, errors) == (0, "")
     topology = app.PDBFile(str(tmp_path / "out" / "topology.pdb")).topology
@@ -120,19 +110,7 @@ def test_water_is_made_in_a_box(tmp_path, capsys):
 
 
 def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
-    options = (
-        "--cutoff",
-        "0.4",
-        "--ewald-tolerance",
-        "0.01",
-        "--equilibration",
-        "0.01",
-        "--duration",
-        "0.01",
-        "--no-picture",
-        "--solvate",
-        40,
-    )
+    options = *BOX, "--solvate", 40
     status, _, errors = carry_out(
         capsys, "run", droplet, "--forcefield", "tip3p.xml", *options, *SHORT, "--out", tmp_path / "out"
     )
