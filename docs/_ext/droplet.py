@@ -1,9 +1,11 @@
-"""A droplet of water that moves, for the view in the page."""
+"""A droplet of water that moves, for the view in the page and for the film."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import openmm
 
 import openmm_exactrb as rb
@@ -11,8 +13,8 @@ import openmm_exactrb as rb
 FRAMES, MOLECULES = 50, 64
 
 
-def write(file: Path) -> None:
-    """Write a trajectory of rigid water as XYZ, in ångström, a frame every 10 fs."""
+def frames() -> Iterator[tuple[list[str], np.ndarray]]:
+    """Yield the symbols of the elements and positions (n, 3) in nm, every 10 fs."""
     topology, system, positions = rb.rigid_water(MOLECULES)
     integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="W4_5")
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
@@ -21,10 +23,15 @@ def write(file: Path) -> None:
     integrator.setVelocitiesToTemperature(250.0, 1)
     integrator.step(600)
     elements = [atom.element.symbol for atom in topology.atoms()]
+    for _ in range(FRAMES):
+        yield elements, context.getState(positions=True).getPositions(asNumpy=True)._value
+        integrator.step(2)
+
+
+def write(file: Path) -> None:
+    """Write them as XYZ, in ångström."""
     with file.open("w") as out:
-        for frame in range(FRAMES):
-            x = 10.0 * context.getState(positions=True).getPositions(asNumpy=True)._value
-            print(len(elements), f"{10 * frame} fs", sep="\n", file=out)
-            for element, place in zip(elements, x, strict=True):
-                print(element, *(f"{number:.3f}" for number in place), file=out)
-            integrator.step(2)
+        for number, (elements, x) in enumerate(frames()):
+            print(len(elements), f"{10 * number} fs", sep="\n", file=out)
+            for element, place in zip(elements, 10.0 * x, strict=True):
+                print(element, *(f"{coordinate:.3f}" for coordinate in place), file=out)

@@ -1,4 +1,4 @@
-"""A film of a droplet of rigid water, docs/droplet.gif: 64 molecules that OpenMM pulls and the exact rotation turns."""
+"""The droplet as a film, docs/droplet.gif: ``python docs/_ext/film.py``."""
 
 from __future__ import annotations
 
@@ -7,35 +7,16 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-import openmm
+from droplet import frames
 from PIL import Image
-
-import openmm_exactrb as rb
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("docs/droplet.gif")
-FRAMES, STEPS = 40, 3  # 15 fs from frame to frame
 DISTANCE = 4.0  # nm, of the eye
 RADIUS = {"O": 0.085, "H": 0.055}  # nm
 COLOUR = {"O": np.array([0.84, 0.37, 0.0]), "H": np.array([0.92, 0.92, 0.92])}
-
-
-def frames():
-    """Yield positions (n, 3) in nm about their centre, and first the symbols of the elements."""
-    topology, system, positions = rb.rigid_water(64)
-    integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="W4_5")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context)
-    integrator.setVelocitiesToTemperature(280.0, 3)
-    integrator.step(400)
-    yield [atom.element.symbol for atom in topology.atoms()]
-    for _ in range(FRAMES):
-        integrator.step(STEPS)
-        x = context.getState(positions=True).getPositions(asNumpy=True)._value
-        yield x - x.mean(axis=0)
 
 
 def picture(symbols: list[str], x: np.ndarray) -> Image.Image:
@@ -64,9 +45,8 @@ def picture(symbols: list[str], x: np.ndarray) -> Image.Image:
 
 
 def main() -> None:
-    made = frames()
-    symbols = next(made)
-    film = [picture(symbols, x) for x in made]
+    """Draw it, there and back."""
+    film = [picture(symbols, x - x.mean(axis=0)) for symbols, x in frames()]
     film += film[-2:0:-1]  # back to the start, without a jump
     film[0].save(OUT, save_all=True, append_images=film[1:], duration=50, loop=0, optimize=True)
     print(f"{OUT}: {len(film)} pictures, {OUT.stat().st_size / 1e6:.1f} MB")
