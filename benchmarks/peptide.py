@@ -6,7 +6,9 @@ windows of 0.5 ps and within whole runs, against evaluations of the nonbonded fo
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside.
 
-A survey with short runs goes first; the best of each family at each rate are then run for long. Rows go to
+A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
+those of the survey with --leave. --methods runs what it names instead, and neither surveys nor draws: "Verlet", "W2_4",
+"W2_4 nested", "W2_4 nested with 1-4", and "W2_4 nested: S2_2 x 8" with an inner scheme and its steps a step. Rows go to
 out/benchmarks/peptide_*.csv, with processor time (one thread) per ps; what stands there is not run again, so that the
 same command goes on after a break. Pictures lie beside. --quick runs a short version.
 """
@@ -73,8 +75,14 @@ def family(method):
     """Return the family of a method."""
     if method in FAMILIES:
         return method
-    scheme = method.split()[0]
-    return method.removeprefix(scheme).strip() or "plain"
+    name = method.partition(":")[0]
+    return name.partition(" ")[2] or "plain"
+
+
+def inner(method):
+    """Return what an integrator is told of the inner steps of a method."""
+    scheme, _, steps = method.partition(": ")[2].partition(" x ")
+    return {"inner": scheme or None, "innerSteps": int(steps) if steps else None}
 
 
 def substeps(rate):
@@ -85,15 +93,15 @@ def substeps(rate):
 def prepared(bare, method, rate):
     """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
-    bonded = rb.separate_bonded(system, exceptions=method.endswith(WITH_PAIRS))
+    bonded = rb.separate_bonded(system, exceptions=family(method) == WITH_PAIRS.strip())
     if family(method) == "Verlet":
         integrator = openmm.VerletIntegrator(1.0 / rate)
     elif family(method) == "MTSIntegrator":
         integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
-        scheme = method.split()[0]
-        fast = None if family(method) == "plain" else "bonded"
-        return system, rb.ExactRigidBodyIntegrator(rb.SCHEMES[scheme].forces / rate, scheme=scheme, fast=fast)
+        scheme = method.partition(":")[0].split()[0]
+        nesting = {} if family(method) == "plain" else {"fast": "bonded", **inner(method)}
+        return system, rb.ExactRigidBodyIntegrator(rb.SCHEMES[scheme].forces / rate, scheme=scheme, **nesting)
     integrator.setConstraintTolerance(1e-10)
     return system, integrator
 
@@ -146,19 +154,25 @@ class Table:
         return [method for method in found[:n] if np.isfinite(self.rows[method, rate][0])]
 
 
-def run(constraints, waters, n_starts, duration, rates, survey):
-    """Survey all methods, run the best ones for long, print a table and draw it."""
+def run(constraints, waters, n_starts, leave, duration, rates, survey, named):
+    """Survey all methods, run the best ones for long, print a table and draw it; or run the named ones alone."""
     system, positions = droplet(waters, constraints)
-    starts = equilibrated(system, positions, "Reference", 5.0, n_starts)
+    starts = equilibrated(system, positions, "Reference", 5.0, leave + n_starts)
+    apart = f"_after_{leave}" if leave else ""
+    long = Table(OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
+    if named:
+        for rate in rates:
+            for method in named:
+                long.add(system, starts[leave:], duration, method, rate)
+        return
     short = Table(OUT / f"peptide_{constraints}_survey.csv")
-    long = Table(OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps.csv")
     for rate in rates:
         for method in methods():
             short.add(system, starts[: survey[0]], survey[1], method, rate)
     for rate in rates:
         for kind in FAMILIES:
             for method in short.best(rate, kind, BEST):
-                long.add(system, starts, duration, method, rate)
+                long.add(system, starts[leave:], duration, method, rate)
     for column, what in ((0, "windows of 0.5 ps"), (1, f"whole runs of {duration:g} ps")):
         print_table(long, rates, column, what)
     draw(long, rates, constraints, waters)
@@ -208,14 +222,25 @@ def main():
     parser.add_argument("--waters", type=int, default=32, metavar="N", help="molecules of water (%(default)s)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="starts (%(default)s)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="PS", help="ps from each start (%(default)s)")
+    parser.add_argument("--leave", type=int, default=0, metavar="N", help="starts that long runs leave out (%(default)s)")
+    parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods to run instead of a survey")
     parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations per ps")
     parser.add_argument("--quick", action="store_true", help="short runs")
     args = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     if args.quick:
-        run(args.constraints, 4, 1, 0.5, (500, 1000), (1, 0.5))
+        run(args.constraints, 4, 1, 0, 0.5, (500, 1000), (1, 0.5), args.methods)
     else:
-        run(args.constraints, args.waters, args.starts, args.duration, args.rates, SURVEY)
+        run(
+            args.constraints,
+            args.waters,
+            args.starts,
+            args.leave,
+            args.duration,
+            args.rates,
+            SURVEY,
+            args.methods,
+        )
 
 
 if __name__ == "__main__":

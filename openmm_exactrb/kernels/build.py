@@ -17,6 +17,9 @@ _log = logging.getLogger("openmm_exactrb")
 
 Function = Callable[..., Any]
 
+_REORDERED = {"reassoc", "contract", "arcp", "nsz"}
+# What only compiled code calls needs no door from Python and no place on disk: they take longer than a short function.
+_UNSEEN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PACKAGE = Path(__file__).parent.parent
 
 
@@ -54,14 +57,19 @@ def reordered(function: Function) -> Function:
 
     nan and inf stay what they are, no square root or division is approximated.
     """
-    flags = {"reassoc", "contract", "arcp", "nsz"}
-    fast: Function = _kept(njit(error_model="numpy", nogil=True, fastmath=flags)(function))
+    fast: Function = _kept(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 
 
 def inner(function: Function) -> Function:
-    """Mark a function that compiled ones call."""
-    callee: Function = njit(error_model="numpy", nogil=True)(function)
+    """Mark a function that compiled ones call, and nobody else."""
+    callee: Function = njit(error_model="numpy", **_UNSEEN)(function)
+    return callee
+
+
+def inner_reordered(function: Function) -> Function:
+    """Mark a function that compiled ones call, and nobody else, with the freedom of `reordered`."""
+    callee: Function = njit(error_model="numpy", fastmath=_REORDERED, **_UNSEEN)(function)
     return callee
 
 

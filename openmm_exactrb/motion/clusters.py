@@ -93,17 +93,18 @@ class Clusters:
         The momentum is projected as `tangent` does before it moves. A cluster with a number that is not finite becomes
         nan, its neighbours are not touched.
         """
-        moved = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
-        for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
-            self._twins.clusters.drift(*state, tau, first, len(kind.particles), *kind.graph, *moved)
-        return moved
+        return self._advanced(state, tau, True)
 
     def tangent(self, state: ClusterState) -> ClusterState:
         """Return the state with the part of the momenta removed that no motion along the constraints has."""
-        p = np.empty(state.p.shape)
+        return state._replace(p=self._advanced(state, 0.0, False).p)
+
+    def _advanced(self, state: ClusterState, tau: float, moves: bool) -> ClusterState:
+        """Return the state after free motion for a time, or with momenta that are projected alone."""
+        after = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
-            self._twins.clusters.project(*state, first, len(kind.particles), *kind.graph, p)
-        return state._replace(p=p)
+            self._twins.clusters.advance(*state, tau, moves, first, len(kind.particles), *kind.graph, *after)
+        return after
 
     def kinetic_energy(self, state: ClusterState) -> float:
         """Return the kinetic energy in kJ/mol of momenta that `tangent` has projected."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from openmm_exactrb.kernels.build import inner, reordered
+from openmm_exactrb.kernels.build import inner, inner_reordered
 from openmm_exactrb.kernels.plain.clusters import TO_GRID
 
 
@@ -93,7 +93,7 @@ def vectors(x, pairs, lengths, r, defect):
             defect[c, l] = 0.5 * (defect[c, l] + (d - coarse_d) * (d + coarse_d))
 
 
-@reordered
+@inner_reordered
 def factorise(r, graph, A):
     """Write the Cholesky factor of B_cd r_c.r_d, with the inverse of its diagonal in the place of it."""
     L, rows, columns = A.shape[1], graph.rows, graph.columns
@@ -116,7 +116,7 @@ def factorise(r, graph, A):
                     A[e, l] *= A[i, l]
 
 
-@reordered
+@inner_reordered
 def solve(A, rows, columns, b):
     """Solve for b (m, L) in place."""
     L = A.shape[1]
@@ -138,7 +138,7 @@ def solve(A, rows, columns, b):
                 b[d, l] -= A[e, l] * b[c, l]
 
 
-@reordered
+@inner_reordered
 def differences(a, pairs, scale, u):
     """Write scale (a_i - a_j) of every pair of atoms."""
     for c in range(len(pairs)):
@@ -147,7 +147,7 @@ def differences(a, pairs, scale, u):
             u[c, l] = scale * (a[i, l] - a[j, l])
 
 
-@reordered
+@inner_reordered
 def on_atoms(F, pairs, factor, a):
     """Write the sums of F_c over the pairs of an atom, with their signs, times its factor."""
     for k in range(len(a)):
@@ -161,7 +161,7 @@ def on_atoms(F, pairs, factor, a):
             a[j, l] -= factor[j] * F[c, l]
 
 
-@reordered
+@inner_reordered
 def add_scaled(x, scale, factor, y):
     """Add scale times the rows of x, each with its factor, to y."""
     for k in range(len(y)):
@@ -169,7 +169,7 @@ def add_scaled(x, scale, factor, y):
             y[k, i] += scale * factor[k] * x[k, i]
 
 
-@reordered
+@inner_reordered
 def fill(x, value):
     """Write one number everywhere."""
     for k in range(len(x)):
@@ -177,14 +177,14 @@ def fill(x, value):
             x[k, i] = value
 
 
-@reordered
+@inner_reordered
 def add_products(a, b, out):
     """Add a b of rows of equal length."""
     for i in range(len(out)):
         out[i] += a[i] * b[i]
 
 
-@reordered
+@inner_reordered
 def dots(a, b, out):
     """Write a.b of vectors (m, 3 L) as numbers (m, L)."""
     L = out.shape[1]
@@ -193,7 +193,7 @@ def dots(a, b, out):
             out[c, l] = a[c, l] * b[c, l] + a[c, L + l] * b[c, L + l] + a[c, 2 * L + l] * b[c, 2 * L + l]
 
 
-@reordered
+@inner_reordered
 def over_components(a, b):
     """Write the sums over the components of a (m, 3 L)."""
     L = b.shape[1]
@@ -202,7 +202,7 @@ def over_components(a, b):
             b[c, l] = a[c, l] + a[c, L + l] + a[c, 2 * L + l]
 
 
-@reordered
+@inner_reordered
 def of_each_component(b, a):
     """Write numbers (m, L) to each of the components (m, 3 L)."""
     L = b.shape[1]
@@ -213,7 +213,7 @@ def of_each_component(b, a):
             a[c, 2 * L + l] = b[c, l]
 
 
-@reordered
+@inner_reordered
 def multiples(b, r, out):
     """Write b r of numbers (m, L) and vectors (m, 3 L)."""
     L = b.shape[1]

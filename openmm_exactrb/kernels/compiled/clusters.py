@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_exactrb.kernels.build import compiled, inner, reordered
+from openmm_exactrb.kernels.build import compiled, inlined, inner, inner_reordered
 from openmm_exactrb.kernels.compiled.cluster_rows import (
     add_products,
     add_scaled,
@@ -40,7 +40,7 @@ class Work(NamedTuple):
 
     Series r and multipliers; terms F, q and g, their sums push and shift, and the bound of a term, of constraints;
     numbers defect and b of constraints; velocities v, a response a, and the projection of the momentum, of atoms; the
-    factor A; ones.
+    factor A; inverse masses and ones.
     """
 
     r: Any
@@ -65,10 +65,11 @@ class Work(NamedTuple):
     a: Any
     projection: Any
     A: Any
+    inverse: Any
     ones: Any
 
 
-@inner
+@inlined
 def _workspace(graph, L, orders):
     n, m = len(graph.inverse), len(graph.pairs)
     series, terms = np.empty((2 * orders + 2, m, 3 * L)), np.empty((6, m, 3 * L))
@@ -97,26 +98,27 @@ def _workspace(graph, L, orders):
         atoms[1],
         atoms[2],
         np.empty((len(graph.weights), L)),
+        graph.inverse.copy(),  # of the same type as the ones: nothing is compiled for both
         np.ones(n),
     )
 
 
-@inner
+@inlined
 def _project(X, P, graph, work):
     """Write r_0, the factor of A, what is missing of the lengths, the projection and the velocities after it."""
     vectors(X, graph.pairs, graph.lengths, work.r[0], work.defect)
     factorise(work.r[0], graph, work.A)
     fill(work.v, 0.0)
-    add_scaled(P[0], 1.0, graph.inverse, work.v)
+    add_scaled(P[0], 1.0, work.inverse, work.v)
     differences(work.v, graph.pairs, -1.0, work.g)
     dots(work.r[0], work.g, work.b)
     solve(work.A, graph.rows, graph.columns, work.b)
     multiples(work.b, work.r[0], work.F)
     on_atoms(work.F, graph.pairs, work.ones, work.projection)
-    add_scaled(work.projection, 1.0, graph.inverse, work.v)
+    add_scaled(work.projection, 1.0, work.inverse, work.v)
 
 
-@reordered
+@inner_reordered
 def _next_order(k, graph, work):
     """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
     r, multipliers, F, q, g = work.flat_r, work.flat_multipliers, work.flat_F, work.flat_q, work.flat_g
@@ -128,7 +130,7 @@ def _next_order(k, graph, work):
         add_products(r[j], r[k + 2 - j], q)
     for j in range(k):
         add_products(multipliers[j], r[k - j], F)
-    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    on_atoms(work.F, graph.pairs, work.inverse, work.a)
     differences(work.a, graph.pairs, 1.0, work.g)
     for i in range(len(q)):
         q[i] = -order * q[i] - r0[i] * g[i]
@@ -136,13 +138,13 @@ def _next_order(k, graph, work):
     solve(work.A, graph.rows, graph.columns, work.b)
     of_each_component(work.b, work.multipliers[k])
     add_products(multipliers[k], r0, F)
-    on_atoms(work.F, graph.pairs, graph.inverse, work.a)
+    on_atoms(work.F, graph.pairs, work.inverse, work.a)
     differences(work.a, graph.pairs, 1.0, work.g)
     for i in range(len(new)):
         new[i] = g[i] / order
 
 
-@reordered
+@inner_reordered
 def _add_terms(F, of_push, of_shift, push, shift):
     """Add the terms of an order to the series of impulses and of shifts."""
     for i in range(len(F)):
@@ -150,7 +152,7 @@ def _add_terms(F, of_push, of_shift, push, shift):
         shift[i] += of_shift * F[i]
 
 
-@reordered
+@inner_reordered
 def _still_large(r, k, bound):
     """Tell whether a term of order k is above its bound; nan is not."""
     count = 0
@@ -173,7 +175,7 @@ def _bounds(r, bound):
                 bound[c, e * L + l] = SETTLED * largest
 
 
-@reordered
+@inner_reordered
 def _keep_the_energy(v, change, inverse):
     """Take the little from a change of momenta by which rounding has it change the energy; v is overwritten."""
     n, width = v.shape
@@ -203,28 +205,28 @@ def _keep_the_energy(v, change, inverse):
             change[k, i] -= centre[i] * m * v[k, i]
 
 
-@inner
+@inlined
 def _step(X, P, t, graph, work):
-    """Advance a block by t; or change nothing and tell that the series does not settle."""
-    _project(X, P, graph, work)
+    """Advance a block that is projected by t; or change nothing and tell that the series does not settle."""
     solve(work.A, graph.rows, graph.columns, work.defect)
     multiples(work.defect, work.r[0], work.shift)
     fill(work.push, 0.0)
     differences(work.v, graph.pairs, t, work.r[1])
     _bounds(work.r[1], work.bound)
-    small, k, by_time = 0, 0, 1.0 / t if t != 0.0 else 0.0
-    while small < 2:
-        if k == ORDERS:
-            return False
+    small, by_time = 0, 1.0 / t if t != 0.0 else 0.0
+    for k in range(ORDERS):
         _next_order(k, graph, work)
-        k += 1
-        _add_terms(work.flat_F, by_time / k, 1.0 / (k * (k + 1)), work.flat_push, work.flat_shift)
-        small = 0 if _still_large(work.flat_r[k + 1], k + 1, work.flat_bound) else small + 1
-    on_atoms(work.shift, graph.pairs, graph.inverse, work.a)
+        _add_terms(work.flat_F, by_time / (k + 1), 1.0 / ((k + 1) * (k + 2)), work.flat_push, work.flat_shift)
+        small = 0 if _still_large(work.flat_r[k + 2], k + 2, work.flat_bound) else small + 1
+        if small == 2:
+            break
+    if small < 2:
+        return False
+    on_atoms(work.shift, graph.pairs, work.inverse, work.a)
     add_scaled(work.v, t, work.ones, work.a)
     add_to_sums(X, work.a)
     on_atoms(work.push, graph.pairs, work.ones, work.a)
-    _keep_the_energy(work.v, work.a, graph.inverse)
+    _keep_the_energy(work.v, work.a, work.inverse)
     add_scaled(work.projection, 1.0, work.ones, work.a)
     add_to_sums(P, work.a)
     return True
@@ -244,19 +246,23 @@ def _give_up(X, P, work):
                             X[s, a, e * L + i % L] = P[s, a, e * L + i % L] = math.nan
 
 
-@compiled("f3 f3 f i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
-def drift(x, p, t, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
+@compiled("f3 f3 f i i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
+def advance(x, p, t, moves, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
     """Write where the clusters of a kind are after the time t, and their momenta."""
     graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
     X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
-    work = _workspace(graph, L, ORDERS)
+    work = _workspace(graph, L, ORDERS if moves else 0)
     for start in range(0, count, L):
         gather(x, first, count, start, X)
         gather(p, first, count, start, P)
         part, remaining = 1.0, 1.0
         while remaining > 0.0:
-            if _step(X, P, part * t, graph, work):
+            _project(X, P, graph, work)
+            if not moves:
+                add_to_sums(P, work.projection)
+                remaining = 0.0
+            elif _step(X, P, part * t, graph, work):
                 remaining -= part
             elif part > 0.5**HALVINGS:
                 part *= 0.5
@@ -264,19 +270,4 @@ def drift(x, p, t, first, count, inverse, pairs, lengths, weights, rows, columns
                 _give_up(X, P, work)
                 remaining = 0.0
         scatter(X, first, count, start, x1)
-        scatter(P, first, count, start, p1)
-
-
-@compiled("f3 f3 i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3")
-def project(x, p, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, p1):
-    """Write the momenta without their parts along the constraints."""
-    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
-    L = min(count, LANES)
-    X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
-    work = _workspace(graph, L, 0)
-    for start in range(0, count, L):
-        gather(x, first, count, start, X)
-        gather(p, first, count, start, P)
-        _project(X, P, graph, work)
-        add_to_sums(P, work.projection)
         scatter(P, first, count, start, p1)

@@ -75,10 +75,11 @@ class Graph(NamedTuple):
     right: Indices
 
 
-def drift(
+def advance(
     x: Array,
     p: Array,
     t: float,
+    moves: bool,
     first: int,
     count: int,
     inverse: Array,
@@ -101,6 +102,8 @@ def drift(
     ----------
     x, p : (2, 3, M) or (1, 3, M) arrays
     t : float
+    moves : bool
+        If not, nothing moves: the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all.
     first, count : int
         The first column of the kind, and its number of clusters.
     inverse, pairs, lengths, weights, rows, columns, starts, left, right
@@ -109,34 +112,16 @@ def drift(
         For the results; they may be x and p.
     """
     graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
+    X, P = _of_kind(x, first, count, graph), _of_kind(p, first, count, graph)
     with np.errstate(all="ignore"):  # what is not finite stays in its own cluster
-        X, P = _moved(graph, _of_kind(x, first, count, graph), _of_kind(p, first, count, graph), t, HALVINGS)
+        X, P = _moved(graph, X, P, t, HALVINGS) if moves else (X, _projected(graph, X, P))
     _of_kind(x1, first, count, graph)[:], _of_kind(p1, first, count, graph)[:] = X, P
 
 
-def project(
-    x: Array,
-    p: Array,
-    first: int,
-    count: int,
-    inverse: Array,
-    pairs: Indices,
-    lengths: Array,
-    weights: Array,
-    rows: Indices,
-    columns: Indices,
-    starts: Indices,
-    left: Indices,
-    right: Indices,
-    p1: Array,
-) -> None:
-    """Write the momenta without their parts along the constraints, so that r_c.r_c' = 0; arguments as in `drift`."""
-    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
-    P = _of_kind(p, first, count, graph)
-    with np.errstate(all="ignore"):
-        r, _ = _vectors(graph, _of_kind(x, first, count, graph))
-        slip = _slip(graph, factor(graph, r), r, P)
-        _of_kind(p1, first, count, graph)[:] = add(P, _on_atoms(graph, -slip * r))
+def _projected(graph: Graph, x: Array, p: Array) -> Array:
+    """Return momenta (., 3, n, N) without their parts along the constraints."""
+    r, _ = _vectors(graph, x)
+    return add(p, _on_atoms(graph, -_slip(graph, factor(graph, r), r, p) * r))
 
 
 def _of_kind(x: Array, first: int, count: int, graph: Graph) -> Array:
