@@ -7,7 +7,7 @@ which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator 
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
-those of the survey with --leave. --methods runs what it names instead, and neither surveys nor draws: "Verlet", "W2_4",
+those of the survey with --leave. --methods runs what it names instead of a survey and its best: "Verlet", "W2_4",
 "W2_4 nested", "W2_4 nested with 1-4", and "W2_4 nested: S2_2 x 8" with an inner scheme and its steps a step. Rows go to
 out/benchmarks/peptide_*.csv, with processor time (one thread) per ps; what stands there is not run again, so that the
 same command goes on after a break. Pictures lie beside. --quick runs a short version.
@@ -34,7 +34,7 @@ import matplotlib.pyplot as plt
 PEPTIDE = Path(__file__).parent.parent / "examples" / "data" / "alanine_dipeptide.pdb"
 CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "None": None}
 RATES = (250, 500, 1000, 2000)
-SCHEMES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_14a")
+SCHEMES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_14a", "ABA_8_6_4")
 #: How our schemes are run; names of methods end so.
 PLAIN, NESTED, WITH_PAIRS = "", " nested", " nested with 1-4"
 FAMILIES = ("Verlet", "MTSIntegrator", "plain", "nested", "nested with 1-4")
@@ -155,24 +155,23 @@ class Table:
 
 
 def run(constraints, waters, n_starts, leave, duration, rates, survey, named):
-    """Survey all methods, run the best ones for long, print a table and draw it; or run the named ones alone."""
+    """Survey all methods and run the best ones for long, or run the named ones; print a table and draw it."""
     system, positions = droplet(waters, constraints)
     starts = equilibrated(system, positions, "Reference", 5.0, leave + n_starts)
     apart = f"_after_{leave}" if leave else ""
     long = Table(OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
-    if named:
+    for method in named or ():
         for rate in rates:
-            for method in named:
-                long.add(system, starts[leave:], duration, method, rate)
-        return
-    short = Table(OUT / f"peptide_{constraints}_survey.csv")
-    for rate in rates:
-        for method in methods():
-            short.add(system, starts[: survey[0]], survey[1], method, rate)
-    for rate in rates:
-        for kind in FAMILIES:
-            for method in short.best(rate, kind, BEST):
-                long.add(system, starts[leave:], duration, method, rate)
+            long.add(system, starts[leave:], duration, method, rate)
+    if not named:
+        short = Table(OUT / f"peptide_{constraints}_survey.csv")
+        for rate in rates:
+            for method in methods():
+                short.add(system, starts[: survey[0]], survey[1], method, rate)
+        for rate in rates:
+            for kind in FAMILIES:
+                for method in short.best(rate, kind, BEST):
+                    long.add(system, starts[leave:], duration, method, rate)
     for column, what in ((0, "windows of 0.5 ps"), (1, f"whole runs of {duration:g} ps")):
         print_table(long, rates, column, what)
     draw(long, rates, constraints, waters)
@@ -222,7 +221,9 @@ def main():
     parser.add_argument("--waters", type=int, default=32, metavar="N", help="molecules of water (%(default)s)")
     parser.add_argument("--starts", type=int, default=6, metavar="N", help="starts (%(default)s)")
     parser.add_argument("--duration", type=float, default=10.0, metavar="PS", help="ps from each start (%(default)s)")
-    parser.add_argument("--leave", type=int, default=0, metavar="N", help="starts that long runs leave out (%(default)s)")
+    parser.add_argument(
+        "--leave", type=int, default=0, metavar="N", help="starts that long runs leave out (%(default)s)"
+    )
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods to run instead of a survey")
     parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations per ps")
     parser.add_argument("--quick", action="store_true", help="short runs")

@@ -62,8 +62,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Scheme of the inner steps; if it is not given S2_2, or SRKN4_6b in schemes of higher order than 2 or with force
         gradients.
     innerSteps : int, optional
-        Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an inner force
-        evaluation for each twentieth of the shortest period of the bonds and angles that are nested, or more.
+        Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an evaluation
+        for each twentieth of the shortest period of nested bonds and angles, with SRKN4_6b each eightieth, or more.
     engine : {"host", "device", "auto"}, optional
         Who carries the steps out. "host": compiled kernels of this package. "device": a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device where

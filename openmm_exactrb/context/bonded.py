@@ -52,8 +52,15 @@ def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
     Raises
     ------
     ValueError
-        If the other forces are in all groups, or exceptions to be moved depend on parameters of the Context.
+        If it is no System, the other forces are in all groups, or exceptions to be moved depend on parameters of the
+        Context.
     """
+    if not isinstance(system, openmm.System):
+        raise ValueError(
+            f"separate_bonded() takes an openmm.System, before a Simulation is made of it, not {type(system).__name__}"
+        )
+    if not isinstance(exceptions, bool):
+        raise ValueError(f"exceptions must be True or False, not {exceptions!r}")
     if exceptions:
         for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
             _move_exceptions(system, force)

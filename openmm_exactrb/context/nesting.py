@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import operator
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,11 +17,11 @@ from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import DRIFT, FAST, KICK, Word, nested
 
-#: The longest time between two kicks of the fast forces, over the period of the fastest bond or angle by itself.
-SHARE = 0.05
-# Inner schemes for outer ones of order 2, and for those of higher order or with force gradients: there the errors of an
-# inner scheme of order 2 would be what is left.
-_COARSE, _FINE = "S2_2", "SRKN4_6b"
+# Inner schemes, and the longest time between two kicks of the fast forces over the period of the fastest bond or angle:
+# for outer schemes of order 2, and for those of higher order or with force gradients. These are for small errors, which
+# with the first would be those of the inner scheme. With the second and a kick for each twentieth of the period they
+# still were, of SRKN4_6b with 2000 evaluations of the other forces per ps (docs: Any molecule).
+_COARSE, _FINE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125)
 
 
 @dataclass(frozen=True)
@@ -54,15 +56,31 @@ class Nesting:
             raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
         if steps is not None:
             steps = whole(steps, "innerSteps")
-        if fast is None or fast == "bonded":
-            return None if fast is None else cls("bonded", scheme, steps)
-        if isinstance(fast, str) or not all(isinstance(g, int) and 0 <= g < 32 for g in fast) or not len(fast):
-            raise ValueError(f'fast is None, "bonded" or force groups such as (1, 2), not {fast!r}')
-        return cls(tuple(sorted(set(fast))), scheme, steps)
+        if fast is None:
+            if scheme or steps:
+                raise ValueError(
+                    'inner and innerSteps are for nested forces: name these with fast="bonded", for example'
+                )
+            return None
+        return cls("bonded" if isinstance(fast, str) and fast == "bonded" else _groups(fast), scheme, steps)
 
     def arguments(self) -> dict[str, Any]:
         """Return what an integrator that nests the same is made with."""
         return {"fast": self.fast, "inner": self.scheme, "innerSteps": self.steps}
+
+
+def _groups(fast: Any) -> tuple[int, ...]:
+    """Return the force groups that a user names, each once."""
+    try:
+        groups = {operator.index(group) for group in fast}
+    except TypeError:  # a number, a force, or names
+        groups = set()
+    if not groups or not groups <= set(range(32)):
+        raise ValueError(
+            f'fast is None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: force.getForceGroup() '
+            "tells the one of a force"
+        )
+    return tuple(sorted(groups))
 
 
 @dataclass(frozen=True)
@@ -89,19 +107,17 @@ class Nested:
         """The force groups as OpenMM takes them."""
         return sum(1 << group for group in self.groups)
 
-    def inner_steps(self, inner: Scheme, time: float) -> int:
-        """Return how many inner steps the fast forces need in a time (ps), if nobody has told it."""
-        return math.ceil(time * self.frequency / (2.0 * math.pi * SHARE * inner.stages))
-
     def put_into(self, scheme: Scheme, h: float) -> Scheme:
         """Return a scheme with the fast forces in its drifts, for steps of h (ps)."""
         if not self.groups:
             return scheme
-        own = self.scheme or look_up(_COARSE if scheme.order <= 2 and not scheme.gradients else _FINE)
+        usual, share = _COARSE if scheme.order <= 2 and not scheme.gradients else _FINE
+        own = self.scheme or look_up(usual)
+        kicks = abs(h) * self.frequency / (2.0 * math.pi * share)  # in a step
         inner = tuple((FAST if letter == KICK else letter, part) for letter, part in own.word)
 
         def within(word: Word) -> Word:
-            return nested(word, DRIFT, inner, self.steps or (lambda part: self.inner_steps(own, part * abs(h))))
+            return nested(word, DRIFT, inner, self.steps or (lambda part: math.ceil(part * kicks / own.stages)))
 
         return replace(scheme, word=within(scheme.word), processor=within(scheme.processor))
 

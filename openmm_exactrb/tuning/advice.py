@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.measurements import Measurements
-from openmm_exactrb.tuning.movers import NestedScheme
+from openmm_exactrb.tuning.movers import NestedScheme, is_nested, moves_exceptions
 from openmm_exactrb.tuning.record import Choice
 from openmm_exactrb.tuning.result import Tuning
 from openmm_exactrb.tuning.search import Found, search
@@ -28,7 +29,7 @@ from openmm_exactrb.tuning.thermal import thermalised
 CANDIDATES = ("V2", "S2_2", "S2_4", "W2_4", "Chin4A", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a")
 
 #: Schemes that are tried with nested bonded forces unless others are named.
-NESTED_CANDIDATES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "SRKN4_6b")
+NESTED_CANDIDATES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "SRKN4_6b", "ABA_8_6_4")
 
 # Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
 # for which errors are promised, in units of that.
@@ -101,7 +102,8 @@ def tune(
         system unless given (1.5 ps for water), or a tenth of a named horizon, if that is longer, up to four times this.
     nest : bool, optional
         Whether schemes are tried with ``fast="bonded"`` too, where the System has bonds and angles that move and they
-        have force groups of their own (`openmm_exactrb.separate_bonded`): those named, or `NESTED_CANDIDATES`.
+        have force groups of their own (`openmm_exactrb.separate_bonded`): those named, or `NESTED_CANDIDATES`. A note
+        tells what the exceptions of NonbondedForces would bring within the drifts.
     levels : int, optional
         Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
     seed : int, optional
@@ -144,7 +146,8 @@ def tune(
         length = usual if named is None else min(max(usual, named / _LONGER), _LONGEST * usual)
     confirmation, promised = (_CONFIRM * length, _LONGER * length) if named is None else (named, named)
     measured = Measurements(bench, [*chosen, *inner], length, confirmation, promised, report or (lambda line: None))
-    return _result(measured, search(measured, wanted, levels), wanted, notes)
+    found = search(measured, wanted, levels)
+    return _result(measured, found, wanted, notes + _of_exceptions(measured, found, wanted))
 
 
 def _result(measured: Measurements, found: Found, target: float | None, notes: list[str]) -> Tuning:
@@ -178,6 +181,31 @@ def _nested(system: openmm.System, schemes: Sequence[str | Scheme] | None) -> tu
     except ValueError as reason:
         return [], [f"no nested schemes were tried: {reason}"]
     return [NestedScheme(scheme) for scheme in _schemes(NESTED_CANDIDATES if schemes is None else schemes)], []
+
+
+def _of_exceptions(measured: Measurements, found: Found, target: float | None) -> list[str]:
+    """Return a note on what the exceptions of NonbondedForces would bring within the drifts, after a run with them.
+
+    At the chosen setting, or without a target at the cheapest nested one, where it matters the most.
+    """
+    points = [p for name in measured.schemes() if is_nested(name) for p in measured.curve(name)]
+    point = found.chosen if target is not None else min(points, key=lambda p: p.cost, default=None)
+    if point is None or not is_nested(point.method):
+        return []
+    try:
+        if not moves_exceptions(measured.bench.start.system):
+            return []
+    except ValueError:  # they cannot be moved
+        return []
+    error = measured.with_exceptions(point)
+    if math.isinf(error):
+        return []
+    ratio = point.error / error
+    compared = f"{ratio:.2g} times less" if ratio > 1.0 else f"{1.0 / ratio:.2g} times more, so leave them"
+    return [
+        f"with exceptions of the NonbondedForce within the drifts too, by separate_bonded(system, exceptions=True), "
+        f"{point.method} leaves {error:.1e} kJ/mol per body at {1e3 * point.step:.4g} fs: {compared}"
+    ]
 
 
 def _schemes(names: Sequence[str | Scheme]) -> list[Scheme]:

@@ -79,6 +79,12 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
         ({"fast": "angles"}, 'fast is None, "bonded" or force groups'),
         ({"fast": (32,)}, 'fast is None, "bonded" or force groups'),
         ({"fast": ()}, 'fast is None, "bonded" or force groups'),
+        ({"fast": 1}, 'fast is None, "bonded" or force groups'),
+        ({"fast": (0.5,)}, 'fast is None, "bonded" or force groups'),
+        ({"fast": openmm.NonbondedForce()}, r"force\.getForceGroup\(\) tells"),
+        ({"fast": (openmm.NonbondedForce(),)}, r"force\.getForceGroup\(\) tells"),
+        ({"inner": "S2_2"}, "name these with fast="),
+        ({"innerSteps": 2}, "name these with fast="),
         ({"fast": "bonded", "inner": "V2_C17"}, "drifts and kicks alone"),
         ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
     ],
@@ -86,6 +92,22 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
 def test_what_is_no_nesting_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         rb.ExactRigidBodyIntegrator(0.001, **options)
+
+
+@pytest.mark.parametrize(("given", "name"), [(None, "NoneType"), (app.Topology(), "Topology")])
+def test_only_a_system_has_bonded_forces(given, name):
+    with pytest.raises(ValueError, match=rf"takes an openmm\.System, before a Simulation .* not {name}"):
+        rb.separate_bonded(given)
+
+
+def test_groups_may_be_whole_numbers_of_numpy():
+    integrator = rb.ExactRigidBodyIntegrator(0.001, fast=np.array([2, 1, 2]))
+    assert integrator.getNesting().fast == (1, 2)
+
+
+def test_exceptions_are_moved_or_not():
+    with pytest.raises(ValueError, match="exceptions must be True or False, not 'yes'"):
+        rb.separate_bonded(peptide()[1], exceptions="yes")
 
 
 def test_copies_nest_as_the_original_does():

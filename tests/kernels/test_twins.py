@@ -97,9 +97,7 @@ NAMES = sorted(file.stem for file in Path(kernels.__file__).parent.glob("plain/[
 def test_clusters_have_the_same_arguments():
     """Their suite, tests/motion/test_clusters.py, runs over both twins."""
     plain, compiled = (twins.clusters for twins in TWINS)
-    names = [
-        list(inspect.signature(getattr(f, "py_func", f)).parameters) for f in (plain.advance, compiled.advance)
-    ]
+    names = [list(inspect.signature(getattr(f, "py_func", f)).parameters) for f in (plain.advance, compiled.advance)]
     assert names[0] == names[1]
 
 

@@ -103,7 +103,7 @@ def advance(
     x, p : (2, 3, M) or (1, 3, M) arrays
     t : float
     moves : bool
-        If not, nothing moves: the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all.
+        If not, the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all.
     first, count : int
         The first column of the kind, and its number of clusters.
     inverse, pairs, lengths, weights, rows, columns, starts, left, right
