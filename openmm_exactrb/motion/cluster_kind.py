@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Constraints that a cluster may have.
-LARGEST = 1000
+LARGEST = 3000
 #: Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
 INDEPENDENT = 1e-9
 
@@ -84,14 +84,13 @@ class ClusterKind:
     @cached_property
     def graph(self) -> Graph:
         """What the kernels take, with constraints in an order that keeps the factor sparse."""
-        coupling = self.coupling
-        order, rows, columns, starts, left, right = eliminated(coupling != 0.0)
+        order, rows, columns, starts, left, right = eliminated(self._neighbours())
         row_of = np.repeat(np.arange(len(order)), np.diff(rows))
         return Graph(
             1.0 / self.masses,
             np.ascontiguousarray(self.pairs[order]),
             self.lengths[order],
-            coupling[order[row_of], order[columns]],
+            self._coupling(order[row_of], order[columns]),
             rows,
             columns,
             starts,
@@ -102,11 +101,24 @@ class ClusterKind:
     @cached_property
     def coupling(self) -> Array:
         """The matrix B_cd = sum_a s_ca s_da / m_a (m, m)."""
-        signs = np.zeros((len(self.pairs), len(self.masses)))
         each = np.arange(len(self.pairs))
-        signs[each, self.pairs[:, 0]], signs[each, self.pairs[:, 1]] = 1.0, -1.0
-        coupling: Array = (signs / self.masses) @ signs.T
+        return self._coupling(each[:, None], each)
+
+    def _coupling(self, c: Indices, d: Indices) -> Array:
+        """Return B_cd of constraints c and d."""
+        (i, j), inverse = self.pairs.T, 1.0 / self.masses
+        first = np.where(i[c] == i[d], 1.0, 0.0) - (i[c] == j[d])
+        second = np.where(j[c] == j[d], 1.0, 0.0) - (j[c] == i[d])
+        coupling: Array = first * inverse[i[c]] + second * inverse[j[c]]
         return coupling
+
+    def _neighbours(self) -> list[set[int]]:
+        """Return for each constraint the others that have an atom with it in common."""
+        of_atom: list[set[int]] = [set() for _ in self.masses]
+        for c, ends in enumerate(self.pairs.tolist()):
+            for atom in ends:
+                of_atom[atom].add(c)
+        return [(of_atom[i] | of_atom[j]) - {c} for c, (i, j) in enumerate(self.pairs.tolist())]
 
     def name(self, cluster: int) -> str:
         """Say which particles a cluster consists of."""

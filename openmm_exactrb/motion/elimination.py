@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import heapq
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 Indices = NDArray[np.int64]
 
 
-def eliminated(coupled: NDArray[np.bool_]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
+def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
     """Find an order of elimination with little fill, and all products that the factorisation takes.
 
     Next is always one of those that are coupled to the fewest others; a chain of constraints, or any tree, then has no
@@ -16,8 +19,8 @@ def eliminated(coupled: NDArray[np.bool_]) -> tuple[Indices, Indices, Indices, I
 
     Parameters
     ----------
-    coupled : (m, m) array of bool
-        Where a symmetric matrix is not zero.
+    coupled : sequence of set of int
+        Of each row of a symmetric matrix, the columns beside the diagonal that are not zero.
 
     Returns
     -------
@@ -51,17 +54,22 @@ def eliminated(coupled: NDArray[np.bool_]) -> tuple[Indices, Indices, Indices, I
     return tuple(numbers)  # type: ignore[return-value]
 
 
-def _minimum_degree(coupled: NDArray[np.bool_]) -> tuple[list[int], list[set[int]]]:
+def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:
     """Return the order, and the columns left of the diagonal of each row of the factor."""
-    neighbours = {c: set(np.flatnonzero(row).tolist()) - {c} for c, row in enumerate(coupled)}
+    neighbours = {c: set(others) for c, others in enumerate(coupled)}
+    waiting = [(len(others), c) for c, others in neighbours.items()]
+    heapq.heapify(waiting)
     left_of: dict[int, set[int]] = {c: set() for c in neighbours}
     order: list[int] = []
-    while neighbours:
-        chosen = min(neighbours, key=lambda c: (len(neighbours[c]), c))
+    while waiting:
+        degree, chosen = heapq.heappop(waiting)
+        if degree != len(neighbours.get(chosen, ())) or chosen not in neighbours:
+            continue  # it has had another degree since
         clique = neighbours.pop(chosen)
         for c in clique:
             neighbours[c] |= clique - {c}
             neighbours[c].discard(chosen)
             left_of[c].add(len(order))
+            heapq.heappush(waiting, (len(neighbours[c]), c))
         order.append(chosen)
     return order, [left_of[c] for c in order]

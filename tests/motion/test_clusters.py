@@ -379,7 +379,7 @@ def test_a_star_on_a_line_is_no_singular_place(which, kernel):
     assert largest_difference(in_mpf(clusters, clusters.drift(state, 0.002))[0], x1) < 1e-17
 
 
-def test_a_chain_of_a_thousand_constraints_moves_as_well(rng):
+def test_a_chain_of_thousands_of_constraints_moves_as_well(rng):
     """The factor of a tree has no fill: cost and memory grow with the number of constraints."""
     n = LARGEST + 1
     steps = rng.standard_normal((n, 3))
