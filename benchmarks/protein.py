@@ -36,6 +36,7 @@ METHODS = {
     "S2_3 nested, 3 S2_2": ("S2_3", {"fast": "bonded", "inner": "S2_2", "innerSteps": 3}),
     "S2_3 nested, 9 V2": ("S2_3", {"fast": "bonded", "inner": "V2", "innerSteps": 9}),
     "S2_3 nested with 1-4": ("S2_3", {"fast": "bonded"}),
+    "W2_1 nested with 1-4": ("W2_1", {"fast": "bonded"}),
 }
 WITH_PAIRS = "with 1-4"
 #: Steps of MTSIntegrator's bonded forces, in ps.
