@@ -20,7 +20,6 @@ from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain, refuse_temperature
-from openmm_exactrb.device import names
 from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.engine import Device, device
@@ -91,7 +90,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         refuse_temperature(stepSize, scheme)
         self._nesting = Nesting.of(fast, inner, innerSteps)
@@ -100,7 +99,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._engine = Chosen(engine, self._steps(), self._rotor, self._nesting is not None, self._bath_in_steps)
+        options = self._rotor, self._nesting is not None, self._bath_in_steps, self._kept_numbers()
+        self._engine = Chosen(engine, self._steps(), *options)
         self._engine.declare(self)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
@@ -141,11 +141,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         super().setStepSize(picoseconds(size))
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
-        bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
-        super().setIntegrationForceGroups(bits & names.OTHERS if self._engine.programmed else bits)
+        """Set which force groups act, as a set or by their bits."""
+        self._engine.act(self, groups if isinstance(groups, int) else sum(1 << group for group in groups))
         if isinstance(self._host, Device):
             self._host = None  # OpenMM reads the groups where it makes the kernels
+
+    def getIntegrationForceGroups(self) -> int:
+        """Return the bits of the force groups that act, as they were set."""
+        return self._engine.groups
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
@@ -153,10 +156,13 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             self._present()
         return "device" if self._engine.on_device else "host"
 
+    def preferEngine(self, engine: Engine) -> None:
+        """With engine="auto": have the engine of a run that goes on, without a measurement, where the Context can."""
+        self._engine.prefer(engine)
+
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        if self._engine.open:
-            self._present()
+        self.getEngine()
         return self._engine.note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
@@ -359,6 +365,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme
 
+    def _kept_numbers(self) -> tuple[str, ...]:  # what the steps add up
+        return ()
+
     def _plan(self, context: openmm.Context) -> host.Plan:
         return host.Plan(self._steps(), self._makers)
 
@@ -370,14 +379,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _present(self) -> host.Host:
         """Return what moves the bodies of the present Context."""
-        if self._host is None or self._host.session.outdated:
+        if self._host is None or self._host.session.outdated or self._engine.overtaken(self):
             context = self._context and self._context()
             context = context or find_context(self)
             self._engine.settle(context, self)
+            options = context, self, self._rotor, self._bodies, self.timings
             if self._engine.on_device:
-                self._host = device(context, self, self._rotor, self._bodies, self.timings)
+                self._host = device(*options, self._engine)
             else:
-                self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
+                self._engine.withdraw(context, self)
+                self._host = host.host(*options, self._nesting)
         return self._host
 
 

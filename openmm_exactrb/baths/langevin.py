@@ -75,7 +75,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setFriction(frictionCoeff)
