@@ -63,10 +63,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     innerSteps : int, optional
         Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an inner force
         evaluation for each twentieth of the shortest period of the bonds and angles that are nested, or more.
-    engine : {"host", "device", "auto"}, optional
+    engine : {"auto", "host", "device"}, optional
         Who carries the steps out. "host": compiled kernels of this package. "device": a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device where
-        it can be and a few steps of both show that it is no slower; `engineNote` says why.
+        it can be and a few steps show that the host is not much faster; `engineNote` says why.
 
     Raises
     ------
@@ -153,10 +153,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
         if self._engine.open:
-            self._present()
+            self._engine.settle(self._found(), self)
         return "device" if self._engine.on_device else "host"
 
-    def preferEngine(self, engine: Engine) -> None:
+    def preferEngine(self, engine: str) -> None:
         """With engine="auto": have the engine of a run that goes on, without a measurement, where the Context can."""
         self._engine.prefer(engine)
 
@@ -221,9 +221,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             If there is no Context yet, nothing in the System can move, a barostat would tear bodies, or positions are
             not finite or not rigid. The state stays what it was.
         NonFiniteError
-            If numbers of a body become infinite or nan, it is faster than light, or energy comes from nowhere. The
-            Context then holds the state after the last good step; with a processed scheme, that before this call. So it
-            does after any other error in a force.
+            If numbers of a body become infinite, it is faster than light, or energy comes from nowhere. As after any
+            other error the Context holds the last good step; on the device or with a processor, that before this call.
         """
         with self.timings.measuring():
             present = self._present()
@@ -255,12 +254,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational temperature of the bodies; nan of what has no freedom."""
-        pairs = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True)
-        translational, rotational = (
-            (2.0 * energy / ((freedom or math.nan) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
-            for energy, freedom in pairs
-        )
-        return translational, rotational
+        pairs, R = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True), unit.MOLAR_GAS_CONSTANT_R
+        one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
+        return one, other
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
@@ -306,12 +302,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def getSettings(self) -> dict[str, dict[str, Any]]:
         """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = {
-            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
-            "scheme": self._scheme,
-            "rotor": rotor,
-            "bodies": self._bodies,
-        }
+        h = self.getStepSize().value_in_unit(unit.picosecond)
+        arguments = {"stepSize": h, "scheme": self._scheme, "rotor": rotor, "bodies": self._bodies}
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
         settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
         return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
@@ -350,11 +342,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Copy and pickle the settings; a copy has no Context."""
         return _restored, (type(self), *self.getSettings().values())
 
-    def __copy__(self) -> ExactRigidBodyIntegrator:
+    def __copy__(self) -> Any:
         """Return an integrator with the same settings and no Context."""
         return _restored(type(self), *self.getSettings().values())
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
 
@@ -377,11 +369,13 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         parts.session.take_up()
         return parts
 
+    def _found(self) -> Any:
+        return (self._context and self._context()) or find_context(self)
+
     def _present(self) -> host.Host:
         """Return what moves the bodies of the present Context."""
         if self._host is None or self._host.session.outdated or self._engine.overtaken(self):
-            context = self._context and self._context()
-            context = context or find_context(self)
+            context = self._found()
             self._engine.settle(context, self)
             options = context, self, self._rotor, self._bodies, self.timings
             if self._engine.on_device:
@@ -396,12 +390,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
-def _restored(
-    kind: type[ExactRigidBodyIntegrator],
-    arguments: dict[str, Any],
-    settings: dict[str, Any],
-    makers: dict[str, Maker],
-) -> ExactRigidBodyIntegrator:
+def _restored(kind: Any, arguments: dict[str, Any], settings: dict[str, Any], makers: dict[str, Maker]) -> Any:
     """Return an integrator with the settings of another one."""
     integrator = kind(**arguments)
     for name, value in settings.items():

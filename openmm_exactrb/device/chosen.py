@@ -7,7 +7,7 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.context import account, ledger
+from openmm_exactrb.context import account, arrays, ledger
 from openmm_exactrb.device import choice, emit, gather, names, trial
 from openmm_exactrb.device.contexts import rebind
 from openmm_exactrb.motion.bodies import RigidBodies
@@ -87,8 +87,9 @@ class Chosen:
         self._preferred = choice.named(engine)
 
     def overtaken(self, integrator: openmm.CustomIntegrator) -> bool:
-        """Tell whether a checkpoint of the other engine was loaded since this one was chosen."""
-        return self.open and _began(integrator) not in (None, "device" if self.on_device else "host")
+        """Tell whether the program is not that of the chosen engine, or has another one's checkpoint in its numbers."""
+        program = "host" if self._group is None else "device"
+        return self.open and (self.on_device != (program == "device") or _began(integrator) not in (None, program))
 
     def settle(self, context: Any, integrator: Any) -> None:
         """Choose the engine for a Context, and note why.
@@ -132,6 +133,10 @@ class Chosen:
         began = _began(integrator) or self._preferred
         if began in ("host", "device"):
             return began == "device", f"the run began with engine={began!r}"
+        if not arrays.positions(context.getState(positions=True)).any():
+            raise ValueError(
+                "the Context has no positions yet, so that no engine can be chosen: call setPositions first"
+            )
         return trial.verdict(context, integrator)
 
     def _rebind(self, context: Any, integrator: openmm.CustomIntegrator, group: int | None) -> None:

@@ -31,6 +31,8 @@ from openmm_exactrb.schemes.word import DRIFT
 # How much faster bodies may come to turn within a call than at its start, and the least rotations of a drift, for those
 # that begin at rest: first, and when that was not enough.
 _HASTE = ((1.75, 1), (5.0, 4), (20.0, 16))
+# More rotations of a drift are not tried again: steps are far too long then, not bodies too fast.
+_MOST = 256
 
 
 @dataclass
@@ -69,9 +71,12 @@ class Device(Host):
             integrator.setGlobalVariableByName(name, value)
         if plan.numbers:
             load.seed(integrator, self._replicas.bodies, plan.seed, before.step)
-        for haste, least in _HASTE:
+        for number, (haste, least) in enumerate(_HASTE):
+            turns = max(least, self._turns(integrator, scheme, haste))
+            if number and turns > _MOST:
+                break
             try:
-                finite = self._attempt(integrator, scheme, n, max(least, self._turns(integrator, scheme, haste)))
+                finite = self._attempt(integrator, scheme, n, turns)
                 gain = self._gained(integrator, plan.kT, before) if finite else None
             except BaseException:
                 self._go_back(integrator, before)

@@ -18,7 +18,7 @@ _ROUND, _STEPS, _ROUNDS = 0.02, 64, 5
 # The device is taken unless it needs this many times the host's time: noise of the times is far below, so that two
 # processes on one machine choose alike unless both are about there.
 _MARGIN = 1.25
-_known: dict[tuple[Any, ...], tuple[float, float]] = {}
+known: dict[tuple[Any, ...], tuple[float, float]] = {}
 
 
 def verdict(context: Any, integrator: Any) -> tuple[bool, str]:
@@ -30,14 +30,14 @@ def verdict(context: Any, integrator: Any) -> tuple[bool, str]:
     platform, asked = context.getPlatform(), properties(context)
     scheme, particles = integrator.getScheme().name, context.getSystem().getNumParticles()
     key = (platform.getName(), *asked.items(), type(integrator), scheme, particles)
-    if key not in _known:
-        _known[key] = _timed(context, integrator)
-    device, host = _known[key]
+    if key not in known:
+        known[key] = timed(context, integrator)
+    device, host = known[key]
     note = f"{platform.getName()} needs {1e3 * device:.3g} ms for a step, the host with it {1e3 * host:.3g} ms"
     return device <= _MARGIN * host, note
 
 
-def _timed(context: Any, integrator: Any) -> tuple[float, float]:
+def timed(context: Any, integrator: Any) -> tuple[float, float]:
     """Return the seconds that a step takes on the device and on the host."""
     contexts = [_twin(context, integrator, kind) for kind in _KINDS]
     steps = [_enough(twin.getIntegrator()) for twin in contexts]

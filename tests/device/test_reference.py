@@ -185,30 +185,30 @@ def bath_or_none(engine, h, bath):
     return rb.ExactRigidBodyIntegrator(h, "W2_5", engine=engine)
 
 
-@pytest.mark.parametrize("bath", [False, True])
-def test_energy_from_nowhere_is_noticed(bath, droplet):
+@pytest.mark.parametrize(("engine", "bath"), [("host", False), ("device", False), ("device", True)])
+def test_energy_from_nowhere_is_noticed(engine, bath, droplet):
     system, positions = droplet
-    for engine in ("host", "device"):
-        integrator = bath_or_none(engine, 0.05, bath)
-        context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
-        context.setPositions(positions)
-        with pytest.raises(
-            rb.NonFiniteError, match=r"the kinetic energy rose from .* no force did.* The Context keeps"
-        ):
-            integrator.step(20)
-    np.testing.assert_allclose(shown(context)[0], positions._value, rtol=0.0, atol=1e-12)
-    assert np.abs(shown(context)[1]).max() < 1e-12
-    assert context.getStepCount() == 0
-    assert context.getTime()._value == 0.0
+    integrator = bath_or_none(engine, 0.05, bath)
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
+    context.setPositions(positions)
+    sentence = r"the kinetic energy rose from .* which no force did.* The Context keeps the state before this"
+    with pytest.raises(rb.NonFiniteError, match=sentence):
+        integrator.step(20)
+    if engine == "device":
+        np.testing.assert_allclose(shown(context)[0], positions._value, rtol=0.0, atol=1e-12)
+        assert np.abs(shown(context)[1]).max() < 1e-12
+        assert context.getStepCount() == 0
+        assert context.getTime()._value == 0.0
     integrator.setStepSize(0.001)
     integrator.step(5)
 
 
 def test_steps_far_too_long_stop(droplet):
-    device = context_of(*droplet, "device", h=2.0, scheme="W2_5")
+    device = context_of(*droplet, "device", h=0.5, scheme="W2_5")
     before = shown(device)
     with pytest.raises(rb.NonFiniteError, match="The Context keeps the state before this call"):
-        device.getIntegrator().step(5)
+        device.getIntegrator().step(2)
     np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
 
 
