@@ -45,7 +45,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         Friction of rotation; that of translation unless given.
     bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
-    engine : {"host", "device", "auto"}, optional
+    engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers: from the same seed, but the noise of a
         step depends on all steps before it. It has no `temperaturesAroundBath`.
 

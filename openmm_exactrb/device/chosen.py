@@ -131,6 +131,8 @@ class Chosen:
         if against:
             return False, against
         began = _began(integrator) or self._preferred
+        if self.note and began == ("device" if self.on_device else "host"):
+            return self.on_device, self.note
         if began in ("host", "device"):
             return began == "device", f"the run began with engine={began!r}"
         if not arrays.positions(context.getState(positions=True)).any():
