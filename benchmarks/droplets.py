@@ -128,72 +128,103 @@ def forces(R, q, sites, charges, sigma, epsilon, force, torque, x, f):
 
 
 @njit(error_model="numpy", cache=True)
-def _run(R, P, q, m, sites, charges, sigma, epsilon, mass, inertia, body, letters, parts, gradients, h, every, samples):
-    """Return the total energies before and after `samples` times `every` steps, nan from where the run blows up."""
-    k, n = sites.shape[0], R.shape[1]
-    x, f = np.empty((k, 3, n)), np.empty((k, 3, n))
-    force, torque = np.empty((3, n)), np.empty((3, n))
-    force1, torque1 = np.empty((3, n)), np.empty((3, n))
-    R1, q1 = np.empty((3, n)), np.empty((1, 4, n))
-    energies, tau = np.full(samples + 1, np.nan), np.empty(1)
-    known = False
+def _carry_out(R, P, q, m, known, word, h, body, molecule, work):
+    """Carry out a word of letters in place; `known` says whether the forces in `work` are those of the places."""
+    letters, parts, gradients = word
+    sites, charges, sigma, epsilon, mass, inertia = molecule
+    force, torque, force1, torque1, R1, q1, x, f = work
+    tau = np.empty(1)
+    for place in range(len(letters)):
+        tau[0] = parts[place] * h
+        if letters[place] == 0:
+            R += P * (tau[0] / mass)
+            exact.advance(body, q, m, tau, q, m)
+            known = False
+            continue
+        if not known:
+            forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
+            known = True
+        if letters[place] == 1:
+            P += force * tau[0]
+            m[0] += torque * tau[0]
+            continue
+        e = gradients[place] * tau[0] * tau[0]
+        for i in range(R.shape[1]):
+            v0 = e * torque[0, i] / inertia[0]
+            v1 = e * torque[1, i] / inertia[1]
+            v2 = e * torque[2, i] / inertia[2]
+            angle = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
+            c, s = math.cos(0.5 * angle), 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
+            a0, a1, a2, a3 = q[0, 0, i], q[0, 1, i], q[0, 2, i], q[0, 3, i]
+            b1, b2, b3 = s * v0, s * v1, s * v2
+            q1[0, 0, i] = a0 * c - a1 * b1 - a2 * b2 - a3 * b3
+            q1[0, 1, i] = a0 * b1 + a1 * c + a2 * b3 - a3 * b2
+            q1[0, 2, i] = a0 * b2 - a1 * b3 + a2 * c + a3 * b1
+            q1[0, 3, i] = a0 * b3 + a1 * b2 - a2 * b1 + a3 * c
+            for row in range(3):
+                R1[row, i] = R[row, i] + e * force[row, i] / mass
+        forces(R1, q1[0], sites, charges, sigma, epsilon, force1, torque1, x, f)
+        for i in range(R.shape[1]):
+            v0 = e * torque[0, i] / inertia[0]
+            v1 = e * torque[1, i] / inertia[1]
+            v2 = e * torque[2, i] / inertia[2]
+            m[0, 0, i] += tau[0] * (torque1[0, i] + v1 * torque[2, i] - v2 * torque[1, i])
+            m[0, 1, i] += tau[0] * (torque1[1, i] + v2 * torque[0, i] - v0 * torque[2, i])
+            m[0, 2, i] += tau[0] * (torque1[2, i] + v0 * torque[1, i] - v1 * torque[0, i])
+        P += force1 * tau[0]
+    return known
+
+
+@njit(error_model="numpy", cache=True)
+def _energy(R, P, q, m, molecule, work):
+    """Return the total energy, and leave the forces of the places in `work`."""
+    sites, charges, sigma, epsilon, mass, inertia = molecule
+    force, torque, _, _, _, _, x, f = work
+    energy = forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
+    for i in range(R.shape[1]):
+        for row in range(3):
+            energy += 0.5 * P[row, i] ** 2 / mass + 0.5 * m[0, row, i] ** 2 / inertia[row]
+    return energy
+
+
+@njit(error_model="numpy", cache=True)
+def _run(R, P, q, m, molecule, body, enter, step, leave, h, every, samples):
+    """Return the total energies before and after `samples` times `every` steps, nan from where the run blows up.
+
+    The state is in the coordinates of the steps; `leave` makes of it that of the problem, for each look.
+    """
+    k, n = molecule[0].shape[0], R.shape[1]
+    work = (
+        *(np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.empty((3, n))),
+        *(np.empty((3, n)), np.empty((1, 4, n)), np.empty((k, 3, n)), np.empty((k, 3, n))),
+    )
+    energies = np.full(samples + 1, np.nan)
+    processed = len(leave[0]) > 0
+    known = _carry_out(R, P, q, m, False, enter, h, body, molecule, work)
     for sample in range(samples + 1):
         for _ in range(every if sample else 0):
-            for place in range(len(letters)):
-                tau[0] = parts[place] * h
-                if letters[place] == 0:
-                    R += P * (tau[0] / mass)
-                    exact.advance(body, q, m, tau, q, m)
-                    known = False
-                    continue
-                if not known:
-                    forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
-                    known = True
-                if letters[place] == 1:
-                    P += force * tau[0]
-                    m[0] += torque * tau[0]
-                    continue
-                e = gradients[place] * tau[0] * tau[0]
-                for i in range(n):
-                    v0 = e * torque[0, i] / inertia[0]
-                    v1 = e * torque[1, i] / inertia[1]
-                    v2 = e * torque[2, i] / inertia[2]
-                    angle = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-                    c, s = math.cos(0.5 * angle), 0.5 if angle < 1e-9 else math.sin(0.5 * angle) / angle
-                    a0, a1, a2, a3 = q[0, 0, i], q[0, 1, i], q[0, 2, i], q[0, 3, i]
-                    b1, b2, b3 = s * v0, s * v1, s * v2
-                    q1[0, 0, i] = a0 * c - a1 * b1 - a2 * b2 - a3 * b3
-                    q1[0, 1, i] = a0 * b1 + a1 * c + a2 * b3 - a3 * b2
-                    q1[0, 2, i] = a0 * b2 - a1 * b3 + a2 * c + a3 * b1
-                    q1[0, 3, i] = a0 * b3 + a1 * b2 - a2 * b1 + a3 * c
-                    for row in range(3):
-                        R1[row, i] = R[row, i] + e * force[row, i] / mass
-                forces(R1, q1[0], sites, charges, sigma, epsilon, force1, torque1, x, f)
-                for i in range(n):
-                    v0 = e * torque[0, i] / inertia[0]
-                    v1 = e * torque[1, i] / inertia[1]
-                    v2 = e * torque[2, i] / inertia[2]
-                    m[0, 0, i] += tau[0] * (torque1[0, i] + v1 * torque[2, i] - v2 * torque[1, i])
-                    m[0, 1, i] += tau[0] * (torque1[1, i] + v2 * torque[0, i] - v0 * torque[2, i])
-                    m[0, 2, i] += tau[0] * (torque1[2, i] + v0 * torque[1, i] - v1 * torque[0, i])
-                P += force1 * tau[0]
-        energy = forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
-        known = True
-        for i in range(n):
-            for row in range(3):
-                energy += 0.5 * P[row, i] ** 2 / mass + 0.5 * m[0, row, i] ** 2 / inertia[row]
+            known = _carry_out(R, P, q, m, known, step, h, body, molecule, work)
+        if processed:
+            R2, P2, q2, m2 = R.copy(), P.copy(), q.copy(), m.copy()
+            _carry_out(R2, P2, q2, m2, known, leave, h, body, molecule, work)
+            energy = _energy(R2, P2, q2, m2, molecule, work)
+            known = False
+        else:
+            energy = _energy(R, P, q, m, molecule, work)
+            known = True
         if not abs(energy - (energies[0] if sample else energy)) < n:
             break
         energies[sample] = energy
+    _carry_out(R, P, q, m, known, leave, h, body, molecule, work)
     return energies
 
 
-def table(scheme):
-    """Return letters as numbers, parts, and strengths of gradients of the word of a scheme."""
+def table(scheme, word):
+    """Return letters as numbers, parts, and strengths of gradients of a word of a scheme."""
     strengths = dict(scheme.gradients)
-    letters = [0 if letter == DRIFT else 1 if letter == KICK else 2 for letter, _ in scheme.word]
-    parts = [part for _, part in scheme.word]
-    return np.array(letters), np.array(parts), np.array([strengths.get(letter, 0.0) for letter, _ in scheme.word])
+    letters = [0 if letter == DRIFT else 1 if letter == KICK else 2 for letter, _ in word]
+    numbers = [part for _, part in word], [strengths.get(letter, 0.0) for letter, _ in word]
+    return np.array(letters, dtype=np.int64), *(np.array(row, dtype=float) for row in numbers)
 
 
 def run(model, state, scheme, h, duration, interval=0.02):
@@ -203,7 +234,8 @@ def run(model, state, scheme, h, duration, interval=0.02):
     every = max(1, round(interval / h))
     samples = max(1, round(duration / (every * h)))
     body = constants(model.inertia[:, None].copy())
-    energies = _run(R, P, q, m, *model[:5], model.inertia, body, *table(scheme), h, every, samples)
+    words = (table(scheme, word) for word in (scheme.processor, scheme.word, scheme.postprocessor))
+    energies = _run(R, P, q, m, (*model,), body, *words, h, every, samples)
     return energies / R.shape[1], BodyState(R, P, q[0], m[0])
 
 

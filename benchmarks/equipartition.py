@@ -30,17 +30,18 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
+from openmm_exactrb.ensemble.store import Store
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
-CUTOFF = 0.85  # nm
+CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
 BAROSTAT = 0.05  # ps between two moves of the barostat
 LOOKED, SAMPLED = 0.01, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
-BLOCK = 5.0  # ps, of the block averages
+BLOCK = {"NVT": 5.0, "NPT": 25.0}  # ps, of the block averages: long against what energy and volume remember
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 LFM = "LangevinMiddle"
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
@@ -64,6 +65,7 @@ def system_of(model: str, n: int, pressure: float | None, every: int):
         model=model,
         nonbondedMethod=app.PME,
         nonbondedCutoff=CUTOFF,
+        switchDistance=SWITCH,
         ewaldErrorTolerance=1e-4,
     )
     if pressure is not None:
@@ -184,12 +186,12 @@ def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
     return {"U": state.getPotentialEnergy()._value / n, "density": mass * 1.66053906892 / volume}
 
 
-def mean_and_error(runs: list[dict], quantity) -> tuple[float, float]:
-    """Return the mean of a quantity and its error, from blocks."""
+def mean_and_error(runs: list[dict], quantity, block: float) -> tuple[float, float]:
+    """Return the mean of a quantity and its error, from blocks of this many ps."""
     blocks = []
     for run in runs:
         values = quantity({name: np.array(series) for name, series in run["samples"].items()})
-        size = max(1, round(BLOCK / run["interval"]))
+        size = max(1, round(block / run["interval"]))
         blocks += [values[i : i + size].mean() for i in range(0, len(values) - size + 1, size)]
     return float(np.mean(blocks)), float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
 
@@ -228,22 +230,31 @@ def main() -> None:
         ]
         for point in points
     }
-    flat = [recipe for of_point in recipes.values() for recipe in of_point]
-    outcomes = ensemble.run(flat, args.out / "runs", workers=args.workers)
-    by_key = {outcome.recipe.key: outcome for outcome in outcomes}
+    results = finished(list(itertools.chain(*recipes.values())), args)
     rows = []
     for point, of_point in recipes.items():
-        found = [by_key[recipe.key] for recipe in of_point]
-        done = [outcome.result for outcome in found if outcome.error is None]
-        failed = len(found) - len(done)
-        if failed:
-            print(f"{point}: {failed} of {len(found)} runs failed: {next(o.error for o in found if o.error)}")
+        done = [results[recipe.key] for recipe in of_point if recipe.key in results]
         if done:
-            rows.append(
-                (*point, args.length * len(done), {q: mean_and_error(done, f) for q, f in quantities(point[2]).items()})
-            )
+            block = BLOCK[point[1]]
+            measured = {name: mean_and_error(done, f, block) for name, f in quantities(point[2]).items()}
+            rows.append((*point, args.length * len(done), measured))
+    if not rows:
+        raise SystemExit(f"no run of these points is finished in {args.out}")
     write(rows, args.out / "table.csv")
     draw(rows, args.out / "equipartition.png")
+
+
+def finished(recipes: list[ensemble.Recipe], args: argparse.Namespace) -> dict[str, dict]:
+    """Return the results of recipes by their keys, of all that can be run, or of those that were."""
+    folder = args.out / "runs"
+    if args.finished:
+        outcomes = [outcome for outcome in map(Store(folder).read, recipes) if outcome is not None]
+    else:
+        outcomes = ensemble.run(recipes, folder, workers=args.workers)
+    for outcome in outcomes:
+        if outcome.error is not None:
+            print(f"{outcome.recipe!r} failed: {outcome.error}")
+    return {outcome.recipe.key: outcome.result for outcome in outcomes if outcome.error is None}
 
 
 def write(rows: list[tuple], file: Path) -> None:
@@ -299,6 +310,7 @@ def parse() -> argparse.Namespace:
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
     add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
+    add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
     return parser.parse_args()

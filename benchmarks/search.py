@@ -68,10 +68,9 @@ def member(family, free):
 
 def free_of(family, scheme):
     """Return the free coefficients of a scheme of a family."""
-    half, strengths = scheme.word[: (len(family) + 1) // 2], dict(scheme.gradients)
-    drifts = [part for letter, part in half if letter == "A"]
-    kicks = [part for letter, part in half if letter != "A"]
-    return [*drifts[:-1], *kicks[:-1], *(strengths[letter] * part**2 for letter, part in half if letter in strengths)]
+    drifts, kicks = slots(family, "A") - 1, slots(family, "BC")
+    e = [-2.0 * c / b for b, c in zip(scheme.b[:kicks], scheme.c[:kicks], strict=True) if c]
+    return [*scheme.a[:drifts], *scheme.b[: kicks - 1], *e]
 
 
 # -- stage 1: oscillators ------------------------------------------------------------------------------------------

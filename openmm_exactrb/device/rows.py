@@ -113,7 +113,7 @@ def _rows(word: Word, strengths: dict[str, float]) -> list[Row]:
     rows: list[Row] = []
     for letter, part in word:
         if letter.startswith(GRADIENT):
-            _append(rows, "shift", strengths[letter] * part * part, unless=("kick", "after", "drift", "shift"))
+            _append(rows, "shift", strengths[letter] * part * part, unless=("after", "drift", "shift"))
             rows.append(Row(kick=part))
         elif letter.startswith(BATH):
             _append(rows, "after" if rows and rows[-1].kick else "before", part)

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, force_gradient
-from openmm_exactrb.schemes.scheme import Scheme, symmetric
+from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
@@ -20,6 +20,9 @@ _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
 # energies of fast and slow modes at 4 to 6 fs per force: benchmarks/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
+# Changes of coordinates that leave of a kernel's error what no change removes, for the frequencies of rigid water:
+# benchmarks/processors.py.
+_PROCESSOR = "{}; the processor is of openmm-exactrb"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
 )
@@ -220,6 +223,22 @@ _SCHEMES = (
     *FORCE_GRADIENT,
     # Near the force-gradient scheme of this word that has order 4 and the smallest error constant there.
     force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
+    processed(
+        _V2_DRIFT,
+        "W2_1",
+        order=2,
+        a=(-0.2918450971448247, 0.133039607048561, 0.5269587335607733),
+        b=(0.35848759687146087, -0.5502314684170239, -0.12290886225067651),
+        reference=_PROCESSOR.format(_VERLET),
+    ),
+    processed(
+        TAKAHASHI_IMADA,
+        "W4_2",
+        order=4,
+        a=(0.05429078447675026, -0.5054060059714955, 0.2688866079977719, -0.4113264615879931),
+        b=(-0.20327746944936237, 0.42243392093623133, -0.12757540480479196, -0.23028681756741703),
+        reference=_PROCESSOR.format(TAKAHASHI_IMADA.reference),
+    ),
     # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
     corrected(TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),
 )

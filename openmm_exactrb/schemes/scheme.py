@@ -6,9 +6,10 @@ free coefficients only: each scheme is a palindrome, and sum(a) = sum(b) = 1 giv
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word, count, inverse
@@ -85,15 +86,19 @@ class Scheme:
 
     @property
     def b(self) -> tuple[float, ...]:
-        """All coefficients of the kicks, in the order of their use."""
-        return tuple(part for letter, part in self.word if _is_kick(letter))
+        """All coefficients of the kicks, in the order of their use: a sum for each place that is kicked."""
+        return tuple(math.fsum(part for _, part in kicks) for kicks in self._kicks())
 
     @property
     def c(self) -> tuple[float, ...]:
         """Coefficients of force-gradient terms that go with the kicks, as f . M^-1 f over c_i h³; empty without any."""
         strengths = dict(self.gradients)
-        kicks = ((strengths.get(letter, 0.0), part) for letter, part in self.word if _is_kick(letter))
-        return tuple(-0.5 * strength * part**3 for strength, part in kicks) if strengths else ()
+        terms = (math.fsum(-0.5 * strengths.get(letter, 0.0) * t**3 for letter, t in kicks) for kicks in self._kicks())
+        return tuple(terms) if strengths else ()
+
+    def _kicks(self) -> list[list[tuple[str, float]]]:
+        """Return the kicks of each place: those without a drift between them."""
+        return [list(group) for kicked, group in itertools.groupby(self.word, lambda part: _is_kick(part[0])) if kicked]
 
     @property
     def sequence(self) -> tuple[tuple[str, float], ...]:
@@ -103,7 +108,7 @@ class Scheme:
     @property
     def stages(self) -> int:
         """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
-        return _places(self.word) - (_is_kick(self.word[0][0]) and _is_kick(self.word[-1][0]))
+        return len(self._kicks()) - (_is_kick(self.word[0][0]) and _is_kick(self.word[-1][0]))
 
     @property
     def forces(self) -> int:
@@ -138,12 +143,6 @@ class Scheme:
 
 def _is_kick(letter: str) -> bool:
     return letter.startswith((KICK, GRADIENT))
-
-
-def _places(word: Word) -> int:
-    """Return at how many places of a step kicks are made; kicks without a drift between them share one."""
-    kicked = "".join("k" if _is_kick(letter) else " " if letter == DRIFT else "" for letter, _ in word)
-    return len(kicked.split())
 
 
 def symmetric(
@@ -185,6 +184,25 @@ def _alternating(first: str, outer: Sequence[float], second: str, inner: Sequenc
     for i, o in zip(inner, outer[1:], strict=True):
         word += [(second, i), (first, o)]
     return tuple(word)
+
+
+def processed(
+    kernel: Scheme, name: str, *, order: int, a: Sequence[float], b: Sequence[float], reference: str
+) -> Scheme:
+    """Return a scheme of the steps of another one in other coordinates, which its processor changes to.
+
+    Parameters
+    ----------
+    kernel : Scheme
+        What a step is.
+    name, order, reference
+        As in `Scheme`, of the kernel and the processor together.
+    a, b : sequence of float
+        Drifts and kicks of the processor, by turns and a drift first, before the last ones, which make both sums zero.
+    """
+    drifts, kicks = ((*table, -math.fsum(table)) for table in (a, b))
+    processor = tuple(itertools.chain(*zip(((DRIFT, x) for x in drifts), ((KICK, x) for x in kicks), strict=True)))
+    return replace(kernel, name=name, order=order, processor=processor, reference=reference)
 
 
 def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tuple[float, ...]:

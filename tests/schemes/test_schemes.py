@@ -16,8 +16,7 @@ def test_coefficients_sum_to_one_and_are_palindromes(scheme):
     for table in (scheme.a, scheme.b):
         assert table == table[::-1]
         assert abs(sum(table) - 1.0) < 1e-15
-    kicks = sum(letter != "A" for letter, _ in scheme.word)
-    assert scheme.stages == kicks - (scheme.first == "kick")
+    assert scheme.stages == len(scheme.b) - (scheme.first == "kick")
 
 
 @pytest.mark.parametrize(
@@ -29,9 +28,9 @@ def test_stages_are_those_of_the_paper(name, stages):
 
 def test_no_force_is_evaluated_twice(scheme):
     kicks = []
-    advanced(scheme, lambda state, tau: state, lambda state, tau: kicks.append(tau) or state, None, 0.1, 7)
-    assert len(kicks) == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
-    assert abs(sum(kicks) - 0.7) < 1e-14
+    advanced(scheme, lambda place, tau: place + 1, lambda place, tau: kicks.append((place, tau)) or place, 0, 0.1, 7)
+    assert len({place for place, _ in kicks}) == 7 * scheme.stages + (scheme.first == "kick") + scheme.processing
+    assert abs(sum(tau for _, tau in kicks) - 0.7) < 1e-14
 
 
 def test_no_step_does_nothing(scheme):
@@ -117,11 +116,18 @@ def test_stages_and_forces_of_words_with_more_letters():
 
 
 def test_force_gradients_are_built_from_the_letters():
-    twice = force_gradient("twice", "CABACABAC", order=2, a=(0.2,), b=(0.1, 0.3), e=(0.02, 0.03))
+    numbers = {"order": 2, "a": (0.2,), "b": (0.1, 0.3), "e": (0.02, 0.03)}
+    twice = force_gradient("twice", "CABACABAC", **numbers, magnification=1.0)
     assert [letter for letter, _ in twice.word] == ["C1", "A", "B", "A", "C2", "A", "B", "A", "C1"]
     assert twice.a == pytest.approx((0.2, 0.3, 0.3, 0.2))
     assert twice.b == pytest.approx((0.1, 0.3, 0.2, 0.3, 0.1))
     assert dict(twice.gradients) == pytest.approx({"C1": 0.02 / 0.1**2, "C2": 0.03 / 0.2**2})
+    magnified = force_gradient("twice", "CABACABAC", **numbers, magnification=8.0)
+    for ours, theirs in ((magnified.a, twice.a), (magnified.b, twice.b), (magnified.c, twice.c)):
+        assert ours == pytest.approx(theirs, rel=1e-14)
+    assert magnified.forces == twice.forces
+    displaced = [magnified.gradients[i][1] * 8.0**2 * b**2 for i, b in enumerate(twice.b[0:3:2])]
+    assert displaced == pytest.approx([0.02 / 8.0, 0.03 / 8.0])
     for letters in ("BACA", "BBACABB", "A", "BAXAB"):
         with pytest.raises(ValueError, match=f"'{letters}' is no palindrome in which drifts A and kicks B or C take"):
             force_gradient("wrong", letters, order=2)
