@@ -297,6 +297,18 @@ def test_a_barostat_moves_whole_bodies():
     assert len(set(boxes)) > 2
 
 
+def test_a_call_that_fails_leaves_the_box_as_it_was():
+    device = context_of(*liquid(openmm.MonteCarloBarostat(5000.0, 300.0, 1)), "device", scheme="V2", h=0.002)
+    integrator = device.getIntegrator()
+    integrator.step(2)
+    box, before = box_of(device), shown(device)
+    integrator.setStepSize(0.05)
+    with pytest.raises(rb.NonFiniteError, match="The Context keeps the state before this call"):
+        integrator.step(10)
+    np.testing.assert_array_equal(box_of(device), box)
+    np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
+
+
 def test_a_thermostat_pushes_whole_bodies():
     system, positions = liquid()
     host = context_of(system, positions, "host", scheme="S2_2")
