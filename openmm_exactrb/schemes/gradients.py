@@ -16,7 +16,7 @@ from dataclasses import replace
 from openmm_exactrb.schemes.scheme import Scheme, palindrome
 from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK
 
-#: By what the change of forces is multiplied: with single precision in OpenMM's forces, 8 shows in the energy, 4 does not.
+#: By what the change of forces is multiplied: with forces of single precision 8 shows in the energy, 4 does not.
 MAGNIFICATION = 4.0
 
 _TAKAHASHI_IMADA = "M. Takahashi and M. Imada, J. Phys. Soc. Jpn. 53, 3765 (1984), doi:10.1143/JPSJ.53.3765"
@@ -82,7 +82,7 @@ def force_gradient(
 
 
 def _magnified(scheme: Scheme, k: float) -> Scheme:
-    """Return a scheme whose force-gradient kicks displace places k times less: b f(R + d) is b (1 - k) f + b k f(R + d/k)."""
+    """Return a scheme whose force-gradient kicks displace k times less: for b f(R + d) b (1 - k) f + b k f(R + d/k)."""
     word: list[tuple[str, float]] = []
     for letter, part in scheme.word:
         gradient = letter.startswith(GRADIENT)
