@@ -91,7 +91,7 @@ class Ours:
     def __init__(self, start: Start, method: Scheme | NestedScheme) -> None:
         scheme, fast = (method.scheme, "bonded") if isinstance(method, NestedScheme) else (method, None)
         self._start, self.stages = start, scheme.forces
-        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast)
+        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast, engine="host")
         self._context = start.context(self._integrator)
 
     @property
