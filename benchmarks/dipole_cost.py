@@ -101,7 +101,7 @@ def in_turns(contenders, evaluations, rounds):
 def simulation(n, kernel, where=REFERENCE, properties=None):
     """Return the Context and the integrator of a droplet."""
     topology, system, positions = rb.dipole_fluid(n, trap=0.5, kernel=kernel)
-    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S6_10")
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S6_10", engine="host")
     run = app.Simulation(topology, system, integrator, where, properties or {})
     run.context.setPositions(positions)
     run.context.setVelocitiesToTemperature(12.0, 1)

@@ -8,7 +8,8 @@ It removes of the kernel's error all that a change of coordinates can remove. Wh
 - of Takahashi and Imada's step, which has one force-gradient kick, all of the order h²: the method is of order 4.
 
 That a processor makes Takahashi and Imada's step one of order 4 is G. Rowlands', J. Comput. Phys. 97, 235 (1991); see
-M. A. López-Marcos, J. M. Sanz-Serna and R. D. Skeel, SIAM J. Sci. Comput. 18, 223 (1997), doi:10.1137/S1064827595288085.
+M. A. López-Marcos, J. M. Sanz-Serna and R. D. Skeel, SIAM J. Sci. Comput. 18, 223 (1997),
+doi:10.1137/S1064827595288085.
 Here P is a row of drifts and kicks whose sums are zero. Its coefficients solve the order conditions in the free Lie
 algebra of both, and make the swing of oscillators small up to x = `--reach`.
 
@@ -213,9 +214,8 @@ def main() -> None:
     order = args.order or (4 if kernel.name == "TI2" else kernel.order)
     for value, free in found(kernel, order, args.kicks, args.reach, 60.0 * args.minutes, args.seed)[:3]:
         scheme = member(kernel, free)
-        print(
-            f"{value:.4e}  largest {np.abs(free).max():.2f}  conditions {np.abs(conditions(scheme, order)[0]).max():.1e}"
-        )
+        left = np.abs(conditions(scheme, order)[0]).max()
+        print(f"{value:.4e}  largest {np.abs(free).max():.2f}  conditions {left:.1e}")
         print("   a", [float(c) for c in free[: args.kicks - 1]])
         print("   b", [float(c) for c in free[args.kicks - 1 :]])
 

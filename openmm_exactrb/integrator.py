@@ -20,7 +20,6 @@ from openmm_exactrb.context.letters import LETTERS, Maker
 from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, picoseconds, plain, refuse_temperature
-from openmm_exactrb.device import names
 from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.engine import Device, device
@@ -64,10 +63,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     innerSteps : int, optional
         Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an evaluation
         for each twentieth of the shortest period of nested bonds and angles, with SRKN4_6b each eightieth, or more.
-    engine : {"host", "device", "auto"}, optional
+    engine : {"auto", "host", "device"}, optional
         Who carries the steps out. "host": compiled kernels of this package. "device": a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device where
-        it can be and a few steps of both show that it is no slower; `engineNote` says why.
+        it can be and a few steps show that the host is not much faster; `engineNote` says why.
 
     Raises
     ------
@@ -91,7 +90,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         refuse_temperature(stepSize, scheme)
         self._nesting = Nesting.of(fast, inner, innerSteps)
@@ -100,7 +99,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        self._engine = Chosen(engine, self._steps(), self._rotor, self._nesting is not None, self._bath_in_steps)
+        options = self._rotor, self._nesting is not None, self._bath_in_steps, self._kept_numbers()
+        self._engine = Chosen(engine, self._steps(), *options)
         self._engine.declare(self)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
@@ -141,22 +141,28 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         super().setStepSize(picoseconds(size))
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set which force groups act, as a set or by their bits; that of the sums of engine="device" is left out."""
-        bits = groups if isinstance(groups, int) else sum(1 << group for group in groups)
-        super().setIntegrationForceGroups(bits & names.OTHERS if self._engine.programmed else bits)
+        """Set which force groups act, as a set or by their bits."""
+        self._engine.act(self, groups if isinstance(groups, int) else sum(1 << group for group in groups))
         if isinstance(self._host, Device):
             self._host = None  # OpenMM reads the groups where it makes the kernels
+
+    def getIntegrationForceGroups(self) -> int:
+        """Return the bits of the force groups that act, as they were set."""
+        return self._engine.groups
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
         if self._engine.open:
-            self._present()
+            self._engine.settle(self._found(), self)
         return "device" if self._engine.on_device else "host"
+
+    def preferEngine(self, engine: str) -> None:
+        """With engine="auto": have the engine of a run that goes on, without a measurement, where the Context can."""
+        self._engine.prefer(engine)
 
     def engineNote(self) -> str:
         """Say in a sentence why it is this engine."""
-        if self._engine.open:
-            self._present()
+        self.getEngine()
         return self._engine.note
 
     def addLetter(self, letter: str, maker: Maker) -> None:
@@ -215,9 +221,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
             If there is no Context yet, nothing in the System can move, a barostat would tear bodies, or positions are
             not finite or not rigid. The state stays what it was.
         NonFiniteError
-            If numbers of a body become infinite or nan, it is faster than light, or energy comes from nowhere. The
-            Context then holds the state after the last good step; with a processed scheme, that before this call. So it
-            does after any other error in a force.
+            If numbers of a body become infinite, it is faster than light, or energy comes from nowhere. As after any
+            other error the Context holds the last good step; on the device or with a processor, that before this call.
         """
         with self.timings.measuring():
             present = self._present()
@@ -249,12 +254,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational temperature of the bodies; nan of what has no freedom."""
-        pairs = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True)
-        translational, rotational = (
-            (2.0 * energy / ((freedom or math.nan) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
-            for energy, freedom in pairs
-        )
-        return translational, rotational
+        pairs, R = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True), unit.MOLAR_GAS_CONSTANT_R
+        one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
+        return one, other
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
@@ -300,12 +302,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def getSettings(self) -> dict[str, dict[str, Any]]:
         """Return all that makes this integrator: arguments, what OpenMM's setters set, and letters of your own."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
-        arguments = {
-            "stepSize": self.getStepSize().value_in_unit(unit.picosecond),
-            "scheme": self._scheme,
-            "rotor": rotor,
-            "bodies": self._bodies,
-        }
+        h = self.getStepSize().value_in_unit(unit.picosecond)
+        arguments = {"stepSize": h, "scheme": self._scheme, "rotor": rotor, "bodies": self._bodies}
         own = {letter: maker for letter, maker in self._makers.items() if LETTERS.get(letter) is not maker}
         settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}
         return {"arguments": arguments | self._arguments(), "settings": settings, "letters": own}
@@ -344,11 +342,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Copy and pickle the settings; a copy has no Context."""
         return _restored, (type(self), *self.getSettings().values())
 
-    def __copy__(self) -> ExactRigidBodyIntegrator:
+    def __copy__(self) -> Any:
         """Return an integrator with the same settings and no Context."""
         return _restored(type(self), *self.getSettings().values())
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> ExactRigidBodyIntegrator:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
         """Return an integrator with the same settings and no Context."""
         return self.__copy__()
 
@@ -359,6 +357,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme
 
+    def _kept_numbers(self) -> tuple[str, ...]:  # what the steps add up
+        return ()
+
     def _plan(self, context: openmm.Context) -> host.Plan:
         return host.Plan(self._steps(), self._makers)
 
@@ -368,16 +369,20 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         parts.session.take_up()
         return parts
 
+    def _found(self) -> Any:
+        return (self._context and self._context()) or find_context(self)
+
     def _present(self) -> host.Host:
         """Return what moves the bodies of the present Context."""
-        if self._host is None or self._host.session.outdated:
-            context = self._context and self._context()
-            context = context or find_context(self)
+        if self._host is None or self._host.session.outdated or self._engine.overtaken(self):
+            context = self._found()
             self._engine.settle(context, self)
+            options = context, self, self._rotor, self._bodies, self.timings
             if self._engine.on_device:
-                self._host = device(context, self, self._rotor, self._bodies, self.timings)
+                self._host = device(*options, self._engine)
             else:
-                self._host = host.host(context, self, self._rotor, self._bodies, self.timings, self._nesting)
+                self._engine.withdraw(context, self)
+                self._host = host.host(*options, self._nesting)
         return self._host
 
 
@@ -385,12 +390,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
-def _restored(
-    kind: type[ExactRigidBodyIntegrator],
-    arguments: dict[str, Any],
-    settings: dict[str, Any],
-    makers: dict[str, Maker],
-) -> ExactRigidBodyIntegrator:
+def _restored(kind: Any, arguments: dict[str, Any], settings: dict[str, Any], makers: dict[str, Maker]) -> Any:
     """Return an integrator with the settings of another one."""
     integrator = kind(**arguments)
     for name, value in settings.items():

@@ -72,7 +72,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         bath = (temperature, frictionCoeff, stepSize, scheme, rotor, rotationalFriction)
         super().__init__(*bath, bodies, fast, inner, innerSteps, engine)

@@ -45,7 +45,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         Friction of rotation; that of translation unless given.
     bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
-    engine : {"host", "device", "auto"}, optional
+    engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers: from the same seed, but the noise of a
         step depends on all steps before it. It has no `temperaturesAroundBath`.
 
@@ -75,7 +75,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setFriction(frictionCoeff)

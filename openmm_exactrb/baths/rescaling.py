@@ -70,7 +70,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         fast: str | Sequence[int] | None = None,
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "host",
+        engine: Engine = "auto",
     ) -> None:
         super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setRelaxationTime(relaxationTime)

@@ -65,7 +65,6 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         engine: Engine,
     ) -> None:
         super().__init__(stepSize, words.splitting(scheme), rotor, bodies, fast, inner, innerSteps, engine)
-        account.declare(self, (_SEED, *self.tallies))
         self.setTemperature(temperature)
         self._around: tuple[int, State, State] | None = None
 
@@ -140,6 +139,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def _own_makers(self) -> Mapping[str, Maker]:
         """Return what makes the letters of the bath."""
         return {BATH: self._bath}
+
+    def _kept_numbers(self) -> tuple[str, ...]:
+        return (_SEED, *self.tallies)
 
     def _arguments(self) -> dict[str, Any]:
         within = self.getNesting()

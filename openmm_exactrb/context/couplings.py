@@ -54,6 +54,8 @@ class Couplings:
         Whether a barostat moves bodies, and a thermostat changes their momenta.
     kT : float
         The highest temperature of a thermostat, in kJ/mol.
+    warmest : float
+        The highest one of thermostats and barostats.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
@@ -63,7 +65,7 @@ class Couplings:
         _refuse_torn_bodies(context, barostats, named)
         self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
         self.moves, self.pushes = bool(barostats), bool(thermostats)
-        self.kT = max((gas_constant_times(force.getDefaultTemperature()) for force in thermostats), default=0.0)
+        self.kT, self.warmest = map(_highest, (thermostats, thermostats + barostats))
 
     @property
     def act(self) -> bool:
@@ -104,6 +106,10 @@ class Couplings:
             return state
 
         return flow
+
+
+def _highest(baths: list[Any]) -> float:
+    return max((gas_constant_times(force.getDefaultTemperature()) for force in baths), default=0.0)
 
 
 def refuse_other_baths(context: openmm.Context, temperature: float) -> None:

@@ -16,6 +16,10 @@ _NAMES = tuple(f"exactrb_{name}{part}" for part in ("", "_low") for name in "RPm
 # Whether there is a state in them, and whether Python is at work.
 _STORED = "exactrb_stored"
 _NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
+#: What is said of a checkpoint in the variables of another engine than its own.
+OTHER_ENGINE = (
+    'the checkpoint that was loaded is of a run with engine="{0}": make the integrator with engine="{0}" or "auto"'
+)
 
 
 def declare(integrator: openmm.CustomIntegrator) -> None:
@@ -59,8 +63,17 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
-    """Read the sums of a state, if one was written."""
-    if not integrator.getGlobalVariableByName(_STORED):
+    """Read the sums of a state, if one was written.
+
+    Raises
+    ------
+    ValueError
+        If a checkpoint of the other engine is in the variables.
+    """
+    stored = integrator.getGlobalVariableByName(_STORED)
+    if stored not in (_NOTHING, _WRITTEN, _STEPPING):
+        raise ValueError(OTHER_ENGINE.format("device"))
+    if not stored:
         return None
     first, k = bodies.first_particle, bodies.n_turning
     columns = [np.array(integrator.getPerDofVariableByName(name), dtype=np.float64)[first].T for name in _NAMES]

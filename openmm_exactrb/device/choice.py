@@ -53,15 +53,18 @@ def against_program(scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None
 
 def against_context(context: Any, named: list[list[int]] | None = None) -> str | None:
     """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
+    return _against_platform(context) or _against_system(context, named)
+
+
+def slower(context: Any) -> str | None:
+    """Say why the host is faster in a Context whatever its System is, or return None."""
+    name = context.getPlatform().getName()
+    return None if name in _DEVICES else f"{name} is no device: there the host's compiled kernels are faster"
+
+
+def _against_platform(context: Any) -> str | None:
     platform = context.getPlatform()
     name = platform.getName()
-    x = arrays.positions(context.getState(positions=True))
-    if x.any():  # without positions nobody knows
-        bodies = find_bodies(context.getSystem(), x, named)
-        if len(bodies.clusters):
-            return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
-        if gather.against(context.getSystem(), bodies):
-            return gather.against(context.getSystem(), bodies)
     if name == "CPU":
         return "on the CPU platform the program would cost 12 times a Verlet step"
     if name in _DEVICES:
@@ -75,10 +78,14 @@ def against_context(context: Any, named: list[list[int]] | None = None) -> str |
     return None
 
 
-def slower(context: Any) -> str | None:
-    """Say why the host is faster in a Context that could run a program, or return None."""
-    name = context.getPlatform().getName()
-    return None if name in _DEVICES else f"{name} is no device: there the host's compiled kernels are faster"
+def _against_system(context: Any, named: list[list[int]] | None) -> str | None:
+    x = arrays.positions(context.getState(positions=True))
+    if not x.any():  # without positions nobody knows
+        return None
+    bodies = find_bodies(context.getSystem(), x, named)
+    if len(bodies.clusters):
+        return "constraints leave a molecule of the System a motion of its own, which the device does not follow"
+    return gather.against(context.getSystem(), bodies)
 
 
 def _has_sites(system: openmm.System) -> bool:

@@ -17,10 +17,11 @@ writes positions there are several times as many, so numbers are multiplied by c
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from collections.abc import Sequence
 
 import openmm
 
+from openmm_exactrb.context import account
 from openmm_exactrb.device import names
 from openmm_exactrb.device.expressions import ALONE, AXES, INVERSE_INERTIA, times, turned, turned_back
 from openmm_exactrb.device.gather import STRENGTH
@@ -41,20 +42,32 @@ _PLACE, _DISPLACED_PLACE = "R+d+image", "R+move+d+image"
 _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
-def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, optional: bool) -> None:
+def declare(
+    integrator: openmm.CustomIntegrator, scheme: Scheme, group: int = names.GROUP, kept: Sequence[str] = ()
+) -> None:
     """Give an integrator without a Context the variables and the program of a scheme.
 
-    Until bodies are loaded, steps make positions nan; or, where the program is optional, nothing happens.
+    Until bodies are loaded, steps make positions nan.
+
+    Parameters
+    ----------
+    integrator : openmm.CustomIntegrator
+    scheme : Scheme
+    group : int, optional
+        The force group of the sums over bodies.
+    kept : sequence of str, optional
+        Numbers for an `openmm_exactrb.context.account.Account`.
     """
-    program, table = Program(integrator), Table.of(scheme)
+    program, table = Program(integrator, group), Table.of(scheme)
+    program.numbers(0.0, names.LOADED)
+    account.declare(integrator, kept)
     _declare_variables(program, table)
-    with program.when(f"{names.LOADED} > 0") if optional else nullcontext():
-        _step(program, table)
+    _step(program, table)
 
 
 def _declare_variables(program: Program, table: Table) -> None:
     program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
-    program.numbers(0.0, names.LOADED, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
+    program.numbers(0.0, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
     program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
     program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
     program.numbers(table.span(1, False, True, True)[1], names.LAST)
@@ -129,9 +142,9 @@ def _gather_forces(program: Program) -> None:
     """Write F and N: the forces of the particles are in v as torques, or as they are where a particle is alone."""
     program.let("v", f"cross(d,f)+{ALONE}*f")
     program.let("x", f"{_FORCE!r}*f")
-    program.let("F", _summed(_FORCE))
+    program.let("F", _summed(program, _FORCE))
     program.let("x", f"{_FORCE!r}*v")
-    program.let("N", _summed(_FORCE))
+    program.let("N", _summed(program, _FORCE))
     program.let("F", f"F+{ALONE}*v")
 
 
@@ -180,15 +193,15 @@ def _displace(program: Program) -> None:
     program.let("x", _DISPLACED_PLACE)
 
 
-def _summed(scale: float) -> str:
+def _summed(program: Program, scale: float) -> str:
     """Return the expression of a sum over the particles of each body, of what was written to x times a scale."""
-    return f"{-1.0 / (scale * STRENGTH)!r}*f{names.GROUP}"
+    return f"{-1.0 / (scale * STRENGTH)!r}*f{program.group}"
 
 
 def _sum(program: Program, name: str, of: str, scale: float) -> None:
     """Write a sum over the particles of each body, in space; x loses the places."""
     program.let("x", f"{scale!r}*{of}")
-    program.let(name, _summed(scale))
+    program.let(name, _summed(program, scale))
     program.let(name, f"{name}+{ALONE}*{of}")
 
 

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.couplings import Couplings
 from openmm_exactrb.context.host import Host, Plan
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.device import gather, load, names
+from openmm_exactrb.device import load, names
+from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.replicas import Replicas
 from openmm_exactrb.device.rotor import RANGE
 from openmm_exactrb.device.rows import Table
-from openmm_exactrb.motion.guard import NonFiniteError
+from openmm_exactrb.device.watch import Watch
+from openmm_exactrb.motion.guard import NonFiniteError, advice
 from openmm_exactrb.motion.kinetic import rigid
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import DRIFT
 
-# How much faster bodies may come to turn within a call than at its start: first, and when that was not enough.
-_HASTE = (1.75, 5.0, 20.0)
+# How much faster bodies may come to turn within a call than at its start, and the least rotations of a drift, for those
+# that begin at rest: first, and when that was not enough.
+_HASTE = ((1.75, 1), (5.0, 4), (20.0, 16))
+# More rotations of a drift are not tried again: steps are far too long then, not bodies too fast.
+_MOST = 256
 
 
 @dataclass
@@ -35,10 +41,13 @@ class Device(Host):
 
     Attributes
     ----------
+    watch : Watch
+        What looks at the energy.
     rate : float or None
         b norm(m) of the fastest body in 1/ps, None where it was not measured.
     """
 
+    watch: Watch = field(kw_only=True)
     rate: float | None = None
 
     @property
@@ -54,27 +63,43 @@ class Device(Host):
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, or a body turns faster than that too.
+            If numbers become infinite, a body turns faster than that too, or energy comes from nowhere.
         """
         scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
-        before = x, v, context.getTime(), context.getStepCount()
+        before = Before(x, v, context.getState().getPeriodicBoxVectors(), context.getTime(), context.getStepCount())
         for name, value in plan.numbers.items():
             integrator.setGlobalVariableByName(name, value)
         if plan.numbers:
-            load.seed(integrator, self._replicas.bodies, plan.seed)
-        for haste in _HASTE:
+            load.seed(integrator, self._replicas.bodies, plan.seed, before.step)
+        for number, (haste, least) in enumerate(_HASTE):
+            turns = max(least, self._turns(integrator, scheme, haste))
+            if number and turns > _MOST:
+                break
             try:
-                if self._attempt(integrator, scheme, n, self._turns(integrator, scheme, haste)):
-                    return
+                finite = self._attempt(integrator, scheme, n, turns)
+                gain = self._gained(integrator, plan.kT, before) if finite else None
             except BaseException:
-                self._go_back(integrator, *before)
+                self._go_back(integrator, before)
                 raise
-            self._go_back(integrator, *before)
+            if finite and not gain:
+                return
+            self._go_back(integrator, before)
+            if gain:
+                raise NonFiniteError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
         raise NonFiniteError(
-            f"within the {n} steps after step {before[3]} positions became infinite, or a body turned more than "
-            f"{_HASTE[-1]:g} times as fast as the fastest one before. The Context keeps the state before this call: "
+            f"within the {n} steps after step {before.step} positions became infinite, or a body turned more than "
+            f"{_HASTE[-1][0]:g} times as fast as the fastest one before. The Context keeps the state before this call: "
             "take a smaller step size or fewer steps a call, or minimise the energy first"
         )
+
+    def _gained(self, integrator: openmm.CustomIntegrator, kT: float, before: Before) -> str | None:
+        """Say what is wrong with the energy, or return None."""
+        if not self.watch.suspects(before.v, self._replicas.shown[1], kT):
+            return None
+        groups = integrator.getIntegrationForceGroups()
+        gain = self.watch.gained(self._replicas.context, groups, before.x, before.v, before.box)
+        self._replicas.moved_on()  # positions were away for the look
+        return gain
 
     def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int, turns: int) -> bool:
         """Make n steps, and tell whether they led to finite numbers."""
@@ -110,16 +135,17 @@ class Device(Host):
             self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
         h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        return max(1, math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE))
+        return math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE)
 
-    def _go_back(self, integrator: openmm.CustomIntegrator, x: Any, v: Any, time: Any, step: int) -> None:
+    def _go_back(self, integrator: openmm.CustomIntegrator, before: Before) -> None:
         """Bring the Context back to what it held."""
         context = self._replicas.context
         integrator.setGlobalVariableByName(names.LOADED, 0.0)
-        context.setPositions(x)
-        context.setVelocities(v)
-        context.setTime(time)
-        context.setStepCount(step)
+        context.setPeriodicBoxVectors(*before.box)
+        context.setPositions(before.x)
+        context.setVelocities(before.v)
+        context.setTime(before.time)
+        context.setStepCount(before.step)
         self._replicas.lose()
         self._replicas.take_up()
 
@@ -130,6 +156,7 @@ def device(
     rotor: Rotor,
     named: list[list[int]] | None,
     timings: Timings,
+    chosen: Chosen,
 ) -> Device:
     """Prepare the System of a Context and the program of its integrator.
 
@@ -140,14 +167,23 @@ def device(
     """
     system = context.getSystem()
     sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    gather.install(system, Session(context, integrator, named).bodies)
-    gather.make_kernels(context)
+    chosen.furnish(context, integrator, Session(context, integrator, named).bodies)
     session, couplings = Replicas(context, integrator, named), Couplings(context, named or [])
     pushed = 2 if couplings.pushes else couplings.removes_motion
     for name, value in ((names.SITES, sites), (names.BAROSTAT, couplings.moves), (names.PUSHED, pushed)):
         integrator.setGlobalVariableByName(name, float(value))
     kinetic = rigid(session.bodies.mass, rotor_of_sums(rotor, session.bodies.inertia), rotor.order)
-    return Device(session, couplings, kinetic, timings)
+    return Device(session, couplings, kinetic, timings, watch=Watch(system, session.bodies, couplings.warmest))
+
+
+class Before(NamedTuple):
+    """What a Context held before a call: positions (nm), velocities (nm/ps), box, time and number of the last step."""
+
+    x: NDArray[np.float64]
+    v: NDArray[np.float64]
+    box: Any
+    time: Any
+    step: int
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ the origin. Bodies never are, and there energy and forces are exactly 0: what Op
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -25,27 +26,41 @@ STRENGTH = 2.0**44
 _NAME = "openmm-exactrb sums"
 
 
-def install(system: openmm.System, bodies: RigidBodies) -> None:
+def install(system: openmm.System, bodies: RigidBodies, group: int) -> None:
     """Give a System the forces that sum over bodies, unless it has them."""
     needed = _bonds(bodies)
-    present = {index: force for index, force in enumerate(system.getForces()) if force.getName().startswith(_NAME)}
-    found = {force.getNumParticlesPerBond(): _bonds_of(force) for force in present.values()}
-    if found.keys() == needed.keys() and all(np.array_equal(found[size], needed[size]) for size in needed):
+    present = _present(system)
+    found = {force.getNumParticlesPerBond(): _bonds_of(force) for force in present}
+    fitting = found.keys() == needed.keys() and all(force.getForceGroup() == group for force in present)
+    if fitting and all(np.array_equal(found[size], needed[size]) for size in needed):
         return
-    for index in sorted(present, reverse=True):
-        system.removeForce(index)
+    remove(system)
     for size, rows in needed.items():
-        system.addForce(_force(size, rows))
+        system.addForce(_force(size, rows, group))
+
+
+def remove(system: openmm.System) -> None:
+    """Leave a System without these forces."""
+    indices = [index for index, force in enumerate(system.getForces()) if force.getName().startswith(_NAME)]
+    for index in reversed(indices):
+        system.removeForce(index)
+
+
+def without(system: openmm.System) -> openmm.System:
+    """Return a System as it was before it got these forces: itself, or a copy."""
+    if _present(system):
+        system = copy.deepcopy(system)
+        remove(system)
+    return system
 
 
 def make_kernels(context: Any) -> None:
-    """Reinitialise a Context with its state, and make the kernels of its program.
+    """Make the kernels of a Context's program, which has none yet.
 
     The program makes virtual sites by ``addConstrainPositions``. OpenMM asks, when it makes the kernels, whether the
     System has constraints; as it has none then, they are not applied to what is rigid anyway.
     """
     system = context.getSystem()
-    context.reinitialize(preserveState=True)
     kept = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
     for i in reversed(range(len(kept))):
         system.removeConstraint(i)
@@ -56,19 +71,19 @@ def make_kernels(context: Any) -> None:
             system.addConstraint(*constraint)
 
 
-def against(system: openmm.System, bodies: RigidBodies) -> str | None:
-    """Say why the forces cannot be in a System: their group is taken, or a body is as small as what they sum.
-
-    The group stands in the program, which OpenMM takes only before the System is known.
-    """
+def free_group(system: openmm.System, wanted: int) -> int | None:
+    """Return a force group that no other force is in: the wanted one, else the highest, or None."""
     own = [force for force in acting(system) if not force.getName().startswith(_NAME)]
-    taken = {group: force.getName() for force in own for group in groups_of(force)}
-    if names.GROUP in taken:
-        free = [group for group in range(names.GROUP, -1, -1) if group not in taken]
-        where = f"another one with setForceGroup, {free[0]} is free" if free else "one of another force, none is free"
+    taken = {group for force in own for group in groups_of(force)}
+    return next((group for group in (wanted, *reversed(range(32))) if group not in taken), None)
+
+
+def against(system: openmm.System, bodies: RigidBodies) -> str | None:
+    """Say why the forces cannot be in a System: no group is free, or a body is as small as what they sum."""
+    if free_group(system, names.GROUP) is None:
         return (
-            f"the engine on the device needs force group {names.GROUP} for itself, and {taken[names.GROUP]} is in it "
-            f"(give that force {where})"
+            "the engine on the device needs a force group for itself, and the System has forces in all 32: give two "
+            "of them the same one"
         )
     for kind in bodies.kinds:
         about_middle = kind.sites - kind.sites.mean(axis=1, keepdims=True)
@@ -78,6 +93,10 @@ def against(system: openmm.System, bodies: RigidBodies) -> str | None:
                 "engine on the device cannot tell its places from numbers"
             )
     return None
+
+
+def _present(system: openmm.System) -> list[openmm.CustomCompoundBondForce]:
+    return [force for force in system.getForces() if force.getName().startswith(_NAME)]
 
 
 def _bonds(bodies: RigidBodies) -> dict[int, NDArray[np.intp]]:
@@ -92,13 +111,13 @@ def _bonds_of(force: openmm.CustomCompoundBondForce) -> NDArray[np.intp]:
     return np.array(rows, dtype=np.intp).reshape(len(rows), -1)
 
 
-def _force(size: int, rows: NDArray[np.intp]) -> openmm.CustomCompoundBondForce:
+def _force(size: int, rows: NDArray[np.intp], group: int) -> openmm.CustomCompoundBondForce:
     sums = ";".join(f"s{axis}={'+'.join(f'{axis}{i + 1}' for i in range(size))}" for axis in "xyz")
     squares = "+".join(f"{axis}{i + 1}*{axis}{i + 1}" for i in range(size) for axis in "xyz")
     energy = f"{0.5 * STRENGTH!r}*step({REACH!r}-squares)*(sx*sx+sy*sy+sz*sz);{sums};squares={squares}"
     force = openmm.CustomCompoundBondForce(size, energy)
     for row in rows:
         force.addBond(list(map(int, row)), [])
-    force.setForceGroup(names.GROUP)
+    force.setForceGroup(group)
     force.setName(f"{_NAME} {size}")
     return force

@@ -8,6 +8,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context import ledger
 from openmm_exactrb.device import names
 from openmm_exactrb.device.noise import streams
 from openmm_exactrb.kernels.plain.bodies import turned
@@ -35,7 +36,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         )
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
-    for name, value in ((names.KNOWN, 0.0), (names.LOADED, 1.0), (names.CHANGED, 1.0)):
+    for name, value in ((names.KNOWN, 0.0), (names.LOADED, names.HELD), (names.CHANGED, 1.0)):
         integrator.setGlobalVariableByName(name, value)
 
 
@@ -44,11 +45,11 @@ def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
     return name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 
-def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int) -> None:
-    """Have the generators of the bath begin where a seed says, unless they did."""
+def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, step: int) -> None:
+    """Have the generators of the bath begin where a seed and the number of the step say, unless they did."""
     if integrator.getGlobalVariableByName(names.SEEDED) == number:
         return
-    for name, begin in zip(names.STREAMS, streams(len(bodies), number), strict=True):
+    for name, begin in zip(names.STREAMS, streams(len(bodies), number, step), strict=True):
         rows = np.ones((bodies.n_particles, 3))
         for kind in bodies.kinds:
             rows[kind.particles] = begin[kind.bodies][:, None]
@@ -79,8 +80,17 @@ def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
-    """Return the state of the bodies, each where its first particle is; None if none was loaded."""
-    if not integrator.getGlobalVariableByName(names.LOADED):
+    """Return the state of the bodies, each where its first particle is; None if none was loaded.
+
+    Raises
+    ------
+    ValueError
+        If a checkpoint of the other engine is in the variables.
+    """
+    loaded = integrator.getGlobalVariableByName(names.LOADED)
+    if loaded not in (0.0, names.HELD):
+        raise ValueError(ledger.OTHER_ENGINE.format("host"))
+    if not loaded:
         return None
     first, k = bodies.first_particle, bodies.n_turning
     R, image, P, L, q, w = (

@@ -26,8 +26,9 @@ DISPLACED = ("sq", "sw", "twist", "move")
 BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
 
 _PREFIX = "exactrb_"
-#: 1 once bodies are loaded: before that, steps make positions nan.
-LOADED = f"{_PREFIX}loaded"
+#: `HELD` once bodies are loaded: before that, steps make positions nan. It is the first variable, as that of the ledger
+#: is: where a checkpoint of the other engine was loaded, the value there is one that this engine never writes.
+LOADED, HELD = f"{_PREFIX}loaded", 3.0
 #: 1 where a System has virtual sites; a barostat; what removes the motion of the centre of mass, 2 for a thermostat.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
@@ -48,9 +49,7 @@ INDEX, ROW, NEEDED, SHIFTED, WAS, MOVED = (
 )
 #: The word: three tables whose sum it is, since devices keep tables in single precision.
 TABLES = tuple(f"{_PREFIX}word{i}" for i in range(3))
-#: The force group that they have to themselves.
+#: The force group that the sums over bodies have to themselves, unless forces of the System are in it.
 GROUP = 31
-#: The bits of all other groups.
-OTHERS = ~(1 << GROUP) & 0xFFFFFFFF
 #: b norm(L) of the fastest body comes from a sum of powers, which is never below it.
 POWER = 64

@@ -20,9 +20,9 @@ from openmm_exactrb.device.rows import Table
 GENERATORS = ((11600, 2147483579), (47003, 2147483543), (23000, 2147483423), (33000, 2147483123))
 
 
-def streams(n_bodies: int, seed: int) -> NDArray[np.float64]:
-    """Return where the generators of a number of bodies begin, (4, n_bodies, 3)."""
-    rng = np.random.default_rng(seed)
+def streams(n_bodies: int, seed: int, step: int = 0) -> NDArray[np.float64]:
+    """Return where the generators of a number of bodies begin in front of a step, (4, n_bodies, 3)."""
+    rng = np.random.default_rng([seed, step] if step else seed)
     begin = [rng.integers(1, modulus, (n_bodies, 3)) for _, modulus in GENERATORS]
     return np.array(begin, dtype=np.float64)
 

@@ -14,10 +14,12 @@ class Program:
     Parameters
     ----------
     integrator : openmm.CustomIntegrator
+    group : int
+        The force group of the sums over bodies.
     """
 
-    def __init__(self, integrator: openmm.CustomIntegrator) -> None:
-        self.integrator = integrator
+    def __init__(self, integrator: openmm.CustomIntegrator, group: int) -> None:
+        self.integrator, self.group = integrator, group
 
     def vectors(self, *particles: str) -> None:
         """Declare per-DOF variables, all zero."""

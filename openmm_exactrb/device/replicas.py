@@ -45,13 +45,18 @@ class Replicas(Session):
             self.take_up()
         elif not self._behind and self.state is not self._replicated:
             self.publish()
+        return self.shown
+
+    @property
+    def shown(self) -> tuple[Array, Array]:
+        """Positions (nm) and velocities (nm/ps) that the Context showed when it was last looked at."""
         assert self._seen is not None
         return self._seen
 
     def moved_on(self) -> tuple[Array, Array]:
         """Note that the device has moved the bodies, and return positions (nm) and velocities (nm/ps)."""
         self._seen, self._behind = self.held(), True
-        return self._seen
+        return self.shown
 
     def lose(self) -> None:
         """Forget the state: the next one comes from what the Context shows."""

@@ -65,7 +65,7 @@ def energies(
     step, duration = picoseconds(step), picoseconds(duration)
     seeded = {"seed": seed} if "seed" in inspect.signature(build).parameters else {}
     _, system, positions, *velocities = build(**arguments, **seeded)
-    integrator = ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor)
+    integrator = ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor, engine="host")
     kind = openmm.Platform.getPlatform(platform)
     context = openmm.Context(system, integrator, kind, _DETERMINISTIC.get(platform, {}))
     context.setPositions(positions)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,11 +47,10 @@ class Guard:
     def begin(self, state: State, kT: float = 0.0) -> None:
         """Take a state for good, from which the energy is kept; a bath of kT (kJ/mol) may bring momenta up to its own.
 
-        Those are of the canonical distribution up to what is never seen, eight of its widths and forty kT more.
+        Those are of the canonical distribution up to `canonical_most`.
         """
         bodies = self._bodies
-        freedom = 3.0 * len(bodies)
-        most = kT * (freedom + 8.0 * math.sqrt(2.0 * freedom) + 40.0)
+        most = canonical_most(kT, 3.0 * len(bodies))
         _, P, _, m = _squares(state)
         self._good = max(P, most * float(bodies.mass.max())), max(m, most * float(bodies.inertia.max()))
         self._since = state
@@ -88,20 +87,12 @@ class Guard:
     def leave(self, state: State) -> State:
         """Return the state at the end of a step, or raise NonFiniteError if it was a bad one."""
         _, P, _, m = self._measured(state)
-        if max(P - _GROWN * self._good[0], m - _GROWN * self._good[1]) <= 0.0:
+        if not grown((P, m), self._good):
             return state
         assert self._since is not None
-        (kinetic_then, energy_then), (kinetic, energy) = map(self._energies, (self._since, state))
-        gain = energy - energy_then
-        noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * len(self._bodies)
-        if not gain <= _GAINED * kinetic + noise:
-            raise NonFiniteError(
-                self._complaint(
-                    f"the kinetic energy rose from {kinetic_then:.3g} to {kinetic:.3g} kJ/mol, and the total energy by "
-                    f"{gain:.3g} kJ/mol, which no force did",
-                    state,
-                )
-            )
+        gain = gained(len(self._bodies), self._energies(self._since), self._energies(state))
+        if gain:
+            raise NonFiniteError(self._complaint(gain, state))
         self._good = max(P, self._good[0]), max(m, self._good[1])
         return state
 
@@ -125,10 +116,45 @@ class Guard:
         if self._before is not None and len(self._bodies) > 1:
             pair, distance = closest_pair(self._before.rounded)
             closest = f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. "
-        return (
-            f"step {number}, after {time:.6g} ps: {what}. {closest}The Context keeps the state before this step: "
-            "take a smaller step size (numbers without a unit are ps), or minimise the energy first"
-        )
+        return f"step {number}, after {time:.6g} ps: {what}. {closest}{advice('step')}"
+
+
+def canonical_most(kT: float, freedom: float) -> float:
+    """Return what twice a kinetic energy at kT (kJ/mol) never is: eight of its widths and forty kT above its mean."""
+    return kT * (freedom + 8.0 * math.sqrt(2.0 * freedom) + 40.0)
+
+
+def grown(sizes: Sequence[float], good: Sequence[float]) -> bool:
+    """Tell whether the energy is to be looked at: numbers that go with the kinetic energy grew beyond good ones."""
+    return any(size > _GROWN * known for size, known in zip(sizes, good, strict=True))
+
+
+def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
+    """Say that energy came from nowhere between two instants, or return None.
+
+    Parameters
+    ----------
+    n_bodies : int
+    then, now : (float, float)
+        The kinetic and the total energy in kJ/mol.
+    """
+    (kinetic_then, energy_then), (kinetic, energy) = then, now
+    gain = energy - energy_then
+    noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * n_bodies
+    if gain <= _GAINED * kinetic + noise:
+        return None
+    return (
+        f"the kinetic energy rose from {kinetic_then:.3g} to {kinetic:.3g} kJ/mol, and the total energy by "
+        f"{gain:.3g} kJ/mol, which no force did"
+    )
+
+
+def advice(unit: str) -> str:
+    """Say what the Context holds after a bad step or call, and what to do."""
+    return (
+        f"The Context keeps the state before this {unit}: take a smaller step size (numbers without a unit are ps), "
+        "or minimise the energy first"
+    )
 
 
 def _squares(state: State) -> tuple[float, float, float, float]:

@@ -10,6 +10,7 @@ from openmm import unit
 
 from openmm_exactrb import kernels
 from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
+from openmm_exactrb.device.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.version import version
 
@@ -25,7 +26,7 @@ def identity_of(simulation: Any) -> dict[str, str]:
     simulation : openmm.app.Simulation
         At its start, where bodies are named by hand: this fixes their shape, before a checkpoint is loaded.
     """
-    integrator, system = simulation.integrator, simulation.system
+    integrator, system = simulation.integrator, without_sums(simulation.system)
     identity = {
         "openmm": openmm.__version__,
         "openmm-exactrb": version("not installed"),
@@ -34,6 +35,8 @@ def identity_of(simulation: Any) -> dict[str, str]:
         "System": f"{system.getNumParticles()} particles, {_hash(openmm.XmlSerializer.serialize(system).encode())}",
         "integrator": _settings(integrator),
     }
+    if isinstance(integrator, ExactRigidBodyIntegrator):
+        identity["engine"] = integrator.getEngine()
     if isinstance(integrator, ExactRigidBodyIntegrator) and integrator.hasNamedBodies():
         bodies, _ = integrator.bodyState()
         shapes = b"".join(kind.particles.tobytes() + kind.sites.tobytes() for kind in bodies.kinds)

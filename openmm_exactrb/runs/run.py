@@ -201,6 +201,7 @@ class Run:
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
         until = whole(until, "until, the number of the last step,", least=0)
         tell, first = progress or (lambda steps: None), None if self.resuming else simulation.currentStep
+        self._choose_engine(simulation.integrator)
         identity = identity_of(simulation) | self._outputs.kinds() | self._settings
         self.folder.mkdir(parents=True, exist_ok=True)
         with only_process(self.folder), Signals() as signals:
@@ -227,6 +228,11 @@ class Run:
     def _file(self) -> Path:
         return self.folder / CHECKPOINT
 
+    def _choose_engine(self, integrator: Any) -> None:
+        """Have a run go on with the engine that it began with."""
+        if self.resuming and self._last is not None and isinstance(integrator, ExactRigidBodyIntegrator):
+            integrator.preferEngine(self._last.identity.get("engine", "host"))
+
     def _begin(self, simulation: Any, identity: dict[str, str]) -> None:
         """Load the checkpoint and cut the files back to it, or save the first one and begin the files."""
         if self._last is None:
@@ -234,7 +240,7 @@ class Run:
             self._save(simulation)  # before there is a file: what is found beside a checkpoint is of its run
         elif self.resuming:
             self._last.refuse_others(identity, self._file)
-            simulation.context.loadCheckpoint(self._last.state)
+            _load(simulation, self._last.state)
             _set_timings(simulation.integrator, self._last.timings)
         self.resuming = False
         self._outputs.open(simulation, self._last.files)
@@ -291,6 +297,14 @@ class Run:
         name = signal.Signals(number).name
         print(f"\n{name}: stopped at step {step} of {until}. Go on with {self._again}", file=sys.stderr)
         raise SystemExit(128 + number)
+
+
+def _load(simulation: Any, state: bytes) -> None:
+    """Load a checkpoint of OpenMM, and again where it is one of a program that an integrator gets only then."""
+    simulation.context.loadCheckpoint(state)
+    if isinstance(simulation.integrator, ExactRigidBodyIntegrator) and simulation.integrator.getEngine() == "device":
+        simulation.integrator.degreesOfFreedom()
+        simulation.context.loadCheckpoint(state)
 
 
 def _timings(integrator: Any) -> dict[str, float]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
-from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, force_gradient
+from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, TAKAHASHI_IMADA_PAIR, force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
@@ -232,11 +232,11 @@ _SCHEMES = (
         reference=_PROCESSOR.format(_VERLET),
     ),
     processed(
-        TAKAHASHI_IMADA,
-        "W4_2",
+        TAKAHASHI_IMADA_PAIR,
+        "W4_4",
         order=4,
-        a=(0.05429078447675026, -0.5054060059714955, 0.2688866079977719, -0.4113264615879931),
-        b=(-0.20327746944936237, 0.42243392093623133, -0.12757540480479196, -0.23028681756741703),
+        a=(0.02714539223837513, -0.25270300298574777, 0.13444330399888596, -0.20566323079399654),
+        b=(-0.10163873472468118, 0.21121696046811567, -0.06378770240239598, -0.11514340878370852),
         reference=_PROCESSOR.format(TAKAHASHI_IMADA.reference),
     ),
     # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from openmm_exactrb.schemes.scheme import Scheme, palindrome
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK
+from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, merged
 
 #: By what the change of forces is multiplied: with forces of single precision 8 shows in the energy, 4 does not.
 MAGNIFICATION = 4.0
@@ -90,8 +90,26 @@ def _magnified(scheme: Scheme, k: float) -> Scheme:
     return replace(scheme, word=tuple(word), gradients=tuple((letter, s / k**3) for letter, s in scheme.gradients))
 
 
+def in_pairs(first: Scheme, second: Scheme, name: str) -> Scheme:
+    """Return half a step of one scheme and half a step of another one, which differ in their displacements."""
+    renamed = {letter: f"{letter}2" for letter, _ in second.gradients}
+    halves = *first.word, *((renamed.get(letter, letter), part) for letter, part in second.word)
+    word = merged((letter, 0.5 * part) for letter, part in halves)
+    gradients = *first.gradients, *((renamed[letter], strength) for letter, strength in second.gradients)
+    return replace(first, name=name, word=word, gradients=gradients)
+
+
+def _takahashi_imada(name: str, magnification: float) -> Scheme:
+    return force_gradient(
+        name, "ACA", order=2, e=(1.0 / 12.0,), magnification=magnification, reference=_TAKAHASHI_IMADA
+    )
+
+
 #: Kicks between half drifts: order 2, of which a change of coordinates makes 4.
-TAKAHASHI_IMADA = force_gradient("TI2", "ACA", order=2, e=(1.0 / 12.0,), reference=_TAKAHASHI_IMADA)
+TAKAHASHI_IMADA = _takahashi_imada("TI2", MAGNIFICATION)
+#: Two of them, half as long, whose displacements point to either side: what is beyond first order in them cancels. No
+#: palindrome, but time-reversible up to what is left.
+TAKAHASHI_IMADA_PAIR = in_pairs(TAKAHASHI_IMADA, _takahashi_imada("TI2", -MAGNIFICATION), "TI2 in pairs")
 
 #: By the number of forces per step, with those at displaced places. The tables of Schäfers and others are for kicks by
 #: forces at displaced places: e = 2 c/b in their letters.

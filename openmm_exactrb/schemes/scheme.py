@@ -98,7 +98,8 @@ class Scheme:
 
     def _kicks(self) -> list[list[tuple[str, float]]]:
         """Return the kicks of each place: those without a drift between them."""
-        return [list(group) for kicked, group in itertools.groupby(self.word, lambda part: _is_kick(part[0])) if kicked]
+        moves = (part for part in self.word if part[0] == DRIFT or _is_kick(part[0]))
+        return [list(group) for kicked, group in itertools.groupby(moves, lambda part: _is_kick(part[0])) if kicked]
 
     @property
     def sequence(self) -> tuple[tuple[str, float], ...]:

@@ -120,7 +120,7 @@ class Ours:
         if isinstance(method, NestedScheme) and method.pairs:
             start = replace(start, system=with_exceptions_apart(start.system))
         self._start, self.stages = start, scheme.forces
-        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast)
+        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast, engine="host")
         self._context = start.context(self._integrator)
 
     @property

@@ -42,7 +42,7 @@ def scales_of(start: Start) -> Scales:
     ValueError
         If the System has no rigid bodies, positions do not fit, or nothing moves.
     """
-    integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=start.bodies)
+    integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=start.bodies, engine="host")
     context = start.context(integrator)
     bodies, state = integrator.bodyState()
     context.computeVirtualSites()

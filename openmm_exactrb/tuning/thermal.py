@@ -34,7 +34,7 @@ def thermalised(start: Start, temperature: float, seed: int, minimise: bool) -> 
     ValueError
         If the start is too far from any equilibrium to be run.
     """
-    integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=start.bodies)
+    integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=start.bodies, engine="host")
     context = start.context(integrator)
     if minimise and start.bodies is None:
         openmm.LocalEnergyMinimizer.minimize(context, 10.0)

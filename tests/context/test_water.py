@@ -463,7 +463,7 @@ def test_opencl_agrees_with_reference_and_keeps_the_state_in_float64(precision):
         app.Simulation(
             topology,
             system,
-            rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2"),
+            rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2", engine="host"),
             openmm.Platform.getPlatform("OpenCL"),
             {"Precision": precision},
         )

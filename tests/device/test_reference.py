@@ -178,6 +178,74 @@ def test_a_body_beyond_the_range_of_the_series_is_noticed(droplet):
     assert np.isfinite(shown(device)).all()
 
 
+def bath_or_none(engine, h, bath):
+    """Return an integrator with or without a cold heat bath."""
+    if bath:
+        return rb.ExactRigidBodyLangevinIntegrator(10.0, 0.001, h, "W2_5", engine=engine)
+    return rb.ExactRigidBodyIntegrator(h, "W2_5", engine=engine)
+
+
+@pytest.mark.parametrize(("engine", "bath"), [("host", False), ("device", False), ("device", True)])
+def test_energy_from_nowhere_is_noticed(engine, bath, droplet):
+    system, positions = droplet
+    integrator = bath_or_none(engine, 0.05, bath)
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
+    context.setPositions(positions)
+    sentence = r"the kinetic energy rose from .* which no force did.* The Context keeps the state before this"
+    with pytest.raises(rb.NonFiniteError, match=sentence):
+        integrator.step(20)
+    if engine == "device":
+        np.testing.assert_allclose(shown(context)[0], positions._value, rtol=0.0, atol=1e-12)
+        assert np.abs(shown(context)[1]).max() < 1e-12
+        assert context.getStepCount() == 0
+        assert context.getTime()._value == 0.0
+    integrator.setStepSize(0.001)
+    integrator.step(5)
+
+
+def test_steps_far_too_long_stop(droplet):
+    device = context_of(*droplet, "device", h=0.5, scheme="W2_5")
+    before = shown(device)
+    with pytest.raises(rb.NonFiniteError, match="The Context keeps the state before this call"):
+        device.getIntegrator().step(2)
+    np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
+
+
+def test_bodies_at_rest_may_come_to_turn_fast(droplet):
+    both = pair(*droplet, scheme="W2_5", h=0.01, kelvin=0.0)
+    one, other = (stepped(context, 30) for context in both)
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("bath", [False, True])
+def test_minimised_and_hot_starts_are_no_false_alarm(bath, droplet):
+    system, positions = droplet
+    integrator = bath_or_none("device", 0.001, bath)
+    context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
+    context.setPositions(positions)
+    integrator.step(50)  # from rest on a lattice
+    integrator.minimizeEnergy()
+    context.setVelocitiesToTemperature(0.0)
+    integrator.step(50)
+    integrator.setVelocitiesToTemperature(3000.0, 1)
+    integrator.step(20)
+    context.setVelocitiesToTemperature(0.0)
+    integrator.step(50)
+
+
+def test_a_look_at_the_energy_leaves_the_run_as_it_was(droplet):
+    system, positions = droplet
+    contexts = [
+        openmm.Context(copy.deepcopy(system), bath_or_none(e, 0.001, False), REFERENCE) for e in ("host", "device")
+    ]
+    for context in contexts:
+        context.setPositions(positions)  # at rest, so that any motion is looked at
+        for _ in range(3):
+            context.getIntegrator().step(7)
+    np.testing.assert_allclose(*map(shown, contexts), rtol=0.0, atol=1e-12)
+
+
 def liquid(*forces):
     """Return 27 molecules in a box, with more forces."""
     _, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
@@ -229,6 +297,18 @@ def test_a_barostat_moves_whole_bodies():
     assert len(set(boxes)) > 2
 
 
+def test_a_call_that_fails_leaves_the_box_as_it_was():
+    device = context_of(*liquid(openmm.MonteCarloBarostat(5000.0, 300.0, 1)), "device", scheme="V2", h=0.002)
+    integrator = device.getIntegrator()
+    integrator.step(2)
+    box, before = box_of(device), shown(device)
+    integrator.setStepSize(0.1)
+    with pytest.raises(rb.NonFiniteError, match="The Context keeps the state before this call"):
+        integrator.step(2)
+    np.testing.assert_array_equal(box_of(device), box)
+    np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
+
+
 def test_a_thermostat_pushes_whole_bodies():
     system, positions = liquid()
     host = context_of(system, positions, "host", scheme="S2_2")
@@ -275,31 +355,64 @@ def test_refusals(droplet):
         context_of(with_sites, places, "device")
 
 
-def test_the_force_group_of_the_sums_is_nobody_elses(droplet):
-    system, positions = droplet
-    taken = copy.deepcopy(system)
-    force = taken.getForce(0)
-    force.setForceGroup(31)
-    sentence = f"needs force group 31 for itself, and {force.getName()} is in it .give that force another one with"
-    with pytest.raises(ValueError, match=f"{sentence} setForceGroup, 30 is free.; engine='host' can do it"):
-        context_of(taken, positions, "device")
-    auto = context_of(taken, positions, "auto")
-    assert auto.getIntegrator().getEngine() == "host"
-    assert "30 is free" in auto.getIntegrator().engineNote()
-    for group in range(31):
+def in_groups(system, groups):
+    """Return a copy of a System with the first force in the first of some groups, and one without effect in each."""
+    system = copy.deepcopy(system)
+    system.getForce(0).setForceGroup(groups[0])
+    for group in groups:
         other = openmm.CustomExternalForce("0")
         other.setForceGroup(group)
-        taken.addForce(other)
-    with pytest.raises(ValueError, match="give that force one of another force, none is free"):
-        context_of(taken, positions, "device")
+        system.addForce(other)
+    return system
+
+
+def group_of_sums(context):
+    """Return the force group of the sums, and those of the other forces."""
+    groups = {force.getName(): force.getForceGroup() for force in context.getSystem().getForces()}
+    (own,) = [group for name, group in groups.items() if name.startswith("openmm-exactrb")]
+    return own, {group for name, group in groups.items() if not name.startswith("openmm-exactrb")}
+
+
+@pytest.mark.parametrize(("taken", "free"), [([31], 30), ([31, 30, 12], 29), (range(1, 32), 0)])
+def test_a_force_group_that_is_free_is_found(taken, free, droplet):
+    system, positions = droplet
+    system = in_groups(system, list(taken))
+    for force in system.getForces():
+        if force.getForceGroup() == 0:
+            force.setForceGroup(taken[0])
+    host, device = pair(system, positions)
+    np.testing.assert_allclose(stepped(device, 20), stepped(host, 20), rtol=0.0, atol=1e-12)
+    own, others = group_of_sums(device)
+    assert own == free
+    assert own not in others
+    gathered = device.getState(energy=True, groups={free})
+    assert gathered.getPotentialEnergy()._value == 0.0
+    checkpoint = device.createCheckpoint()
+    after = stepped(device, 3)
+    again = context_of(system, positions, "device")
+    again.loadCheckpoint(checkpoint)
+    np.testing.assert_array_equal(stepped(again, 3), after)
+
+
+def test_a_system_without_a_free_force_group_is_refused(droplet):
+    system, positions = droplet
+    system = in_groups(system, list(range(32)))
+    with pytest.raises(ValueError, match="has forces in all 32: give two of them the same one; engine='host' can do"):
+        context_of(system, positions, "device")
+
+
+def test_forces_without_a_group_take_none(droplet):
+    system, positions = droplet
     removed = copy.deepcopy(system)
     remover = openmm.CMMotionRemover()
     remover.setForceGroup(31)  # it has no forces
     removed.addForce(remover)
-    stepped(context_of(removed, positions, "device"), 1)
+    device = context_of(removed, positions, "device")
+    stepped(device, 1)
+    assert group_of_sums(device)[0] == 31
 
 
-def test_auto_takes_the_host_where_there_is_no_device(droplet):
+def test_auto_is_the_host_where_there_is_no_device(droplet):
     host = context_of(*droplet, "host", scheme="S2_2")
     auto = context_of(*droplet, "auto", scheme="S2_2")
     integrator = auto.getIntegrator()
@@ -313,6 +426,25 @@ def test_auto_takes_the_host_where_there_is_no_device(droplet):
     assert context_of(*droplet, "host").getIntegrator().getEngine() == "host"
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (rb.ExactRigidBodyIntegrator, 0.001),
+        (rb.ExactRigidBodyLangevinIntegrator, 300.0, 1.0, 0.001),
+        (rb.ExactRigidBodyRescalingIntegrator, 300.0, 1.0, 0.001),
+        (rb.ExactRigidBodyHybridIntegrator, 300.0, 1.0, 0.001),
+    ],
+)
+def test_auto_is_the_default_and_costs_an_integrator_nothing(arguments):
+    kind, *numbers = arguments
+    xml = {}
+    for engine in ("auto", "host"):
+        integrator = kind(*numbers, engine=engine)
+        xml[engine] = openmm.XmlSerializer.serialize(integrator)
+    assert xml["auto"] == xml["host"] == openmm.XmlSerializer.serialize(kind(*numbers))
+    assert kind(*numbers).getSettings()["arguments"]["engine"] == "auto"
+
+
 def test_force_groups_are_respected(droplet):
     system, positions = droplet
     both = pair(system, positions)
@@ -323,7 +455,8 @@ def test_force_groups_are_respected(droplet):
     assert np.abs(shown(both[1])[0] - x).max() > 0.0
     integrator = both[1].getIntegrator()
     integrator.setIntegrationForceGroups(0xFFFFFFFF)
-    assert not integrator.getIntegrationForceGroups() >> 31 & 1
+    assert integrator.getIntegrationForceGroups() == -1
+    assert not openmm.CustomIntegrator.getIntegrationForceGroups(integrator) >> 31 & 1
 
 
 def test_a_second_context_of_the_same_system(droplet):
