@@ -37,6 +37,15 @@ def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
     assert np.median([long_run(run, tuned, *droplet, "Reference") for run in runs]) < 2.0 * choice.error
 
 
+def test_a_processed_scheme_is_advised_with_what_looks_at_it_cost(droplet):
+    result = rb.tune(*droplet, target=1e-3, schemes=["V2", "W4_4"], platform="Reference", report=None)
+    choice = result.best()
+    assert choice.method == "W4_4"
+    (note,) = (note for note in result.notes if "W4_4" in note)
+    assert "evaluates forces 10 times more for each call of step" in note
+    assert long_run(choice, result, *droplet, "Reference") < 2.0 * choice.error
+
+
 def named_horizon(droplet):
     schemes = ("S2_2", "W2_4", "Chin4A")
     return rb.tune(*droplet, target=3e-3, horizon=3.0 * unit.picosecond, schemes=schemes, platform="Reference")

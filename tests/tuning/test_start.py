@@ -63,7 +63,6 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
-        ({"schemes": ["V2_C17"]}, "is processed"),
         ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
     ],
