@@ -145,7 +145,9 @@ def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:
         axes.plot(time, energies - energies.mean(), color=colour, lw=width, label=name)
     axes.set_xlabel("time (ps)")
     axes.set_ylabel("total energy − mean\n(J/mol per molecule)")
-    axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both", fontsize=11)
+    looks = max(rb.SCHEMES[method].processing for method in runs if method != VERLET)
+    more = f", a look at ours {looks} more" if looks else ""
+    axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both{more}", fontsize=11)
     axes.margins(x=0.01)
     legend = figure.legend(loc="outside lower center", ncols=2, frameon=False)
     for line in legend.get_lines():
