@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import math
 from dataclasses import replace
 
 from openmm_exactrb.schemes.catalogue import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import BATH, Word, repeated, spelled
+from openmm_exactrb.schemes.word import BATH, Word, palindromic, repeated, spelled
 
 #: The letter of a proposal with Metropolis's decision.
 PROPOSAL = "X"
@@ -69,8 +68,7 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if any(letter == BATH for letter, _ in scheme.word):
         raise ValueError(f"{scheme.name} has a bath within it, but a proposal has none: choose a scheme such as S2_2")
-    pairs = zip(scheme.word, reversed(scheme.word), strict=True)
-    if not all(a == b and math.isclose(i, j, rel_tol=1e-14) for (a, i), (b, j) in pairs):
+    if not palindromic(scheme.word):
         raise ValueError(f"scheme {scheme.name} is not symmetric in time, as proposals must be: choose one that is")
     word = repeated(scheme.word, steps)
     return replace(scheme, word=tuple((letter, part / steps) for letter, part in word))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word, count, inverse
+from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word, count, inverse, is_kick, palindromic
 
 Kind = Literal["general", "nystroem"]
 Outer = Literal["drift", "kick"]
@@ -98,8 +98,8 @@ class Scheme:
 
     def _kicks(self) -> list[list[tuple[str, float]]]:
         """Return the kicks of each place: those without a drift between them."""
-        moves = (part for part in self.word if part[0] == DRIFT or _is_kick(part[0]))
-        return [list(group) for kicked, group in itertools.groupby(moves, lambda part: _is_kick(part[0])) if kicked]
+        moves = (part for part in self.word if part[0] == DRIFT or is_kick(part[0]))
+        return [list(group) for kicked, group in itertools.groupby(moves, lambda part: is_kick(part[0])) if kicked]
 
     @property
     def sequence(self) -> tuple[tuple[str, float], ...]:
@@ -109,7 +109,7 @@ class Scheme:
     @property
     def stages(self) -> int:
         """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
-        return len(self._kicks()) - (_is_kick(self.word[0][0]) and _is_kick(self.word[-1][0]))
+        return len(self._kicks()) - (is_kick(self.word[0][0]) and is_kick(self.word[-1][0]))
 
     @property
     def forces(self) -> int:
@@ -129,7 +129,7 @@ class Scheme:
     @property
     def symmetric(self) -> bool:
         """Whether a step back is the inverse of a step; a processor is symmetric to first order in V only."""
-        return not self.processor
+        return not self.processor and palindromic(self.word)
 
     @property
     def composes_verlet(self) -> bool:
@@ -140,10 +140,6 @@ class Scheme:
             and not self.gradients
             and all(abs(b - 0.5 * (i + j)) < 1e-14 for b, i, j in zip(self.b, halves[:-1], halves[1:], strict=True))
         )
-
-
-def _is_kick(letter: str) -> bool:
-    return letter.startswith((KICK, GRADIENT))
 
 
 def symmetric(

@@ -6,6 +6,8 @@ elsewhere, by a table from letters to flows; a word is data, which can be invert
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterable
 
 #: Pairs of a letter and its part of the step, in the order of their use.
@@ -21,6 +23,23 @@ FAST = KICK + "fast"
 def inverse(word: Word) -> Word:
     """Return the word that undoes another one."""
     return tuple((letter, -part) for letter, part in reversed(word))
+
+
+def is_kick(letter: str) -> bool:
+    """Tell whether a letter changes momenta by what places are, so that it commutes with its like."""
+    return letter.startswith((KICK, GRADIENT))
+
+
+def palindromic(word: Word) -> bool:
+    """Tell whether a word reads the same from behind, where kicks without a letter between them are in any order."""
+    pairs = zip(_in_order(word), _in_order(word[::-1]), strict=True)
+    return all(a == b and math.isclose(i, j, rel_tol=1e-14) for (a, i), (b, j) in pairs)
+
+
+def _in_order(word: Word) -> Word:
+    """Return a word with the kicks between two other letters in one order."""
+    places = ((kicks, list(some)) for kicks, some in itertools.groupby(word, lambda row: is_kick(row[0])))
+    return tuple(itertools.chain(*(sorted(some) if kicks else some for kicks, some in places)))
 
 
 def merged(word: Iterable[tuple[str, float]]) -> Word:

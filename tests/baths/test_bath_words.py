@@ -6,7 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.baths import words
-from openmm_exactrb.schemes.word import inverse
+from openmm_exactrb.schemes.word import palindromic
 
 PLAIN = [scheme for scheme in rb.SCHEMES.values() if not scheme.processor]
 
@@ -17,8 +17,7 @@ def test_a_step_has_one_bath_of_the_whole_step_and_reads_the_same_from_behind(sc
     baths = [(letter, part) for letter, part in word if letter[0] == "O"]
     assert math.fsum(part for _, part in baths) == 1.0
     assert [letter for letter, _ in baths] == [f"O{k}" for k in range(len(baths))]
-    assert [part for _, part in inverse(word)] == [-part for _, part in word]
-    assert [letter[0] for letter, _ in word] == [letter[0] for letter, _ in reversed(word)]
+    assert palindromic(tuple((letter[0], part) for letter, part in word))
 
 
 @pytest.mark.parametrize("scheme", PLAIN, ids=lambda scheme: scheme.name)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import openmm_exactrb as rb
 from openmm_exactrb.motion.engine import run, steps
-from openmm_exactrb.schemes.word import count, inverse, merged, nested, repeated, spelled
+from openmm_exactrb.schemes.word import count, inverse, merged, nested, palindromic, repeated, spelled
 
 LETTERS = st.sampled_from(["A", "B", "B1", "C", "O", "M", "F"])
 WORDS = st.lists(st.tuples(LETTERS, st.floats(-1.0, 1.0)), max_size=12).map(tuple)
@@ -126,3 +126,11 @@ def test_the_steps_of_a_run_say_when_their_state_is_that_of_the_problem(scheme, 
     else:
         assert all(wholes)
         assert [word for word, _ in made] == [scheme.processor + scheme.word + scheme.postprocessor] * 3
+
+
+def test_a_word_reads_the_same_from_behind_up_to_kicks_that_commute():
+    assert palindromic((("A", 0.5), ("B", 1.0), ("A", 0.5)))
+    assert palindromic((("A", 0.5), ("B", -3.0), ("C", 4.0), ("A", 0.5)))
+    assert not palindromic((("A", 0.4), ("B", 1.0), ("A", 0.6)))
+    assert not palindromic((("B", 0.5), ("A", 0.5), ("C", 0.5), ("A", 0.5)))
+    assert not palindromic((("O", 0.5), ("B", 1.0), ("A", 0.5), ("O", 0.5)))
