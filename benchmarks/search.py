@@ -69,7 +69,7 @@ def member(family, free):
 def free_of(family, scheme):
     """Return the free coefficients of a scheme of a family."""
     drifts, kicks = slots(family, "A") - 1, slots(family, "BC")
-    e = [-2.0 * c / b for b, c in zip(scheme.b[:kicks], scheme.c[:kicks], strict=True) if c]
+    e = [-2.0 * c / b for b, c in zip(scheme.b[:kicks], scheme.c[:kicks], strict=bool(scheme.c)) if c]
     return [*scheme.a[:drifts], *scheme.b[: kicks - 1], *e]
 
 
