@@ -147,7 +147,7 @@ def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:
     axes.set_ylabel("total energy − mean\n(J/mol per molecule)")
     looks = max(rb.SCHEMES[method].processing for method in runs if method != VERLET)
     more = f", a look at ours {looks} more" if looks else ""
-    axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both{more}", fontsize=11)
+    axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both{more}", fontsize=10)
     axes.margins(x=0.01)
     legend = figure.legend(loc="outside lower center", ncols=2, frameon=False)
     for line in legend.get_lines():
