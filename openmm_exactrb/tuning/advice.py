@@ -161,7 +161,7 @@ def _result(measured: Measurements, found: Found, target: float | None, notes: l
     if best is not None and (looks := _looks(measured, best.method)):
         notes.append(
             f"{best.method} evaluates forces {looks} times more for each call of step, and so for each report: that is "
-            "not in its cost, so let reports be some hundred forces apart"
+            "not in its cost, so let reports be some hundred forces apart. Simulation.step calls it every ten steps"
         )
     return Tuning(
         points=tuple(measured.points),
