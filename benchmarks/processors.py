@@ -28,6 +28,7 @@ from scipy.optimize import least_squares
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes.scheme import processed
+from openmm_exactrb.schemes.stability import oscillated
 from openmm_exactrb.schemes.word import DRIFT
 
 DEGREES = 6  # series in two letters that do not commute, up to words of five of them
@@ -133,24 +134,15 @@ def modified(scheme):
 # -- oscillators ---------------------------------------------------------------------------------------------------
 
 
-def matrices(word, strengths, x):
-    """Return the matrices (len(x), 2, 2) of a word for oscillators with x = w h, in coordinates of one energy."""
-    result = np.broadcast_to(np.eye(2), (len(x), 2, 2))
-    for letter, part in word:
-        step, tau = np.broadcast_to(np.eye(2), (len(x), 2, 2)).copy(), part * x
-        if letter == DRIFT:
-            step[:, 0, 1] = tau
-        else:
-            step[:, 1, 0] = -tau * (1.0 - strengths.get(letter, 0.0) * tau * tau)
-        result = step @ result
-    return result
+def matrices(word, scheme, x):
+    """Return the matrices (len(x), 2, 2) of a word of a scheme for oscillators with x = w h."""
+    return np.moveaxis(np.array(oscillated(word, scheme, x)), 2, 0)
 
 
 def swing(scheme, x):
     """Return by how much the kept energy is no circle: (2, len(x)); and the relative error of the frequency."""
-    strengths = dict(scheme.gradients)
-    change = matrices(scheme.processor, strengths, x)
-    whole = np.linalg.inv(change) @ matrices(scheme.word, strengths, x) @ change
+    change = matrices(scheme.processor, scheme, x)
+    whole = np.linalg.inv(change) @ matrices(scheme.word, scheme, x) @ change
     angle = np.arccos(np.clip(0.5 * (whole[:, 0, 0] + whole[:, 1, 1]), -1.0, 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         form = 0.5 * np.array([-whole[:, 1, 0] - whole[:, 0, 1], whole[:, 0, 0] - whole[:, 1, 1]]) / np.sin(angle)

@@ -31,6 +31,7 @@ import droplets
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import force_gradient
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.schemes.stability import oscillated
 
 MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
 TRAINING, TEST = {"n": 24, "seeds": (11,)}, {"n": 32, "seeds": (101, 102, 103, 104, 105, 106)}
@@ -95,15 +96,7 @@ def spectrum(name="tip3p", n=24, picoseconds=8.0, interval=0.002):
 
 def oscillator(scheme, x):
     """Return alpha and beta of the Hamiltonian that a step x = w h conserves; nan where it is unstable."""
-    qq, qp, pq, pp = (np.full_like(x, c) for c in (1.0, 0.0, 0.0, 1.0))
-    strengths = dict(scheme.gradients)
-    for letter, part in scheme.word:
-        tau = part * x
-        if letter == "A":
-            qq, qp = qq + tau * pq, qp + tau * pp
-        else:
-            tau = tau * (1.0 - strengths.get(letter, 0.0) * tau * tau)
-            pq, pp = pq - tau * qq, pp - tau * qp
+    (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, x)
     with np.errstate(invalid="ignore", divide="ignore"):
         angle, ratio = np.arccos(0.5 * (qq + pp)), np.sqrt(-qp / pq)
     return ratio * angle / x, angle / (ratio * x)

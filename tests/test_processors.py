@@ -36,7 +36,7 @@ def test_the_series_is_that_of_matrices():
             field[2 ** len(w) - 1 + int("0" + w.replace("A", "0").replace("B", "1"), 2)] * M for w, M in words.items()
         )
         whole = [*scheme.processor, *scheme.word, *scheme.postprocessor]
-        step = processors.matrices(whole, dict(scheme.gradients), np.array([x]))[0]
+        step = processors.matrices(whole, scheme, np.array([x]))[0]
         errors.append(np.abs(expm(series) - step).max())
     assert errors[0] < 1e-9
     assert np.log2(errors[1] / errors[0]) > 5.5

@@ -10,6 +10,7 @@ smaller. What forces are rounded to is multiplied too, so that the part is not a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -57,7 +58,8 @@ def force_gradient(
     Raises
     ------
     ValueError
-        If letters are no such palindrome, or the coefficients are not as many as they leave free.
+        If letters are no such palindrome, the coefficients are not as many as they leave free, or the magnification is
+        zero or not finite.
     """
     drifts, kicks = letters[::2], letters[1::2]
     if drifts[0] != DRIFT:
@@ -67,6 +69,8 @@ def force_gradient(
     half = (len(kicks) + 1) // 2
     if kicks[:half].count(GRADIENT) != len(e):
         raise ValueError(f"scheme {name}: give e for each C of the first half of {letters!r}, not {len(e)} numbers")
+    if not (math.isfinite(magnification) and magnification):
+        raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")
     displacements = iter(e)
     named = list(kicks)
     gradients: list[tuple[str, float]] = []

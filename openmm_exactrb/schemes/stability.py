@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT
+from openmm_exactrb.schemes.word import DRIFT, Word
 
 
 def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
@@ -66,7 +66,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     -----
     A step is taken to turn the oscillator once at most.
     """
-    (qq, qp), (pq, pp) = _step(scheme, step)
+    (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, step)
     if not abs(qq + pp) < 2.0:
         raise ValueError(f"{scheme.name} is not stable at a step of {step:g}/omega: take a smaller one")
     angle = math.acos(0.5 * (qq + pp))
@@ -78,19 +78,30 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 
 def _trace(scheme: Scheme, h: float) -> float:
     """Return the trace of the matrix of one step of q'' = -q."""
-    (qq, _), (_, pp) = _step(scheme, h)
-    return qq + pp
+    (qq, _), (_, pp) = oscillated(scheme.word, scheme, h)
+    return float(qq + pp)
 
 
-def _step(scheme: Scheme, h: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the matrix of one step of q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp))."""
-    (qq, qp), (pq, pp) = (1.0, 0.0), (0.0, 1.0)
+def oscillated(word: Word, scheme: Scheme, h: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
+    """Return the matrix of a word for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
+
+    Parameters
+    ----------
+    word : Word
+        That of a step, or of the processor.
+    scheme : Scheme
+        Which says how strong force-gradient kicks are.
+    h : float or array
+        Step sizes in units of 1/omega; entries have its shape.
+    """
+    zero = 0.0 * h
+    (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)
     strengths = dict(scheme.gradients)
-    for letter, part in scheme.word:
+    for letter, part in word:
         tau = part * h
         if letter == DRIFT:
             qq, qp = qq + tau * pq, qp + tau * pp
         else:
-            tau *= 1.0 - strengths.get(letter, 0.0) * tau * tau
+            tau = tau * (1.0 - strengths.get(letter, 0.0) * tau * tau)
             pq, pp = pq - tau * qq, pp - tau * qp
     return (qq, qp), (pq, pp)

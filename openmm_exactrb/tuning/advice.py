@@ -27,7 +27,18 @@ from openmm_exactrb.tuning.thermal import thermalised
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
 #: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
 CANDIDATES = (
-    *("V2", "W2_1", "S2_2", "S2_4", "W2_4", "W2_5", "W4_4", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_11b", "SRKN6_14a"),
+    "V2",
+    "W2_1",
+    "S2_2",
+    "S2_4",
+    "W2_4",
+    "W2_5",
+    "W4_4",
+    "W4_5",
+    "W4_6",
+    "SRKN4_6b",
+    "SRKN6_11b",
+    "SRKN6_14a",
 )
 
 #: Schemes that are tried with nested bonded forces unless others are named.

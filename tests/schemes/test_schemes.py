@@ -131,5 +131,8 @@ def test_force_gradients_are_built_from_the_letters():
     for letters in ("BACA", "BBACABB", "A", "BAXAB"):
         with pytest.raises(ValueError, match=f"'{letters}' is no palindrome in which drifts A and kicks B or C take"):
             force_gradient("wrong", letters, order=2)
+    for magnification in (0.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="magnification must be a finite number other than 0"):
+            force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
     with pytest.raises(ValueError, match="give e for each C of the first half of 'BACAB', not 2 numbers"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
