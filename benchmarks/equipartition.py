@@ -4,14 +4,16 @@ With SETTLE and leapfrog, rigid water is off equipartition at every step above 0
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
 BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and S2_2 run the same water at the same time a force
 evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
-T_rot - T_tr, the potential energy and, at constant pressure, the density, each with the error of block averages.
+T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error.
 
 Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
 applyVelocityConstraints, which leaves the linear and angular momentum of each molecule and nothing else.
 
 A point is made of several runs with their own seeds, and each is one recipe of an ensemble: the command goes on where
-it stopped. Results go to out/equipartition, a table and a picture beside them. The whole study, 1 ns a point of 216
-molecules, takes 50 million forces; --intervals, --models, --ensembles, --runs and --length choose a part of it.
+it stopped. What each run gave is a line of a record, docs/equipartition.csv, and what is in the record is not run
+again: so the study goes on from machine to machine. Errors are those of the mean of independent runs. The whole study,
+1 ns a point of 216 molecules, takes 50 million forces; --models, --ensembles, --methods, --intervals and --runs choose
+a part of it. Several such commands beside each other are fastest with a core for each and one worker: taskset -c 0.
 """
 
 from __future__ import annotations
@@ -36,12 +38,24 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("out/equipartition")
+RECORD = Path(__file__).resolve().parents[1] / "docs" / "equipartition.csv"
+# What a run is, and what it gives, in the record.
+COLUMNS = {
+    "model": str,
+    "ensemble": str,
+    "method": str,
+    "fs per force": float,
+    "molecules": int,
+    "friction": float,
+    "ps": float,
+    "seed": int,
+}
+MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
 BAROSTAT = 0.05  # ps between two moves of the barostat
-LOOKED, SAMPLED = 0.01, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
+LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
-BLOCK = {"NVT": 5.0, "NPT": 25.0}  # ps, of the block averages: long against what energy and volume remember
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 LFM = "LangevinMiddle"
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
@@ -186,67 +200,62 @@ def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
     return {"U": state.getPotentialEnergy()._value / n, "density": mass * 1.66053906892 / volume}
 
 
-def mean_and_error(runs: list[dict], quantity, block: float) -> tuple[float, float]:
-    """Return the mean of a quantity and its error, from blocks of this many ps."""
-    blocks = []
-    for run in runs:
-        values = quantity({name: np.array(series) for name, series in run["samples"].items()})
-        size = max(1, round(block / run["interval"]))
-        blocks += [values[i : i + size].mean() for i in range(0, len(values) - size + 1, size)]
-    return float(np.mean(blocks)), float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
-
-
-def quantities(method: str) -> dict:
-    """Return what is taken from the samples of a method, by the name that the table has."""
-    own = {
-        "T_tr": lambda s: s["T_tr"],
-        "T_rot": lambda s: s["T_rot"],
-        "T_rot - T_tr": lambda s: s["T_rot"] - s["T_tr"],
-        "U": lambda s: s["U"],
-        "density": lambda s: s["density"],
+def gist(method: str, result: dict) -> dict[str, float]:
+    """Return the means over a run of what is measured."""
+    means = {name: float(np.mean(series)) for name, series in result["samples"].items()}
+    reference = means["T_tr"] if method == LFM else means["T_tr, other"]
+    return {
+        "T_tr": means["T_tr"],
+        "T_rot - T_tr": means["T_rot"] - means["T_tr"],
+        "other T_rot - T_tr": means["T_rot, other"] - reference,
+        "U": means["U"],
+        "density": means["density"],
+        "acceptance": result.get("acceptance", math.nan),
     }
-    if method == LFM:
-        return own | {"other T_rot - T_tr": lambda s: s["T_rot, other"] - s["T_tr"]}
-    return own | {"other T_rot - T_tr": lambda s: s["T_rot, other"] - s["T_tr, other"]}
+
+
+def recipe_of(point: tuple, seed: int, args: argparse.Namespace) -> ensemble.Recipe:
+    model, kind, method, interval = point
+    return ensemble.Recipe(
+        run_of,
+        model=model,
+        method=method,
+        interval=interval / 1000.0,
+        pressure=PRESSURE if kind == "NPT" else None,
+        length=args.length,
+        seed=seed,
+        n=args.molecules,
+        friction=args.friction,
+    )
 
 
 def main() -> None:
     args = parse()
+    record = read(args.record)
+    settings = (args.molecules, args.friction, args.length)
     points = list(itertools.product(args.models, args.ensembles, args.methods, args.intervals))
-    recipes = {
-        point: [
-            ensemble.Recipe(
-                run_of,
-                model=point[0],
-                method=point[2],
-                interval=point[3] / 1000.0,
-                pressure=PRESSURE if point[1] == "NPT" else None,
-                length=args.length,
-                seed=seed,
-                n=args.molecules,
-                friction=args.friction,
-            )
-            for seed in range(1, args.runs + 1)
-        ]
-        for point in points
-    }
-    results = finished(list(itertools.chain(*recipes.values())), args)
-    rows = []
-    for point, of_point in recipes.items():
-        done = [results[recipe.key] for recipe in of_point if recipe.key in results]
-        if done:
-            block = BLOCK[point[1]]
-            measured = {name: mean_and_error(done, f, block) for name, f in quantities(point[2]).items()}
-            rows.append((*point, args.length * len(done), measured))
+    wanted = {(*point, *settings, seed): point for point in points for seed in range(1, args.runs + 1)}
+    missing = {key: recipe_of(point, key[-1], args) for key, point in wanted.items() if key not in record}
+    results = finished(list(missing.values()), args)
+    for key, recipe in missing.items():
+        if recipe.key in results:
+            record[key] = gist(key[2], results[recipe.key])
+    write(record, args.record)
+    rows = table({key: record[key] for key in wanted if key in record})
     if not rows:
-        raise SystemExit(f"no run of these points is finished in {args.out}")
-    write(rows, args.out / "table.csv")
+        raise SystemExit(f"no run of these points is in {args.record} or finished in {args.out}")
+    for *point, ps, found in rows:
+        print(
+            *point, f"{ps:g} ps ", "  ".join(f"{name} {mean:.5g}({error:.2g})" for name, (mean, error) in found.items())
+        )
     draw(rows, args.out / "equipartition.png")
 
 
 def finished(recipes: list[ensemble.Recipe], args: argparse.Namespace) -> dict[str, dict]:
     """Return the results of recipes by their keys, of all that can be run, or of those that were."""
     folder = args.out / "runs"
+    if not recipes:
+        return {}
     if args.finished:
         outcomes = [outcome for outcome in map(Store(folder).read, recipes) if outcome is not None]
     else:
@@ -257,15 +266,41 @@ def finished(recipes: list[ensemble.Recipe], args: argparse.Namespace) -> dict[s
     return {outcome.recipe.key: outcome.result for outcome in outcomes if outcome.error is None}
 
 
-def write(rows: list[tuple], file: Path) -> None:
-    """Write the table, and print it."""
+def read(file: Path) -> dict[tuple, dict[str, float]]:
+    """Return what runs gave, by what they were."""
+    if not file.exists():
+        return {}
+    with file.open(newline="") as text:
+        return {
+            tuple(kind(row[name]) for name, kind in COLUMNS.items()): {name: float(row[name]) for name in MEASURED}
+            for row in csv.DictReader(text)
+        }
+
+
+def write(record: dict[tuple, dict[str, float]], file: Path) -> None:
+    """Write the record, in its order."""
     with file.open("w", newline="") as out:
-        table = csv.writer(out)
-        table.writerow(["model", "ensemble", "method", "fs per force", "ps", "quantity", "mean", "error"])
-        for *point, found in rows:
-            for name, (mean, error) in found.items():
-                table.writerow([*point, name, f"{mean:.5g}", f"{error:.2g}"])
-            print(*point, "  ".join(f"{name} {mean:.5g}({error:.2g})" for name, (mean, error) in found.items()))
+        lines = csv.writer(out, lineterminator="\n")
+        lines.writerow([*COLUMNS, *MEASURED])
+        for key, run in sorted(record.items()):
+            lines.writerow([*key, *(f"{run[name]:.7g}" for name in MEASURED)])
+
+
+def table(record: dict[tuple, dict[str, float]]) -> list[tuple]:
+    """Return a row for each point: what it is, its ps, and (mean, error) of what was measured by name."""
+    runs: dict[tuple, list] = {}
+    for key, run in record.items():
+        runs.setdefault(key[:4], []).append((key, run))
+    rows = []
+    for point, of_point in runs.items():
+        found = {}
+        for name in MEASURED:
+            values = np.array([run[name] for _, run in of_point])
+            if np.isfinite(values).all():
+                error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else math.nan
+                found[name] = (float(np.mean(values)), float(error))
+        rows.append((*point, sum(key[6] for key, _ in of_point), found))
+    return rows
 
 
 def draw(rows: list[tuple], file: Path) -> None:
@@ -313,6 +348,7 @@ def parse() -> argparse.Namespace:
     add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    add("--record", type=Path, default=RECORD, metavar="CSV", help="what runs gave; read first, written at the end")
     return parser.parse_args()
 
 

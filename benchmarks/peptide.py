@@ -99,15 +99,17 @@ def substeps(rate):
 def prepared(bare, method, rate):
     """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
-    bonded = rb.separate_bonded(system, exceptions=nesting(method) == WITH_PAIRS.strip())
+    bonded = rb.separate_bonded(system)
     if family(method) == "Verlet":
         integrator = openmm.VerletIntegrator(1.0 / rate)
     elif family(method) == "MTSIntegrator":
         integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
         scheme = method.partition(":")[0].split()[0]
-        fast = {} if nesting(method) == "plain" else {"fast": "bonded", **inner(method)}
-        return system, rb.ExactRigidBodyIntegrator(rb.SCHEMES[scheme].forces / rate, scheme=scheme, **fast)
+        fast = {"plain": None, NESTED.strip(): (bonded,), WITH_PAIRS.strip(): "bonded"}[nesting(method)]
+        within = {} if fast is None else inner(method)
+        h = rb.SCHEMES[scheme].forces / rate
+        return system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, fast=fast, **within)
     integrator.setConstraintTolerance(1e-10)
     return system, integrator
 

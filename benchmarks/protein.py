@@ -25,20 +25,17 @@ import openmm_exactrb as rb
 from water import OUT, energy_noise
 
 FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
-#: Scheme, and inner scheme with the number of its steps: None for the usual ones, and for a plain scheme without.
+#: Scheme and options: bonded forces and pairs three bonds apart are nested unless they say otherwise.
 METHODS = {
     "Verlet": None,
     "MTSIntegrator": None,
+    "S2_3 plain": ("S2_3", {"fast": None}),
+    "S2_2": ("S2_2", {}),
     "S2_3": ("S2_3", {}),
-    "S2_2 nested": ("S2_2", {"fast": "bonded"}),
-    "S2_3 nested": ("S2_3", {"fast": "bonded"}),
-    "W2_4 nested": ("W2_4", {"fast": "bonded"}),
-    "S2_3 nested, 3 S2_2": ("S2_3", {"fast": "bonded", "inner": "S2_2", "innerSteps": 3}),
-    "S2_3 nested, 9 V2": ("S2_3", {"fast": "bonded", "inner": "V2", "innerSteps": 9}),
-    "S2_3 nested with 1-4": ("S2_3", {"fast": "bonded"}),
-    "W2_1 nested with 1-4": ("W2_1", {"fast": "bonded"}),
+    "W2_4": ("W2_4", {}),
+    "W2_1": ("W2_1", {}),
+    "S2_3, 9 V2": ("S2_3", {"fast": "bonded", "inner": "V2", "innerSteps": 9}),
 }
-WITH_PAIRS = "with 1-4"
 #: Steps of MTSIntegrator's bonded forces, in ps.
 INNER = 0.001
 COLUMNS = ("method", "forces_a_ps", "energy_std_half_ps", "energy_std_run", "bonded_per_force")
@@ -122,7 +119,7 @@ def equilibrated(system, positions, picoseconds, n_starts, file):
 def prepared(bare, method, rate):
     """Return System and integrator of a method with `rate` evaluations of the nonbonded forces per ps."""
     system = openmm.XmlSerializer.clone(bare)
-    bonded = rb.separate_bonded(system, exceptions=method.endswith(WITH_PAIRS))
+    bonded = rb.separate_bonded(system)  # which MTSIntegrator needs
     if method == "Verlet":
         integrator = openmm.VerletIntegrator(1.0 / rate)
     elif method == "MTSIntegrator":
@@ -216,7 +213,7 @@ def main():
     args = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     if args.quick:
-        run("short", *solvated_helix(4), 1, 0.5, 250, ["Verlet", "S2_3 nested"], (2, 6))
+        run("short", *solvated_helix(4), 1, 0.5, 250, ["Verlet", "S2_3"], (2, 6))
         return
     if args.pdb is None:
         name, topology, positions = "helix", *solvated_helix(35)

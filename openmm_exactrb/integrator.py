@@ -87,7 +87,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         scheme: str | Scheme = "SRKN4_6b",
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
-        fast: str | Sequence[int] | None = None,
+        fast: str | Sequence[int] | None = "auto",
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
         engine: Engine = "auto",
@@ -99,7 +99,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        options = self._rotor, self._nesting is not None, self._bath_in_steps, self._kept_numbers()
+        options = self._rotor, self._nesting, self._bath_in_steps, self._kept_numbers()
         self._engine = Chosen(engine, self._steps(), *options)
         self._engine.declare(self)
         self.timings = Timings()
@@ -152,7 +152,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        if self._engine.open:
+        if self._engine.open and self._unsettled:
             self._engine.settle(self._found(), self)
         return "device" if self._engine.on_device else "host"
 
@@ -352,7 +352,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        return {"engine": self._engine.asked} | ({} if self._nesting is None else self._nesting.arguments())
+        return {"engine": self._engine.asked} | Nesting.arguments(self._nesting)
 
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme
@@ -369,12 +369,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         parts.session.take_up()
         return parts
 
+    @property
+    def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
+        return self._host is None or self._host.session.outdated or self._engine.overtaken(self)
+
     def _found(self) -> Any:
         return (self._context and self._context()) or find_context(self)
 
     def _present(self) -> host.Host:
         """Return what moves the bodies of the present Context."""
-        if self._host is None or self._host.session.outdated or self._engine.overtaken(self):
+        if self._host is None or self._unsettled:
             context = self._found()
             self._engine.settle(context, self)
             options = context, self, self._rotor, self._bodies, self.timings

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
+import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
@@ -14,6 +15,7 @@ from openmm_exactrb.baths import words
 from openmm_exactrb.baths.langevin import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context import account
+from openmm_exactrb.context.host import Plan
 from openmm_exactrb.context.letters import Maker, Parts, flows
 from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.device.choice import Engine
@@ -69,7 +71,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         rotationalFriction: float | unit.Quantity | None = None,
         stepsPerProposal: int = 1,
         bodies: Sequence[Sequence[int]] | None = None,
-        fast: str | Sequence[int] | None = None,
+        fast: str | Sequence[int] | None = "auto",
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
         engine: Engine = "auto",
@@ -113,6 +115,9 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
         return {**super().getBathSettings(), "steps a proposal": self._steps_a_proposal}
 
+    def _plan(self, context: openmm.Context) -> Plan:
+        return replace(super()._plan(context), splitting=self._proposal, splits=self._steps_a_proposal)
+
     def _arguments(self) -> dict[str, Any]:
         return {**super()._arguments(), "stepsPerProposal": self._steps_a_proposal}
 
@@ -124,15 +129,13 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def _proposals(self, parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
         """Make the flow that proposes and decides."""
-        step = self.getStepSize().value_in_unit(unit.picosecond) / self._steps_a_proposal
-        proposal = words.proposal(parts.nested(self._scheme, step), self._steps_a_proposal)
+        proposal = self._proposal
         parts = replace(parts, scheme=proposal, slow=parts.slow.with_energies())
         word, moves = proposal.word, flows(proposal.word, parts, self._makers)
         kT, seed, draws = gas_constant_times(self._temperature), self.getSeedInUse(), Draws(kernels.twins().noise)
 
         def energy(state: State) -> float:
-            potential = parts.slow.potential(state) + parts.fast.potential(state)
-            return sum(parts.bodies.kinetic_energies(state.rounded)) + potential
+            return sum(parts.bodies.kinetic_energies(state.rounded)) + parts.slow.potential(state)
 
         def proposed(state: State, tau: float) -> tuple[State, float]:
             """Return a proposal and its rise of the energy: infinite if it blows up."""

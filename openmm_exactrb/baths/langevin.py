@@ -72,7 +72,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,
-        fast: str | Sequence[int] | None = None,
+        fast: str | Sequence[int] | None = "auto",
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
         engine: Engine = "auto",

@@ -67,7 +67,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         rotor: str | Rotor = "exact",
         together: bool = True,
         bodies: Sequence[Sequence[int]] | None = None,
-        fast: str | Sequence[int] | None = None,
+        fast: str | Sequence[int] | None = "auto",
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
         engine: Engine = "auto",

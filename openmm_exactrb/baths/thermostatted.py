@@ -144,10 +144,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return (_SEED, *self.tallies)
 
     def _arguments(self) -> dict[str, Any]:
-        within = self.getNesting()
-        return {"temperature": self._temperature, "engine": self._engine.asked} | (
-            {} if within is None else within.arguments()
-        )
+        return super()._arguments() | {"temperature": self._temperature}
 
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)

@@ -10,7 +10,8 @@ import numpy as np
 import openmm
 from openmm import unit
 
-_BONDED = (
+#: What the bonded forces of a System are.
+BONDED = (
     openmm.HarmonicBondForce,
     openmm.HarmonicAngleForce,
     openmm.PeriodicTorsionForce,
@@ -64,12 +65,12 @@ def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
     if exceptions:
         for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
             _move_exceptions(system, force)
-    others = {group for force in system.getForces() if not isinstance(force, _BONDED) for group in groups_of(force)}
+    others = {group for force in system.getForces() if not isinstance(force, BONDED) for group in groups_of(force)}
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
         raise ValueError("the System has forces in all 32 force groups: give two of them the same one")
     for force in system.getForces():
-        if isinstance(force, _BONDED):
+        if isinstance(force, BONDED):
             force.setForceGroup(free[0])
     return free[0]
 
@@ -81,47 +82,44 @@ def _move_exceptions(system: openmm.System, force: openmm.NonbondedForce) -> Non
             "exceptions of the NonbondedForce have parameter offsets, which a CustomBondForce cannot follow: leave "
             "exceptions=True away"
         )
-    pairs = openmm.CustomBondForce(_PAIR)
-    for name in ("charges", "sigma", "epsilon"):
-        pairs.addPerBondParameter(name)
-    cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
-    pairs.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
+    apart = pairs_by_formula(force, interacting_exceptions(force))
     for number in range(force.getNumExceptions()):
         i, j, charges, sigma, epsilon = force.getExceptionParameters(number)
         if charges._value or epsilon._value:
-            pairs.addBond(i, j, [charges, sigma, epsilon])
             force.setExceptionParameters(number, i, j, 0.0, sigma, 0.0)
-    if pairs.getNumBonds():
-        pairs.setName(f"exceptions of {force.getName()}")
-        system.addForce(pairs)
+    if apart.getNumBonds():
+        system.addForce(apart)
 
 
-def bonded_groups(system: openmm.System) -> tuple[int, ...]:
-    """Return the force groups of the bonded forces.
+def interacting_exceptions(force: openmm.NonbondedForce) -> list[tuple[Any, ...]]:
+    """Return the exceptions that interact: particles, product of charges, sigma and epsilon of each."""
+    exceptions = map(force.getExceptionParameters, range(force.getNumExceptions()))
+    return [tuple(exception) for exception in exceptions if exception[2]._value or exception[4]._value]
 
-    Raises
-    ------
-    ValueError
-        If there are none, or another force is in one of their groups.
-    """
-    groups = {force.getForceGroup(): type(force).__name__ for force in system.getForces() if isinstance(force, _BONDED)}
-    if not groups:
-        raise ValueError('the System has no bonded forces: leave fast="bonded" away')
-    for force in acting(system):
-        shared = groups.keys() & groups_of(force)
-        if shared and not isinstance(force, _BONDED):
-            group = min(shared)
-            raise ValueError(
-                f"{groups[group]} and {type(force).__name__} are both in force group {group}, so that the bonded "
-                "forces cannot be told apart: call openmm_exactrb.separate_bonded(system) before the Simulation is made"
-            )
-    return tuple(sorted(groups))
+
+def pairs_by_formula(force: openmm.NonbondedForce, pairs: Iterable[tuple[Any, ...]]) -> openmm.CustomBondForce:
+    """Return a force of pairs that interact as exceptions of a NonbondedForce, in its group."""
+    apart = openmm.CustomBondForce(_PAIR)
+    for name in ("charges", "sigma", "epsilon"):
+        apart.addPerBondParameter(name)
+    cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
+    apart.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
+    for i, j, charges, sigma, epsilon in pairs:
+        apart.addBond(i, j, [charges, sigma, epsilon])
+    apart.setName(f"exceptions of {force.getName()}")
+    apart.setForceGroup(force.getForceGroup())
+    return apart
 
 
 def acting(system: openmm.System) -> list[Any]:
     """Return the forces of a System that act on particles within a step."""
     forces = [(type(force).__name__, force) for force in system.getForces()]
     return [force for name, force in forces if name not in _NO_FORCES and "Barostat" not in name]
+
+
+def others(system: openmm.System) -> bool:
+    """Tell whether a System has forces on particles that are not bonded ones."""
+    return any(not isinstance(force, BONDED) for force in acting(system))
 
 
 def groups_of(force: Any) -> set[int]:

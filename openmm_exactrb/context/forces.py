@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.motion.part import Part
 from openmm_exactrb.motion.state import State
 
 Array = NDArray[np.float64]
@@ -73,7 +75,7 @@ class Forces:
         energies: bool = False,
         counter: str = "evaluations",
     ) -> None:
-        self._places, self._groups, self._timings, self._steady = places, groups, timings, steady
+        self._places, self.groups, self._timings, self._steady = places, groups, timings, steady
         self._energies, self._counter = energies, counter
         self._at: State | None = None
         self._seen: Any = None  # the State of OpenMM that they come from
@@ -85,7 +87,7 @@ class Forces:
             start = time.perf_counter()
             self._places.write(state)
             self._seen = self._places.context.getState(
-                forces=True, energy=self._energies, parameters=not self._steady, groups=self._groups
+                forces=True, energy=self._energies, parameters=not self._steady, groups=self.groups
             )
             forces = arrays.forces(self._seen)
             self._timings.forces += time.perf_counter() - start
@@ -96,32 +98,32 @@ class Forces:
 
     def twin(self) -> Forces:
         """Return the same forces with a memory of their own."""
-        return Forces(self._places, self._groups, self._timings, self._steady, counter=self._counter)
+        return Forces(self._places, self.groups, self._timings, self._steady, counter=self._counter)
 
     def of(self, groups: int, counter: str = "evaluations") -> Forces:
         """Return those of some of the groups, given by their bits."""
-        return Forces(self._places, self._groups & groups, self._timings, self._steady, counter=counter)
+        return Forces(self._places, self.groups & groups, self._timings, self._steady, counter=counter)
 
     def landscape(self, state: State) -> tuple[float, Array, Array]:
         """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
         self._places.write(state)
-        found = self._places.context.getState(energy=True, forces=True, groups=self._groups)
+        found = self._places.context.getState(energy=True, forces=True, groups=self.groups)
         force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
         return float(found.getPotentialEnergy()._value), force, torque
 
     def with_energies(self) -> Forces:
         """Return the same forces, with a memory of the potential energy too."""
-        return Forces(self._places, self._groups, self._timings, self._steady, True, self._counter)
+        return Forces(self._places, self.groups, self._timings, self._steady, True, self._counter)
 
     def potential(self, state: State) -> float:
         """Return the potential energy in kJ/mol: nothing where no group acts."""
-        if not self._groups:
+        if not self.groups:
             return 0.0
         if self._energies:
             self(state)
             return float(self._seen.getPotentialEnergy()._value)
         self._places.write(state)
-        energy = self._places.context.getState(energy=True, groups=self._groups).getPotentialEnergy()
+        energy = self._places.context.getState(energy=True, groups=self.groups).getPotentialEnergy()
         return float(energy._value)
 
     def _known(self, state: State) -> bool:
@@ -132,6 +134,89 @@ class Forces:
             return True
         now = self._places.context.getState(parameters=True)
         return arrays.surroundings(now) == arrays.surroundings(self._seen)
+
+
+class Kicks(Protocol):
+    """The forces of the kicks of a scheme."""
+
+    def __call__(self, state: State) -> tuple[Array, Array]:
+        """Return forces (3, N) and body-frame torques (3, K)."""
+
+    def twin(self) -> Kicks:
+        """Return the same forces with a memory of their own."""
+
+    def with_energies(self) -> Kicks:
+        """Return the same forces, with a memory of the potential energy too."""
+
+    def potential(self, state: State) -> float:
+        """Return the potential energy of all forces, nested ones too, in kJ/mol."""
+
+
+@dataclass(frozen=True)
+class OtherGroups:
+    """The forces of some groups, where those of others are nested.
+
+    Attributes
+    ----------
+    slow, fast : Forces
+    """
+
+    slow: Forces
+    fast: Forces
+
+    def __call__(self, state: State) -> tuple[Array, Array]:
+        """Return forces (3, N) and body-frame torques (3, K)."""
+        return self.slow(state)
+
+    def twin(self) -> OtherGroups:
+        """Return the same forces with a memory of their own."""
+        return replace(self, slow=self.slow.twin())
+
+    def with_energies(self) -> OtherGroups:
+        """Return the same forces, with a memory of the potential energy too."""
+        return replace(self, slow=self.slow.with_energies())
+
+    def potential(self, state: State) -> float:
+        """Return the potential energy of all forces in kJ/mol."""
+        return self.slow.potential(state) + self.fast.potential(state)
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """All forces less those that are nested and act on a part of the bodies.
+
+    Whatever the nested forces are, both together are all forces. So nothing has to be changed in the System.
+
+    Attributes
+    ----------
+    forces, fast : Forces
+        All, and those on the bodies of the part.
+    part : Part
+    """
+
+    forces: Forces
+    fast: Forces
+    part: Part
+
+    def __call__(self, state: State) -> tuple[Array, Array]:
+        """Return forces (3, N) and body-frame torques (3, K)."""
+        force, torque = (a.copy() for a in self.forces(state))
+        fast_force, fast_torque = self.fast(self.part.of(state))
+        force[:, self.part.columns] -= fast_force
+        torque[:, self.part.turning] -= fast_torque
+        return force, torque
+
+    def twin(self) -> Remainder:
+        """Return the same forces with a memory of their own."""
+        return Remainder(self.forces.twin(), self.fast.twin(), self.part.twin())
+
+    def with_energies(self) -> Remainder:
+        """Return the same forces, with a memory of the potential energy too."""
+        return replace(self, forces=self.forces.with_energies())
+
+    def potential(self, state: State) -> float:
+        """Return the potential energy of all forces in kJ/mol."""
+        return self.forces.potential(state)
 
 
 def _same_places(a: State, b: State) -> bool:

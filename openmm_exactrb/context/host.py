@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,17 +12,18 @@ from openmm import unit
 from openmm_exactrb.context.account import Account
 from openmm_exactrb.context.clock import Clock
 from openmm_exactrb.context.couplings import Couplings
-from openmm_exactrb.context.forces import Forces, Places
+from openmm_exactrb.context.forces import Forces, Kicks, Places
+from openmm_exactrb.context.inner import Inner, free_motion
 from openmm_exactrb.context.letters import LETTERS, Maker, Parts, flows
-from openmm_exactrb.context.nesting import UNNESTED, Nested, Nesting, nested_in
+from openmm_exactrb.context.nesting import Nesting, nested_in
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.engine import run, steps
 from openmm_exactrb.motion.guard import Guard
-from openmm_exactrb.motion.kinetic import Kinetic, of_bodies
+from openmm_exactrb.motion.kinetic import Kinetic
 from openmm_exactrb.motion.minimise import minimised
 from openmm_exactrb.motion.state import State
-from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import OPENMM, Word
 
@@ -45,6 +46,10 @@ class Plan:
         What a program on a device is told of a bath, by the names of its variables.
     seed : int
         Of the noise there.
+    splitting : Scheme or None
+        The drifts and kicks of a step, where they are not in the scheme.
+    splits : int
+        Steps of a splitting in a step.
     """
 
     scheme: Scheme
@@ -53,6 +58,8 @@ class Plan:
     account: Account = field(default_factory=Account)
     numbers: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
+    splitting: Scheme | None = None
+    splits: int = 1
 
 
 @dataclass
@@ -65,15 +72,15 @@ class Host:
     couplings : Couplings
     kinetic : Kinetic
     timings : Timings
-    nested : Nested
-        What stands within the drifts.
+    inner : Inner or None
+        What may stand within the drifts.
     """
 
     session: Session
     couplings: Couplings
     kinetic: Kinetic
     timings: Timings
-    nested: Nested = UNNESTED
+    inner: Inner | None = None
 
     def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
         """Make n steps; what happens, the Context then holds the last state that is one of the bodies.
@@ -91,13 +98,10 @@ class Host:
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
-        within = self.nested
-        scheme = within.put_into(scheme, h)
-        slow = forces.of(~within.bits) if within.groups else forces
-        fast = forces.of(within.bits, "fast_evaluations")
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        parts = Parts(session.bodies, self.kinetic, forces, slow, fast, guard, scheme, within.put_into, clock, account)
+        kinetic, slow, follow = self._split(plan, forces, h)
+        parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
@@ -113,11 +117,20 @@ class Host:
                         session.state, kept = state, (clock.number, clock.time)
                         account.keep()
                         session.state = state = run(between, moves, state, h)
+                        follow()
         finally:
             clock.reset(*kept)
             clock.stop()
             account.close()
             session.publish()
+
+    def _split(self, plan: Plan, forces: Forces, h: float) -> tuple[Kinetic, Kicks, Callable[[], None]]:
+        """Return drifts and kicks, with what is nested in the drifts, and what keeps up with the Context."""
+        splitting, own_letters = plan.splitting or plan.scheme, plan.makers.items() ^ LETTERS.items()
+        replaced = any(letter in LETTERS for letter, _ in own_letters)
+        if self.inner is None or not self.inner.acts(splitting, h, replaced):
+            return self.kinetic, forces, lambda: None
+        return self.inner.split(self.session, self.kinetic, forces, splitting, h, plan.splits)
 
     def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
         """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""
@@ -144,7 +157,7 @@ def host(
 ) -> Host:
     """Find the bodies of a Context, and what moves them."""
     session = Session(context, integrator, named)
-    rotation = timings.of_rotor(rotor_of_sums(rotor, session.bodies.inertia))
-    kinetic = of_bodies(session.bodies, rotation, rotor.order)
-    nested = UNNESTED if nesting is None else nested_in(context.getSystem(), nesting)
-    return Host(session, Couplings(context, named or []), kinetic, timings, nested)
+    kinetic = free_motion(session.bodies, rotor, timings)
+    nested = nested_in(context.getSystem(), session.bodies, nesting)
+    inner = None if nested is None else Inner(nested, session.bodies, rotor, timings)
+    return Host(session, Couplings(context, named or []), kinetic, timings, inner)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from openmm_exactrb.context.account import Account
 from openmm_exactrb.context.clock import Clock
-from openmm_exactrb.context.forces import Forces
+from openmm_exactrb.context.forces import Forces, Kicks
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.engine import Flow
 from openmm_exactrb.motion.guard import Guard
@@ -16,7 +16,7 @@ from openmm_exactrb.motion.kick import gradient_kick, kick
 from openmm_exactrb.motion.kinetic import Kinetic
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT, FAST, GRADIENT, KICK, Word
+from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word
 
 
 @dataclass(frozen=True)
@@ -27,15 +27,13 @@ class Parts:
     ----------
     bodies : RigidBodies
     kinetic : Kinetic
+        With what is nested in its drift.
     forces : Forces
         Those of all force groups that act.
-    slow, fast : Forces
-        Those of the kicks of a scheme, and those that are nested in its drifts; without any the slow ones are all.
+    slow : Kicks
+        Those of the kicks of a scheme: all that are not nested in its drifts.
     guard : Guard
     scheme : Scheme
-        With the fast forces in its drifts.
-    nested : callable
-        nested(scheme, h) -> another scheme with these forces in its drifts, for steps of h (ps).
     clock : Clock
         Whose number is that of the last step that was made.
     account : Account
@@ -45,11 +43,9 @@ class Parts:
     bodies: RigidBodies
     kinetic: Kinetic
     forces: Forces
-    slow: Forces
-    fast: Forces
+    slow: Kicks
     guard: Guard
     scheme: Scheme
-    nested: Callable[[Scheme, float], Scheme]
     clock: Clock
     account: Account
 
@@ -63,9 +59,8 @@ def _drifts(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
 
 
 def _kicks(parts: Parts, letters: set[str]) -> dict[str, Flow[State]]:
-    """Make "B", a kick of the forces that are not nested, "Bfast" of those that are, and "B3" of those of group 3."""
-    named = {KICK: parts.slow, FAST: parts.fast}
-    forces = {letter: named.get(letter) or parts.forces.of(1 << int(letter[1:])) for letter in letters}
+    """Make "B", a kick of the forces that are not nested, and "B3" of those of group 3."""
+    forces = {letter: parts.slow if letter == KICK else parts.forces.of(1 << int(letter[1:])) for letter in letters}
     return {letter: parts.guard.finite(kick(forces[letter])) for letter in letters}
 
 

@@ -1,4 +1,4 @@
-"""Forces of some groups within the drifts of a scheme, in steps of their own: multiple time steps."""
+"""Forces within the drifts of a scheme, in steps of their own: what a user asks for, and what a System makes of it."""
 
 from __future__ import annotations
 
@@ -6,22 +6,30 @@ import math
 import operator
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import openmm
 
 from openmm_exactrb.checks import whole
-from openmm_exactrb.context.bonded import acting, bonded_groups, fastest, groups_of
+from openmm_exactrb.context.bonded import acting, fastest, groups_of, others
+from openmm_exactrb.context.excerpt import Excerpt, bonded_excerpt
+from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT, FAST, KICK, Word, nested
+from openmm_exactrb.schemes.word import BATH, DRIFT, GRADIENT, KICK
 
 # Inner schemes, and the longest time between two kicks of the fast forces over the period of the fastest bond or angle:
 # for outer schemes of order 2, and for those of higher order or with force gradients. These are for small errors, which
 # with the first would be those of the inner scheme. With the second and a kick for each twentieth of the period they
 # still were, of SRKN4_6b with 2000 evaluations of the other forces per ps (docs: Any molecule).
 _COARSE, _FINE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125)
+# A force evaluation each such part of the period or more often, and every scheme shows its order and little error with
+# bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
+_OFTEN = 1.0 / 16.0
+
+#: What `fast` may be beside force groups: bonded forces where that helps; wherever there are some.
+AUTO, BONDED = "auto", "bonded"
 
 
 @dataclass(frozen=True)
@@ -30,8 +38,8 @@ class Nesting:
 
     Attributes
     ----------
-    fast : "bonded" or tuple of int
-        Force groups.
+    fast : "auto", "bonded" or tuple of int
+        Bonded forces and pairs, where that helps or always, or force groups.
     scheme : Scheme or None
         Of the inner steps; None for one that suits the outer scheme.
     steps : int or None
@@ -62,11 +70,21 @@ class Nesting:
                     'inner and innerSteps are for nested forces: name these with fast="bonded", for example'
                 )
             return None
-        return cls("bonded" if isinstance(fast, str) and fast == "bonded" else _groups(fast), scheme, steps)
+        if isinstance(fast, str) and fast == AUTO and (scheme or steps):
+            fast = BONDED  # inner steps that somebody tells are wanted
+        return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
 
-    def arguments(self) -> dict[str, Any]:
+    @property
+    def certain(self) -> bool:
+        """Whether something is nested whatever the System is."""
+        return self.fast != AUTO
+
+    @staticmethod
+    def arguments(nesting: Nesting | None) -> dict[str, Any]:
         """Return what an integrator that nests the same is made with."""
-        return {"fast": self.fast, "inner": self.scheme, "innerSteps": self.steps}
+        if nesting is None:
+            return {"fast": None}
+        return {"fast": nesting.fast, "inner": nesting.scheme, "innerSteps": nesting.steps}
 
 
 def _groups(fast: Any) -> tuple[int, ...]:
@@ -77,8 +95,8 @@ def _groups(fast: Any) -> tuple[int, ...]:
         groups = set()
     if not groups or not groups <= set(range(32)):
         raise ValueError(
-            f'fast is None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: force.getForceGroup() '
-            "tells the one of a force"
+            f'fast is "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
+            "force.getForceGroup() tells the one of a force"
         )
     return tuple(sorted(groups))
 
@@ -89,44 +107,51 @@ class Nested:
 
     Attributes
     ----------
-    groups : tuple of int
-        Of the forces within the drifts.
-    scheme : Scheme or None
-    steps : int or None
+    asked : Nesting
     frequency : float
-        The highest one of these forces, in 1/ps.
+        The highest one of the fast forces, in 1/ps.
+    excerpt : Excerpt or None
+        The bonded forces, if it is they; else the fast forces are those of some groups.
     """
 
-    groups: tuple[int, ...]
-    scheme: Scheme | None
-    steps: int | None
+    asked: Nesting
     frequency: float
+    excerpt: Excerpt | None = None
 
     @property
     def bits(self) -> int:
-        """The force groups as OpenMM takes them."""
-        return sum(1 << group for group in self.groups)
+        """The force groups of the fast forces as OpenMM takes them, where they are named."""
+        return 0 if isinstance(self.asked.fast, str) else sum(1 << group for group in self.asked.fast)
 
-    def put_into(self, scheme: Scheme, h: float) -> Scheme:
-        """Return a scheme with the fast forces in its drifts, for steps of h (ps)."""
-        if not self.groups:
-            return scheme
-        usual, share = _COARSE if scheme.order <= 2 and not scheme.gradients else _FINE
-        own = self.scheme or look_up(usual)
-        kicks = abs(h) * self.frequency / (2.0 * math.pi * share)  # in a step
-        inner = tuple((FAST if letter == KICK else letter, part) for letter, part in own.word)
+    def inner(self, outer: Scheme) -> Scheme:
+        """Return the inner scheme that an outer one has."""
+        return self.asked.scheme or look_up(_usual(outer)[0])
 
-        def within(word: Word) -> Word:
-            return nested(word, DRIFT, inner, self.steps or (lambda part: math.ceil(part * kicks / own.stages)))
+    def repetitions(self, outer: Scheme, h: float, tau: float) -> int:
+        """Return the inner steps in a drift of tau (ps), with steps of h (ps) of the outer scheme."""
+        if self.asked.steps:
+            return max(1, round(self.asked.steps * abs(tau / h)))
+        return max(1, math.ceil(self._kicks(outer, tau) / self.inner(outer).stages))
 
-        return replace(scheme, word=within(scheme.word), processor=within(scheme.processor))
+    def helps(self, outer: Scheme, h: float) -> bool:
+        """Tell whether the fast forces need kicks of their own, or those of the outer scheme come often enough.
+
+        Those that were asked for have them in any case.
+        """
+        if self.asked.certain:
+            return True
+        ours = all(letter in (DRIFT, KICK) or letter[0] in (GRADIENT, BATH) for letter, _ in outer.word)
+        return ours and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _OFTEN
+
+    def _kicks(self, outer: Scheme, tau: float) -> float:
+        return abs(tau) * self.frequency / (2.0 * math.pi * _usual(outer)[1])
 
 
-#: Nothing stands within the drifts.
-UNNESTED = Nested((), None, None, 0.0)
+def _usual(outer: Scheme) -> tuple[str, float]:
+    return _COARSE if outer.order <= 2 and not outer.gradients else _FINE
 
 
-def nested_in(system: openmm.System, nesting: Nesting) -> Nested:
+def nested_in(system: openmm.System, bodies: RigidBodies, nesting: Nesting | None) -> Nested | None:
     """Find in a System what is to be nested.
 
     Raises
@@ -134,7 +159,42 @@ def nested_in(system: openmm.System, nesting: Nesting) -> Nested:
     ValueError
         If groups have no forces, all forces are in them, or the number of inner steps has to be told.
     """
-    groups = bonded_groups(system) if nesting.fast == "bonded" else tuple(map(int, nesting.fast))
+    if nesting is None:
+        return None
+    if nesting.fast == AUTO:
+        return _where_it_helps(system, bodies, nesting)
+    if nesting.fast == BONDED:
+        return _bonded(system, bodies, nesting)
+    return _of_groups(system, nesting)
+
+
+def _where_it_helps(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested | None:
+    excerpt = bonded_excerpt(system, bodies)
+    if excerpt is None or not others(system):
+        return None
+    frequency = fastest(excerpt.system)
+    return Nested(nesting, frequency, excerpt) if frequency or nesting.steps else None
+
+
+def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested:
+    excerpt = bonded_excerpt(system, bodies)
+    if excerpt is None:
+        raise ValueError(
+            "the System has no bonded forces that move anything, and nothing to be nested: leave fast=, inner= and "
+            "innerSteps= away"
+        )
+    if not others(system):
+        raise ValueError(
+            "all forces of the System are bonded, and nothing is left that could have longer steps: leave fast=, inner= "
+            "and innerSteps= away"
+        )
+    frequency = fastest(excerpt.system)
+    _refuse_unknown(frequency, nesting, "bonded forces")
+    return Nested(nesting, frequency, excerpt)
+
+
+def _of_groups(system: openmm.System, nesting: Nesting) -> Nested:
+    groups = tuple(map(int, nesting.fast))
     present = {group for force in acting(system) for group in groups_of(force)}
     for group in groups:
         if group not in present:
@@ -142,9 +202,13 @@ def nested_in(system: openmm.System, nesting: Nesting) -> Nested:
     if present <= set(groups):
         raise ValueError("fast names all forces of the System: there is nothing left that could have longer steps")
     frequency = fastest(system, groups)
+    _refuse_unknown(frequency, nesting, f"forces of groups {groups}")
+    return Nested(nesting, frequency)
+
+
+def _refuse_unknown(frequency: float, nesting: Nesting, what: str) -> None:
     if nesting.steps is None and not frequency:
         raise ValueError(
-            f"the forces of groups {groups} have no harmonic bonds or angles that tell how fast they are: say how many "
-            "inner steps a step needs with innerSteps="
+            f"the {what} have no harmonic bonds or angles that tell how fast they are: say how many inner steps a step "
+            "needs with innerSteps="
         )
-    return Nested(groups, nesting.scheme, nesting.steps, frequency)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import openmm
+from openmm import unit
 
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.context.nesting import Nesting, nested_in
 from openmm_exactrb.device import gather
 from openmm_exactrb.device.rows import foreign
 from openmm_exactrb.rotors import Rotor
@@ -54,6 +56,17 @@ def against_program(scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None
 def against_context(context: Any, named: list[list[int]] | None = None) -> str | None:
     """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
     return _against_platform(context) or _against_system(context, named)
+
+
+def against_steps(context: Any, integrator: Any, scheme: Scheme, nesting: Nesting | None) -> str | None:
+    """Say why the host's steps are better in a Context that the device could run, or return None."""
+    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    if nesting is None or not x.any():
+        return None
+    nested = nested_in(system, find_bodies(system, x, integrator.getNamedBodies()), nesting)
+    if nested is None or not nested.helps(scheme, integrator.getStepSize().value_in_unit(unit.picosecond)):
+        return None
+    return 'bonded forces are nested at this step (fast="auto"), for which the device has no steps'
 
 
 def slower(context: Any) -> str | None:

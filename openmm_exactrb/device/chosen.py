@@ -8,6 +8,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import account, arrays, ledger
+from openmm_exactrb.context.nesting import Nesting
 from openmm_exactrb.device import choice, emit, gather, names, trial
 from openmm_exactrb.device.contexts import rebind
 from openmm_exactrb.motion.bodies import RigidBodies
@@ -28,8 +29,8 @@ class Chosen:
     asked : {"host", "device", "auto"}
     scheme : Scheme
     rotor : Rotor
-    nested : bool
-        Whether forces have steps of their own within drifts.
+    nesting : Nesting or None
+        What is to have steps of its own within drifts.
     bath : str or None
         What bath its steps have.
     kept : sequence of str
@@ -52,10 +53,16 @@ class Chosen:
     """
 
     def __init__(
-        self, asked: str, scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None, kept: Sequence[str]
+        self,
+        asked: str,
+        scheme: Scheme,
+        rotor: Rotor,
+        nesting: Nesting | None,
+        bath: str | None,
+        kept: Sequence[str],
     ) -> None:
-        self.asked, self._scheme, self._kept = choice.named(asked), scheme, kept
-        against = choice.against_program(scheme, rotor, nested, bath)
+        self.asked, self._scheme, self._nesting, self._kept = choice.named(asked), scheme, nesting, kept
+        against = choice.against_program(scheme, rotor, nesting is not None and nesting.certain, bath)
         if self.asked == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
         self.note = f'engine="{self.asked}" was asked for' if self.asked != "auto" else against or ""
@@ -127,7 +134,11 @@ class Chosen:
             self._rebind(context, integrator, None)
 
     def _verdict(self, context: Any, integrator: Any) -> tuple[bool, str]:
-        against = choice.slower(context) or choice.against_context(context, integrator.getNamedBodies())
+        against = (
+            choice.slower(context)
+            or choice.against_context(context, integrator.getNamedBodies())
+            or choice.against_steps(context, integrator, self._scheme, self._nesting)
+        )
         if against:
             return False, against
         began = _began(integrator) or self._preferred

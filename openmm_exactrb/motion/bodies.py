@@ -8,7 +8,7 @@ making them rigid come first, in the order of `openmm_exactrb.motion.clusters`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +123,38 @@ class RigidBodies:
     def __len__(self) -> int:
         """Return the number of bodies, single particles included."""
         return len(self.mass)
+
+    @property
+    def owner(self) -> Indices:
+        """The body of each particle (n_particles,): -1 of those that belong to none."""
+        owner = np.full(self.n_particles, -1)
+        for kind in self.kinds:
+            owner[kind.particles] = np.arange(kind.bodies.start, kind.bodies.stop)[:, None]
+        return owner
+
+    def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
+        """Return some of the bodies as a set of their own, in the same order.
+
+        Parameters
+        ----------
+        bodies : (N,) array of bool
+            Which: of a cluster all atoms or none.
+        number : (n_particles,) array of int
+            What number each of their particles has there.
+        n_particles : int
+            Particles there.
+        """
+        kinds: list[Kind] = []
+        start = 0
+        for kind in self.kinds:
+            own = bodies[kind.bodies]
+            if own.any():
+                stop = start + int(own.sum())
+                sites, inertia = (a if len(a) == 1 else a[own] for a in (kind.sites, kind.inertia))
+                rows = number[kind.particles[own]]
+                kinds.append(replace(kind, particles=rows, bodies=slice(start, stop), sites=sites, inertia=inertia))
+                start = stop
+        return RigidBodies(kinds, n_particles, self.clusters.chosen(bodies[self.clustered], number))
 
     def positions(self, state: BodyState, out: Array) -> Array:
         """Write the positions of all particles with mass into `out` (n_particles, 3)."""

@@ -9,6 +9,7 @@ the number of constraints and not with its cube.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -86,6 +87,15 @@ class Clusters:
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
             count, n = kind.particles.shape
             yield kind, first + np.arange(count)[:, None] + count * np.arange(n)
+
+    def chosen(self, atoms: NDArray[np.bool_], number: Indices) -> Clusters:
+        """Return the clusters of some columns (M,), whose particles get other numbers."""
+        kinds = []
+        for kind, columns in self.columns():
+            own = atoms[columns].all(axis=1)
+            if own.any():
+                kinds.append(replace(kind, particles=number[kind.particles[own]]))
+        return Clusters(kinds)
 
     def drift(self, state: ClusterState, tau: float) -> ClusterState:
         """Return the state after free motion for a time, of any sign.

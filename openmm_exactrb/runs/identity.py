@@ -50,7 +50,9 @@ def _settings(integrator: Any) -> str:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
-        if (nesting := integrator.getNesting()) is not None:
+        if (nesting := integrator.getNesting()) is None:
+            text += ", nothing nested"
+        else:
             inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
             text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
     if isinstance(integrator, ThermostattedIntegrator):

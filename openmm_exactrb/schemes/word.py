@@ -16,8 +16,6 @@ Word = tuple[tuple[str, float], ...]
 #: The letters of the package: the flow of the kinetic energy; of the potential; of the potential with a force-gradient
 #: term; a heat bath; and what OpenMM itself does between steps.
 DRIFT, KICK, GRADIENT, BATH, OPENMM = "A", "B", "C", "O", "M"
-#: A kick of those forces that are nested in the drifts.
-FAST = KICK + "fast"
 
 
 def inverse(word: Word) -> Word:

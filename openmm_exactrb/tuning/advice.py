@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -11,17 +10,17 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.checks import positive, whole
-from openmm_exactrb.context.bonded import fastest
-from openmm_exactrb.context.nesting import Nesting, nested_in
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.context.nesting import AUTO, Nesting, nested_in
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.measurements import Measurements
-from openmm_exactrb.tuning.movers import NestedScheme, is_nested, moves_exceptions
+from openmm_exactrb.tuning.movers import NestedScheme
 from openmm_exactrb.tuning.record import Choice
 from openmm_exactrb.tuning.result import Tuning
 from openmm_exactrb.tuning.search import Found, search
-from openmm_exactrb.tuning.start import start_of
+from openmm_exactrb.tuning.start import Start, start_of
 from openmm_exactrb.tuning.thermal import thermalised
 
 #: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
@@ -114,9 +113,8 @@ def tune(
         Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
         system unless given (1.5 ps for water), or a tenth of a named horizon, if that is longer, up to four times this.
     nest : bool, optional
-        Whether schemes are tried with ``fast="bonded"`` too, where the System has bonds and angles that move and they
-        have force groups of their own (`openmm_exactrb.separate_bonded`): those named, or `NESTED_CANDIDATES`. A note
-        tells what the exceptions of NonbondedForces would bring within the drifts.
+        Whether schemes are tried with ``fast="bonded"`` too, where the System has bonds and angles that move: those
+        named, or `NESTED_CANDIDATES`. The others nest nothing.
     levels : int, optional
         Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
     seed : int, optional
@@ -151,8 +149,7 @@ def tune(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
-    inner, note = _nested(begin.system, schemes) if nest else ([], [])
-    notes += note
+    inner = _nested(begin, schemes) if nest else []
     bench = Bench(begin)
     if length is None:
         usual = _SURVEY * bench.scales.time
@@ -160,7 +157,7 @@ def tune(
     confirmation, promised = (_CONFIRM * length, _LONGER * length) if named is None else (named, named)
     measured = Measurements(bench, [*chosen, *inner], length, confirmation, promised, report or (lambda line: None))
     found = search(measured, wanted, levels)
-    return _result(measured, found, wanted, notes + _of_exceptions(measured, found, wanted))
+    return _result(measured, found, wanted, notes)
 
 
 def _result(measured: Measurements, found: Found, target: float | None, notes: list[str]) -> Tuning:
@@ -197,40 +194,12 @@ def _looks(measured: Measurements, name: str) -> int:
     return scheme.processing if isinstance(scheme, Scheme) else 0
 
 
-def _nested(system: openmm.System, schemes: Sequence[str | Scheme] | None) -> tuple[list[NestedScheme], list[str]]:
-    """Return the nested schemes that can be tried, and a note where there would be some."""
-    if not fastest(system):
-        return [], []
-    try:
-        nested_in(system, Nesting("bonded"))
-    except ValueError as reason:
-        return [], [f"no nested schemes were tried: {reason}"]
-    return [NestedScheme(scheme) for scheme in _schemes(NESTED_CANDIDATES if schemes is None else schemes)], []
-
-
-def _of_exceptions(measured: Measurements, found: Found, target: float | None) -> list[str]:
-    """Return a note on what the exceptions of NonbondedForces would bring within the drifts, after a run with them.
-
-    At the chosen setting, or without a target at the cheapest nested one, where it matters the most.
-    """
-    points = [p for name in measured.schemes() if is_nested(name) for p in measured.curve(name)]
-    point = found.chosen if target is not None else min(points, key=lambda p: p.cost, default=None)
-    if point is None or not is_nested(point.method):
+def _nested(start: Start, schemes: Sequence[str | Scheme] | None) -> list[NestedScheme]:
+    """Return the nested schemes that can be tried."""
+    bodies = find_bodies(start.system, start.positions, start.bodies)
+    if nested_in(start.system, bodies, Nesting(AUTO)) is None:
         return []
-    try:
-        if not moves_exceptions(measured.bench.start.system):
-            return []
-    except ValueError:  # they cannot be moved
-        return []
-    error = measured.with_exceptions(point)
-    if math.isinf(error):
-        return []
-    ratio = point.error / error
-    compared = f"{ratio:.2g} times less" if ratio > 1.0 else f"{1.0 / ratio:.2g} times more, so leave them"
-    return [
-        f"with exceptions of the NonbondedForce within the drifts too, by separate_bonded(system, exceptions=True), "
-        f"{point.method} leaves {error:.1e} kJ/mol per body at {1e3 * point.step:.4g} fs: {compared}"
-    ]
+    return [NestedScheme(scheme) for scheme in _schemes(NESTED_CANDIDATES if schemes is None else schemes)]
 
 
 def _schemes(names: Sequence[str | Scheme]) -> list[Scheme]:

@@ -86,13 +86,6 @@ class Measurements:
         self._report(f"{name}, {1e3 * interval:.3g} fs per evaluation: {shown}")
         return point
 
-    def with_exceptions(self, point: Point) -> float:
-        """Return the error of the point of a nested method if the exceptions of NonbondedForces are nested too."""
-        method = self.methods[point.method]
-        assert isinstance(method, NestedScheme)
-        error = self.bench.run(replace(method, pairs=True), point.step, point.duration).error(self.horizon)
-        return error if error < LOST * self.bench.scales.kinetic else math.inf
-
     def time(self, interval: float) -> None:
         """Time all methods at a time a force evaluation in ps; points learn what they cost."""
         times = self.bench.seconds_per_evaluation(list(self.methods.values()), interval)

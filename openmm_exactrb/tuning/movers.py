@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import openmm
 
-from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.motion.fit import fit
@@ -25,15 +23,14 @@ _NESTED = " nested"
 
 @dataclass(frozen=True)
 class NestedScheme:
-    """A scheme with the bonded forces within its drifts, and with `pairs` the exceptions of NonbondedForces too."""
+    """A scheme with the bonded forces within its drifts."""
 
     scheme: Scheme
-    pairs: bool = False
 
     @property
     def name(self) -> str:
         """What it is called among the methods."""
-        return self.scheme.name + _NESTED + (" with exceptions" if self.pairs else "")
+        return self.scheme.name + _NESTED
 
     @property
     def order(self) -> int:
@@ -48,30 +45,6 @@ Method = str | Scheme | NestedScheme
 def is_nested(name: str) -> bool:
     """Tell whether the name of a method is that of a nested scheme."""
     return name.endswith(_NESTED)
-
-
-def with_exceptions_apart(system: openmm.System) -> openmm.System:
-    """Return a copy of a System in which the exceptions of NonbondedForces are bonded forces.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be moved.
-    """
-    twin = copy.deepcopy(system)
-    separate_bonded(twin, exceptions=True)
-    return twin
-
-
-def moves_exceptions(system: openmm.System) -> bool:
-    """Tell whether a System has exceptions that `with_exceptions_apart` moves.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be moved.
-    """
-    return bool(with_exceptions_apart(system).getNumForces() > system.getNumForces())
 
 
 def integrator_of(name: str, step: float, bodies: Sequence[Sequence[int]] | None) -> openmm.Integrator:
@@ -117,8 +90,6 @@ class Ours:
 
     def __init__(self, start: Start, method: Scheme | NestedScheme) -> None:
         scheme, fast = (method.scheme, "bonded") if isinstance(method, NestedScheme) else (method, None)
-        if isinstance(method, NestedScheme) and method.pairs:
-            start = replace(start, system=with_exceptions_apart(start.system))
         self._start, self.stages = start, scheme.forces
         self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast, engine="host")
         self._context = start.context(self._integrator)

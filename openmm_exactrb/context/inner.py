@@ -1,0 +1,131 @@
+"""Nested forces in a Context: drifts with steps of their own, and kicks by what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.context.excerpt import Excerpt
+from openmm_exactrb.context.forces import Forces, Kicks, OtherGroups, Places, Remainder
+from openmm_exactrb.context.nesting import Nested
+from openmm_exactrb.context.session import Session
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.motion.kinetic import Kinetic, of_bodies
+from openmm_exactrb.motion.nested import nested_drift
+from openmm_exactrb.motion.part import Whole
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.schemes.scheme import Scheme
+
+Array = NDArray[np.float64]
+
+_COUNTER = "fast_evaluations"
+
+
+class Inner:
+    """What stands within the drifts of a Context.
+
+    Parameters
+    ----------
+    nested : Nested
+    bodies : RigidBodies
+        All of the Context.
+    rotor : Rotor
+    timings : Timings
+    """
+
+    def __init__(self, nested: Nested, bodies: RigidBodies, rotor: Rotor, timings: Timings) -> None:
+        self._nested, self._timings = nested, timings
+        self._portion = Whole(bodies) if nested.excerpt is None else nested.excerpt.part
+        self._kinetic = free_motion(self._portion.bodies, rotor, timings)
+        self._own = None if nested.excerpt is None else Own(nested.excerpt)
+
+    def acts(self, splitting: Scheme, h: float, replaced: bool) -> bool:
+        """Tell whether it is there in steps of h (ps), where letters of the package may do something else.
+
+        Raises
+        ------
+        ValueError
+            If bonded forces shall be nested and a letter kicks a force group, which may have some of them.
+        """
+        groups = sorted({letter for letter, _ in splitting.word if letter[0] == "B" and letter != "B"})
+        if groups and self._own is not None and self._nested.asked.certain:
+            raise ValueError(
+                f"scheme {splitting.name} kicks force groups by themselves ({', '.join(groups)}), which may have "
+                "bonded forces in them: name what is nested by its groups too, such as fast=(1,)"
+            )
+        return self._nested.asked.certain or (not replaced and self._nested.helps(splitting, h))
+
+    def split(
+        self, session: Session, kinetic: Kinetic, forces: Forces, splitting: Scheme, h: float, splits: int
+    ) -> tuple[Kinetic, Kicks, Callable[[], None]]:
+        """Return drifts with the nested forces in them, what is left for kicks, and what keeps up with the Context.
+
+        Parameters
+        ----------
+        session : Session
+        kinetic : Kinetic
+            Of all bodies.
+        forces : Forces
+            All of them.
+        splitting : Scheme
+            Whose drifts they are, with `splits` steps in the time h (ps).
+        """
+        fast, slow, follow = self._sides(session, forces)
+        others = None if self._own is None else kinetic.drift
+        inner = self._nested.inner(splitting)
+        drift = nested_drift(
+            others,
+            self._portion,
+            self._kinetic.drift,
+            fast,
+            inner.word,
+            lambda tau: self._nested.repetitions(splitting, h / splits, tau),
+        )
+        return replace(kinetic, drift=drift), slow, follow
+
+    def _sides(self, session: Session, forces: Forces) -> tuple[Forces, Kicks, Callable[[], None]]:
+        if self._own is None:
+            bits = self._nested.bits
+            fast = forces.of(bits, _COUNTER)
+            return fast, OtherGroups(forces.of(~bits), fast), lambda: None
+        part, own = self._own.excerpt.part, self._own
+        fast = own.forces(session, forces.groups, self._timings)
+        return fast, Remainder(forces, fast, part), lambda: own.follow(session.context)
+
+
+class Own:
+    """The Context of an excerpt, which follows the box and the parameters of another one."""
+
+    def __init__(self, excerpt: Excerpt) -> None:
+        self.excerpt = excerpt
+        platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
+        self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
+        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
+
+    def forces(self, session: Session, groups: int, timings: Timings) -> Forces:
+        """Return the forces of some groups (bits) on the bodies of the part."""
+        self.follow(session.context)
+        x = session.particles[self.excerpt.particles]
+        places = Places(self._context, self.excerpt.part.bodies, x)
+        return Forces(places, groups, timings, not self._changes, counter=_COUNTER)
+
+    def follow(self, context: Any) -> None:
+        """Take over the box and the parameters."""
+        if not self._changes:
+            return
+        state = context.getState(parameters=True)
+        self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        theirs = state.getParameters()
+        for name in self._context.getParameters():
+            self._context.setParameter(name, theirs[name])
+
+
+def free_motion(bodies: RigidBodies, rotor: Rotor, timings: Timings) -> Kinetic:
+    """Return how bodies move without forces."""
+    return of_bodies(bodies, timings.of_rotor(rotor_of_sums(rotor, bodies.inertia)), rotor.order)
