@@ -185,8 +185,8 @@ def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nes
         )
     if not others(system):
         raise ValueError(
-            "all forces of the System are bonded, and nothing is left that could have longer steps: leave fast=, inner= "
-            "and innerSteps= away"
+            "all forces of the System are bonded, and nothing is left that could have longer steps: leave fast=, "
+            "inner= and innerSteps= away"
         )
     frequency = fastest(excerpt.system)
     _refuse_unknown(frequency, nesting, "bonded forces")

@@ -65,7 +65,6 @@ def bathed(integrator, system, x, seed=4):
 @pytest.mark.parametrize("bath", ["Langevin", "hybrid"])
 def test_a_bath_that_does_nothing_leaves_the_nested_trajectory_bit_for_bit(bath, scheme):
     _, system, x = peptide()
-    rb.separate_bonded(system)
     alone, _context = moving(system, x, 0.001, scheme, fast="bonded")
     integrator = BATHS[bath](0.001, scheme=scheme, fast="bonded")
     _other = bathed(integrator, system, x)
@@ -83,7 +82,6 @@ def test_a_bath_that_does_nothing_leaves_the_nested_trajectory_bit_for_bit(bath,
 def test_a_bath_within_a_step_leaves_the_bonded_forces_about_it():
     """BAOAB without friction is velocity Verlet: each half of its drift has half of the inner steps."""
     _, system, x = peptide()
-    rb.separate_bonded(system)
     plain, _one = moving(system, x, 0.001, "V2", fast="bonded", inner="S2_2", innerSteps=2)
     within = rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.001, "BAOAB", fast="bonded", inner="S2_2", innerSteps=2)
     _other = bathed(within, system, x)
@@ -104,7 +102,6 @@ def test_copies_of_baths_nest_as_the_original_does(maker):
 
 def test_rescaling_nested_keeps_the_effective_energy():
     _, system, x = peptide()
-    rb.separate_bonded(system)
     integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.002, "W4_5", fast="bonded")
     _context = bathed(integrator, system, x)
     before = integrator.effectiveEnergy()._value
@@ -159,7 +156,6 @@ def test_equipartition_of_a_nested_constrained_cluster(bath):
 
 def test_more_proposals_are_taken_where_bonds_are_nested():
     _, system, x = peptide("None")
-    rb.separate_bonded(system)
     rates = []
     for fast in (None, "bonded"):
         integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 5.0, 0.008, "S2_2", stepsPerProposal=2, fast=fast)
@@ -191,8 +187,7 @@ def populations(whose, seed, picoseconds, settling=SETTLING):
     """
     _, system, x = peptide()
     if whose == "ours":
-        rb.separate_bonded(system)
-        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2", fast="bonded")
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2")
         context, every = bathed(integrator, system, x, seed), 10
     else:
         integrator = openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.001)
@@ -230,7 +225,7 @@ def test_populations_are_measured_side_by_side():
 
 @pytest.mark.validate
 def test_populations_of_torsions_are_those_of_small_steps():
-    """Alanine dipeptide at 4 fs, nested, against OpenMM's LangevinMiddleIntegrator at 1 fs: 4 ns of each.
+    """Alanine dipeptide at 4 fs, nested by default, against OpenMM's LangevinMiddleIntegrator at 1 fs: 4 ns of each.
 
     Errors are those of the scatter between independent runs, and the bounds Student's, by Welch. A quarter of an hour
     of two cores.

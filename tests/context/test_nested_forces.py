@@ -1,6 +1,7 @@
 """Forces of some groups within the drifts: what may be nested, what it keeps, and pairs that become bonded forces."""
 
 import copy
+import itertools
 import pickle
 
 import numpy as np
@@ -10,14 +11,13 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from orders import slope
-from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide
+from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide, positions_of
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "None"])
 @pytest.mark.parametrize(("scheme", "order"), [("S2_2", 2), ("W4_5", 4)])
 def test_nested_schemes_keep_their_order(constraints, scheme, order):
     _, system, x = peptide(constraints)
-    rb.separate_bonded(system)
     end = end_of(system, x, scheme, 0.008, fast="bonded", inner=scheme, innerSteps=1)
     assert slope(end, (4, 8)) == pytest.approx(order, abs=0.2)
 
@@ -25,7 +25,6 @@ def test_nested_schemes_keep_their_order(constraints, scheme, order):
 def test_inner_steps_that_nobody_tells_err_no_more_than_the_outer_ones():
     """At 2000 evaluations of the other forces per ps, where longer inner steps, four times, err 32 times as far."""
     _, system, x = peptide()
-    rb.separate_bonded(system)
     usual = end_of(system, x, "SRKN4_6b", 0.03, fast="bonded")(10)
     finer = end_of(system, x, "SRKN4_6b", 0.03, fast="bonded", innerSteps=60)
     once = finer(10)
@@ -34,7 +33,6 @@ def test_inner_steps_that_nobody_tells_err_no_more_than_the_outer_ones():
 
 def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():
     _, system, x = peptide()
-    assert rb.separate_bonded(system) == 1
     plain, _one = moving(system, x)
     nested, _other = moving(system, x, fast="bonded")
     for integrator in (plain, nested):
@@ -48,9 +46,8 @@ def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():
 def test_a_step_that_bonds_do_not_bear_is_borne_when_they_are_nested():
     """What the feature is for: 4 fs per force evaluation, where plain Verlet has several kJ/mol."""
     _, system, x = peptide("None")
-    rb.separate_bonded(system)
     errors = []
-    for fast in (None, "bonded"):
+    for fast in (None, "auto"):
         integrator, _context = moving(system, x, 0.003, "V2", fast=fast)
         before = integrator.totalEnergy()._value
         try:
@@ -62,10 +59,21 @@ def test_a_step_that_bonds_do_not_bear_is_borne_when_they_are_nested():
     assert errors[0] > 20.0 * errors[1]
 
 
-def test_shared_groups_are_refused_with_what_to_do():
+@pytest.mark.parametrize("scheme", ["S2_2", "W2_1", "Chin4B"])
+def test_bonded_forces_need_no_group_of_their_own(scheme):
+    """The same steps as with force groups that tell them apart, in a System with all forces in one, which stays so."""
     _, system, x = peptide()
-    with pytest.raises(ValueError, match=r"NonbondedForce are both in force group 0.*separate_bonded"):
-        moving(system, x, fast="bonded")
+    before = openmm.XmlSerializer.serialize(system)
+    taken, apart = (copy.deepcopy(system) for _ in range(2))
+    group = rb.separate_bonded(apart, exceptions=True)
+    ends = []
+    for own, fast in ((taken, "bonded"), (apart, (group,))):
+        integrator, _context = moving(own, x, 0.002, scheme, fast=fast, inner="S2_2", innerSteps=4)
+        integrator.step(20)
+        ends.append(integrator.bodyState()[1])
+    for a, b in zip(*ends, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10)
+    assert openmm.XmlSerializer.serialize(taken) == before
 
 
 @pytest.mark.parametrize(
@@ -86,15 +94,15 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": "angles"}, 'fast is None, "bonded" or force groups'),
-        ({"fast": (32,)}, 'fast is None, "bonded" or force groups'),
-        ({"fast": ()}, 'fast is None, "bonded" or force groups'),
-        ({"fast": 1}, 'fast is None, "bonded" or force groups'),
-        ({"fast": (0.5,)}, 'fast is None, "bonded" or force groups'),
+        ({"fast": "angles"}, 'fast is "auto", None, "bonded" or force groups'),
+        ({"fast": (32,)}, 'fast is "auto", None, "bonded" or force groups'),
+        ({"fast": ()}, 'fast is "auto", None, "bonded" or force groups'),
+        ({"fast": 1}, 'fast is "auto", None, "bonded" or force groups'),
+        ({"fast": (0.5,)}, 'fast is "auto", None, "bonded" or force groups'),
         ({"fast": openmm.NonbondedForce()}, r"force\.getForceGroup\(\) tells"),
         ({"fast": (openmm.NonbondedForce(),)}, r"force\.getForceGroup\(\) tells"),
-        ({"inner": "S2_2"}, "name these with fast="),
-        ({"innerSteps": 2}, "name these with fast="),
+        ({"fast": None, "inner": "S2_2"}, "name these with fast="),
+        ({"fast": None, "innerSteps": 2}, "name these with fast="),
         ({"fast": "bonded", "inner": "V2_C17"}, "drifts and kicks alone"),
         ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
     ],
@@ -124,6 +132,186 @@ def test_copies_nest_as_the_original_does():
     integrator = rb.ExactRigidBodyIntegrator(0.002, fast=(1, 2), inner="V2", innerSteps=3)
     for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
         assert twin.getNesting() == integrator.getNesting()
+
+
+# -- the default ------------------------------------------------------------------------------------------------
+
+
+def nests(system, x, h, scheme="S2_2", **options):
+    """Tell whether steps have steps of their own within their drifts."""
+    integrator, _context = moving(system, x, h, scheme, **options)
+    integrator.step(2)
+    return integrator.timings.fast_evaluations > 0
+
+
+@pytest.mark.parametrize(("constraints", "often"), [("HBonds", 0.0015), ("None", 0.0006)])
+def test_bonded_forces_are_nested_where_a_force_comes_more_rarely_than_they_swing(constraints, often):
+    """From some 1.5 fs a force with bonds to hydrogen held, from 0.6 fs without: so at 2 fs in any case."""
+    _, system, x = peptide(constraints)
+    for scheme in ("V2", "S2_2", "W2_1"):
+        stages = rb.SCHEMES[scheme].stages
+        assert nests(system, x, 1.1 * often * stages, scheme)
+        assert nests(system, x, 0.002 * stages, scheme)
+        assert not nests(system, x, 0.9 * often * stages, scheme)
+    assert not nests(system, x, 0.004, fast=None)
+    assert nests(system, x, 0.0005, innerSteps=2)  # what is asked for is there
+
+
+def test_the_same_integrator_follows_its_step():
+    _, system, x = peptide()
+    integrator, _context = moving(system, x, 0.004)
+    integrator.step(2)
+    seen = integrator.timings.fast_evaluations
+    integrator.setStepSize(0.001)
+    integrator.step(2)
+    assert integrator.timings.fast_evaluations == seen > 0
+
+
+def test_the_default_conserves_energy_where_nothing_nested_does_not():
+    """2 fs a force, 6 ps: the nested default leaves less than a third of the error."""
+    _, system, x = peptide("None")
+    spread = {}
+    for fast in (None, "auto"):
+        integrator, _context = moving(system, x, 0.004, "S2_2", fast=fast)
+        energies = []
+        try:
+            for _ in range(300):
+                integrator.step(5)
+                energies.append(integrator.totalEnergy()._value)
+            spread[fast] = np.std(energies)
+        except rb.NonFiniteError:
+            spread[fast] = np.inf
+    assert spread["auto"] < 0.3 * spread[None]
+
+
+def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
+    """Rigid bodies, forces that are all bonded or of unknown speed, words that name groups, and letters of your own."""
+    _, water, positions = rb.rigid_water(2, nonbondedMethod=app.NoCutoff)
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(0, 1, 0.09, 4e5)  # within a rigid molecule
+    water.addForce(bond)
+    assert not nests(water, positions, 0.008)
+
+    _, system, x = peptide()
+    alone = openmm.XmlSerializer.clone(system)
+    for i in reversed(range(alone.getNumForces())):
+        if isinstance(alone.getForce(i), openmm.NonbondedForce):
+            alone.removeForce(i)
+    assert not nests(alone, x, 0.004)
+
+    unknown = openmm.XmlSerializer.clone(system)
+    for i in reversed(range(unknown.getNumForces())):
+        if isinstance(unknown.getForce(i), (openmm.HarmonicBondForce, openmm.HarmonicAngleForce)):
+            unknown.removeForce(i)
+    assert not nests(unknown, x, 0.004)
+
+    grouped = rb.schemes.Scheme("grouped", 2, (("B0", 0.5), ("A", 1.0), ("B0", 0.5)))
+    assert not nests(system, x, 0.002, grouped)
+    with pytest.raises(ValueError, match=r"kicks force groups by themselves \(B0\).*name what is nested by its groups"):
+        nests(system, x, 0.002, grouped, fast="bonded")
+
+    integrator, _context = moving(system, x, 0.004)
+    integrator.addLetter("B", lambda parts, letters: dict.fromkeys(letters, lambda state, tau: state))
+    integrator.step(1)
+    assert integrator.timings.fast_evaluations == 0
+
+
+def test_forces_that_do_not_act_are_not_nested():
+    """The forces between atoms act alone: the motion is theirs, whether others would be nested or not."""
+    _, system, x = peptide()
+    group = rb.separate_bonded(system, exceptions=True)
+    ends = []
+    for fast in (None, "bonded"):
+        integrator, context = moving(system, x, 0.001, "SRKN4_6b", fast=fast)
+        integrator.setIntegrationForceGroups({0})
+        integrator.step(20)
+        ends.append(positions_of(context))
+    assert group == 1
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-12)
+
+
+def test_nested_forces_follow_parameters_and_the_box():
+    """As the same forces in a group of their own do, which the Context of the System evaluates.
+
+    The bond has its length from the Context, and reaches across a box that is less than twice as long.
+    """
+    _, system, x = peptide()
+    force = openmm.CustomBondForce("3e3*(r - length)^2")
+    force.addGlobalParameter("length", 0.4)
+    force.addBond(1, 18)
+    force.setUsesPeriodicBoundaryConditions(True)
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(0.6 * np.eye(3)))
+    group = rb.separate_bonded(system, exceptions=True)
+    ends = {}
+    for change, fast in itertools.product(("nothing", "length", "box"), ("bonded", (group,))):
+        integrator, context = moving(system, x, 0.002, fast=fast, inner="S2_2", innerSteps=4)
+        integrator.step(10)
+        if change == "length":
+            context.setParameter("length", 0.45)
+        if change == "box":
+            context.setPeriodicBoxVectors(*(0.59 * np.eye(3)))
+        integrator.step(10)
+        ends[change, fast] = positions_of(context)
+    for change in ("nothing", "length", "box"):
+        np.testing.assert_allclose(ends[change, "bonded"], ends[change, (group,)], rtol=0.0, atol=1e-10)
+    for change in ("length", "box"):
+        assert np.abs(ends[change, "bonded"] - ends["nothing", "bonded"]).max() > 1e-4
+
+
+def test_what_changes_unseen_is_kicked_by_the_outer_steps():
+    """A bond that `updateParametersInContext` changes: the sum of all forces acts, whatever part of it is nested."""
+    _, system, x = peptide()
+    bonds = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    ends = []
+    for fast in (None, "bonded"):
+        own = openmm.XmlSerializer.clone(system)
+        integrator, context = moving(own, x, 0.0002, "SRKN4_6b", fast=fast)
+        integrator.step(5)
+        force = next(force for force in own.getForces() if isinstance(force, openmm.HarmonicBondForce))
+        i, j, length, k = force.getBondParameters(0)
+        force.setBondParameters(0, i, j, 1.05 * length, k)
+        force.updateParametersInContext(context)
+        integrator.step(100)
+        ends.append(positions_of(context))
+    assert bonds.getNumBonds() > 0
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-8)
+
+
+def test_bonds_of_virtual_sites_stay_outside():
+    """A site on two flexible atoms, with a bond of its own: the nested run conserves the energy of all forces."""
+    _, system, x = peptide("None")
+    site = system.addParticle(0.0)
+    system.setVirtualSite(site, openmm.TwoParticleAverageSite(4, 5, 0.5, 0.5))
+    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded.addParticle(0.0, 1.0, 0.0)
+    force = openmm.HarmonicBondForce()
+    force.addBond(site, 10, 0.4, 500.0)
+    system.addForce(force)
+    x = np.vstack([x, 0.5 * (x[4] + x[5])])
+    ends = [end_of(system, x, "SRKN4_6b", 0.004, fast=fast)(16) for fast in (None, "bonded")]
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=2e-9)
+
+
+def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies():
+    """A rigid molecule of water on a spring to a particle without mass, beside another one."""
+    _, system, positions = rb.rigid_water(2, nonbondedMethod=app.NoCutoff)
+    x = np.array(positions.value_in_unit(unit.nanometer))
+    anchor = system.addParticle(0.0)
+    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded.addParticle(0.0, 1.0, 0.0)
+    force = openmm.HarmonicBondForce()
+    force.addBond(1, anchor, 0.1, 5e4)
+    system.addForce(force)
+    x = np.vstack([x, x[1] + [0.0, 0.11, 0.0]])
+    ends = []
+    for fast in (None, "bonded"):
+        integrator, context = moving(system, x, 0.0005, "SRKN4_6b", fast=fast)
+        integrator.step(40)
+        ends.append(positions_of(context))
+    assert integrator.timings.fast_evaluations > 40
+    assert np.abs(ends[0] - x).max() > 1e-3
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-9)
 
 
 def energy_and_forces(system, x, platform=REFERENCE):
