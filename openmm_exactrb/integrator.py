@@ -53,10 +53,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     bodies : sequence of sequences of int, optional
         Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
         step; what acts within them only adds a constant to the energy.
-    fast : "bonded" or sequence of int, optional
-        Forces with steps of their own within the drifts of the scheme: those of some force groups, or all bonds, angles
-        and torsions, which have to be in groups of their own (`separate_bonded`). A step then evaluates the other
-        forces, which are what costs, as often as before.
+    fast : {"auto", "bonded"} or sequence of int, optional
+        Forces with steps of their own within the drifts of the scheme: "bonded" ones, which are bonds, angles, torsions
+        and pairs three bonds apart, or those of some force groups. A step then evaluates the others, which are what
+        costs, as often as before. "auto": bonded ones, where a step has forces more rarely than each sixteenth of the
+        shortest period of bonds and angles. None nests nothing.
     inner : str or Scheme, optional
         Scheme of the inner steps; if it is not given S2_2, or SRKN4_6b in schemes of higher order than 2 or with force
         gradients.
@@ -125,7 +126,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         return copy.deepcopy(self._bodies)
 
     def getNesting(self) -> Nesting | None:
-        """Return what has steps of its own within the drifts, or None."""
+        """Return what is to have steps of its own within the drifts, or None."""
         return self._nesting
 
     @property
@@ -152,7 +153,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def getEngine(self) -> str:
         """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
-        if self._engine.open and self._unsettled:
+        if self._engine.open and self._unsettled():
             self._engine.settle(self._found(), self)
         return "device" if self._engine.on_device else "host"
 
@@ -346,10 +347,6 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         """Return an integrator with the same settings and no Context."""
         return _restored(type(self), *self.getSettings().values())
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return an integrator with the same settings and no Context."""
-        return self.__copy__()
-
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
         return {"engine": self._engine.asked} | Nesting.arguments(self._nesting)
@@ -369,7 +366,6 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         parts.session.take_up()
         return parts
 
-    @property
     def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
         return self._host is None or self._host.session.outdated or self._engine.overtaken(self)
 
@@ -378,7 +374,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _present(self) -> host.Host:
         """Return what moves the bodies of the present Context."""
-        if self._host is None or self._unsettled:
+        if self._host is None or self._unsettled():
             context = self._found()
             self._engine.settle(context, self)
             options = context, self, self._rotor, self._bodies, self.timings

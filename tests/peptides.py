@@ -1,5 +1,6 @@
 """Alanine dipeptide in vacuum, as our integrators move it."""
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,31 @@ def peptide(constraints="HBonds", **options):
     context.setPositions(pdb.positions)
     context.applyConstraints(1e-9)
     return pdb.topology, system, positions_of(context)
+
+
+@cache
+def _in_water(constraints, waters):
+    pdb = app.PDBFile(str(PEPTIDE))
+    modeller = app.Modeller(pdb.topology, pdb.positions)
+    modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(2.2, 2.2, 2.2) * unit.nanometer)
+    x = np.array(modeller.positions.value_in_unit(unit.nanometer))
+    peptide = pdb.topology.getNumAtoms()
+    water = [residue for residue in modeller.topology.residues() if residue.name == "HOH"]
+    water.sort(key=lambda residue: np.linalg.norm(x[next(residue.atoms()).index] - x[:peptide], axis=1).min())
+    modeller.delete(water[waters:])
+    modeller.topology.setPeriodicBoxVectors(None)
+    system = FORCE_FIELD.createSystem(modeller.topology, constraints=CONSTRAINTS[constraints], removeCMMotion=False)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    context.setPositions(modeller.positions)
+    context.applyConstraints(1e-9)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 200)
+    return modeller.topology, system, positions_of(context)
+
+
+def in_water(constraints="HBonds", waters=6):
+    """Return topology, System and positions (nm) of alanine dipeptide with its nearest molecules of rigid TIP3P."""
+    topology, system, x = _in_water(constraints, waters)
+    return topology, openmm.XmlSerializer.clone(system), x.copy()
 
 
 def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):

@@ -16,6 +16,7 @@ from peptides import (
     REFERENCE,
     R,
     end_of,
+    in_water,
     moving,
     peptide,
     positions_of,
@@ -122,6 +123,19 @@ def test_schemes_keep_their_order(constraints, scheme, steps):
     _, system, x = peptide(constraints)
     time = 0.004 if constraints == "None" else 0.008
     order = {"S2_2": 2, "W4_5": 4, "Chin4B": 4, "S6_10": 6}[scheme]
+    assert slope(end_of(system, x, scheme, time), steps) == pytest.approx(order, abs=0.2)
+
+
+@pytest.mark.parametrize("constraints", ["HBonds", "AllBonds", "None"])
+@pytest.mark.parametrize(
+    ("scheme", "time", "steps"),
+    [("S2_2", 0.008, (8, 16)), ("W4_5", 0.008, (8, 16)), ("S6_10", 0.010, (4, 8)), ("KL8_17", 0.020, (4, 8))],
+)
+def test_schemes_keep_their_order_in_water(constraints, scheme, time, steps):
+    """Flexible clusters, single atoms and rigid bodies that turn, each acting on the others."""
+    _, system, x = in_water(constraints)
+    order = rb.SCHEMES[scheme].order
+    time = 0.5 * time if constraints == "None" else time
     assert slope(end_of(system, x, scheme, time), steps) == pytest.approx(order, abs=0.2)
 
 

@@ -8,8 +8,14 @@ import numpy as np
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
+from peptides import in_water
 
 SHORT = {"build": rb.dipole_fluid, "n": 8, "step": 0.02, "duration": 0.2, "temperature": 10.0}
+
+
+def flexible():
+    """Build alanine dipeptide with two molecules of water."""
+    return in_water(waters=2)
 
 
 def held_up(folder, seed, **arguments):

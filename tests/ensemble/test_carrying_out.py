@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 from distributed import LocalCluster
-from recipe_functions import SHORT, counted, deadly, held_up, slow, square, unkeepable
+from recipe_functions import SHORT, counted, deadly, flexible, held_up, slow, square, unkeepable
 
 from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble import Recipe, workers
@@ -34,6 +34,18 @@ if __name__ == "__main__":
 def scheduler():
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
         yield cluster.scheduler_address
+
+
+def test_ensembles_run_flexible_molecules(tmp_path):
+    """In two processes as in one, and so that more forces per ps leave less of an error."""
+    axes = {"step": [0.004, 0.001], "seed": range(2)}
+    runs = ensemble.sweep(ensemble.energies, axes, build=flexible, scheme="S2_2", duration=0.2, temperature=300.0)
+    both = [ensemble.run(runs, tmp_path / str(n), workers=n, progress=False) for n in (1, 2)]
+    assert [outcome.error for outcomes in both for outcome in outcomes] == 8 * [None]
+    for one, other in zip(*both, strict=True):
+        np.testing.assert_equal(other.result, one.result)
+    spread = [np.std(outcome.result["energies"]) for outcome in both[0]]
+    assert max(spread[2:]) < min(spread[:2]) < max(spread[:2]) < 3.0
 
 
 def kill_when_held_up(note, killed):

@@ -13,6 +13,7 @@ from small_droplets import droplet, go_on, make, same_bytes
 
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint
+from peptides import in_water
 
 
 def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_checkpoint(tmp_path):
@@ -25,6 +26,20 @@ def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_check
             simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
             simulation.context.setPositions(positions)
             make(tmp_path / folder, resume=True).advance(simulation, until)
+    same_bytes(tmp_path / "parts", tmp_path / "whole")
+
+
+def test_a_flexible_molecule_in_water_goes_on_with_the_same_bits(tmp_path):
+    """With bonded forces nested by default, at 2 fs a force, in a Context of their own that no checkpoint holds."""
+    topology, system, positions = in_water()
+    for folder, stops in (("whole", [60]), ("parts", [25, 60])):
+        for until in stops:
+            integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
+            simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+            simulation.context.setPositions(positions)
+            integrator.setVelocitiesToTemperature(300.0, 1)
+            make(tmp_path / folder, resume=True).advance(simulation, until)
+            assert integrator.timings.fast_evaluations > 0
     same_bytes(tmp_path / "parts", tmp_path / "whole")
 
 
