@@ -37,18 +37,18 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     system.addForce(barostat)
 
 
-def integrator_of(args: argparse.Namespace, scheme: str | None, step: float) -> ExactRigidBodyIntegrator:
+def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
     """Return the integrator of the ensemble.
 
     Parameters
     ----------
     args : argparse.Namespace
-    scheme : str or None
-        None for the default of the integrator.
+    own : dict
+        Options of the integrator, such as its scheme.
     step : float
         In ps.
     """
-    options: dict[str, Any] = {"rotor": args.rotor} | ({} if scheme is None else {"scheme": scheme})
+    options = {"rotor": args.rotor, **own}
     if args.ensemble == "nve":
         return ExactRigidBodyIntegrator(step, **options)
     integrator = ExactRigidBodyLangevinIntegrator(args.temperature, args.friction, step, **options)

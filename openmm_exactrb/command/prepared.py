@@ -44,15 +44,15 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
 
 def step_of(
     job: Run, args: argparse.Namespace, box: Box, start: openmm.State, platform: openmm.Platform
-) -> tuple[str | None, float]:
-    """Return the scheme, None for the default of the integrator, and the step in ps: measured if that is asked for."""
+) -> tuple[dict[str, Any], float]:
+    """Return options of the integrator, its scheme among them, and the step in ps: measured if that is asked for."""
     if args.step is not None:
-        return args.scheme, args.step
+        return {} if args.scheme is None else {"scheme": args.scheme}, args.step
     file = job.folder / STEP
     if args.resume and file.exists():
         try:
             kept = json.loads(file.read_text())
-            return str(kept["scheme"]), float(kept["step"])
+            return {"scheme": str(kept["scheme"]), "fast": kept["fast"]}, float(kept["step"])
         except (ValueError, KeyError, TypeError):
             raise ValueError(f"{file} is damaged: begin anew in another folder or with --overwrite") from None
     result = tune(
@@ -67,8 +67,9 @@ def step_of(
         raise ValueError(f"{str(result).splitlines()[-1]} Give a larger --target, or a --step.")
     if not args.quiet:
         print(result.chosen, file=sys.stderr)
-    _keep(job, STEP, json.dumps({"scheme": result.chosen.method, "step": result.chosen.step}))
-    return result.chosen.method, result.chosen.step
+    options, step = result.chosen.options(), result.chosen.step
+    _keep(job, STEP, json.dumps({**options, "step": step}))
+    return options, step
 
 
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:

@@ -118,8 +118,8 @@ def carry_out(args: argparse.Namespace) -> int:
     box = boxes.load(args)
     ensembles.couple(box.system, args)
     start = prepared.start_of(job, args, box, platform)
-    scheme, step = prepared.step_of(job, args, box, start, platform)
-    integrator = ensembles.integrator_of(args, scheme, step)
+    options, step = prepared.step_of(job, args, box, start, platform)
+    integrator = ensembles.integrator_of(args, options, step)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     loadState(simulation, start)
 

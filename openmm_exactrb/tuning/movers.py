@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import openmm
@@ -51,8 +51,12 @@ def integrator_of(name: str, step: float, bodies: Sequence[Sequence[int]] | None
     """Return a new integrator for the name of a method, with a step in ps."""
     if name == VERLET:
         return openmm.VerletIntegrator(step)
-    fast = "bonded" if is_nested(name) else None
-    return ExactRigidBodyIntegrator(step, name.removesuffix(_NESTED), bodies=bodies, fast=fast)
+    return ExactRigidBodyIntegrator(step, bodies=bodies, **options_of(name))
+
+
+def options_of(name: str) -> dict[str, Any]:
+    """Return scheme and nested forces of one of our integrators for the name of a method."""
+    return {"scheme": name.removesuffix(_NESTED), "fast": "bonded" if is_nested(name) else None}
 
 
 class Mover(Protocol):

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import openmm
 
 from openmm_exactrb.tuning.curves import Point, stable_curve, step_at
-from openmm_exactrb.tuning.movers import VERLET, integrator_of
+from openmm_exactrb.tuning.movers import VERLET, integrator_of, options_of
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,10 @@ class Choice:
     def integrator(self) -> openmm.Integrator:
         """Return a new integrator with this scheme and step."""
         return integrator_of(self.method, self.step, self.bodies)
+
+    def options(self) -> dict[str, Any]:
+        """Return the arguments `scheme` and `fast` that an integrator of this package has with this setting."""
+        return options_of(self.method)
 
     def __str__(self) -> str:
         return (

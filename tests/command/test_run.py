@@ -3,6 +3,7 @@
 import json
 import time
 from argparse import Namespace
+from dataclasses import replace
 
 import mdtraj
 import numpy as np
@@ -12,8 +13,9 @@ from openmm import app, unit
 from processes_of_command import finish, launch
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.ensembles import couple
+from openmm_exactrb.command.ensembles import couple, integrator_of
 from openmm_exactrb.command.main import main
+from openmm_exactrb.tuning.record import Choice
 
 
 def carry_out(capsys, *arguments):
@@ -97,6 +99,19 @@ def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
     status, said, errors = carry_out(capsys, "run", *serialised, "--duration", "0.08", "--resume", *options)
     assert (status, errors) == (0, "")
     assert f"{kept['step']:g} ps" in said
+
+
+@pytest.mark.parametrize("ensemble", ["nve", "nvt"])
+@pytest.mark.parametrize(("method", "fast"), [("W2_1 nested", "bonded"), ("W2_4", None)])
+def test_a_measured_choice_is_run_as_it_was_measured(ensemble, method, fast):
+    """With bonded forces within the drifts, or without."""
+    args = Namespace(ensemble=ensemble, rotor="exact", temperature=300.0, friction=1.0, seed=3)
+    choice = Choice(method, 0.004, 0.01, 1.0, True)
+    if ensemble == "nvt" and choice.options()["scheme"] == "W2_1":
+        choice = replace(choice, method="S2_2 nested")
+    integrator = integrator_of(args, choice.options(), choice.step)
+    assert integrator.getScheme().name == choice.method.split()[0]
+    assert (integrator.getNesting() and integrator.getNesting().fast) == fast
 
 
 def test_water_is_made_in_a_box(tmp_path, capsys):
