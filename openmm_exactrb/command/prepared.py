@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
+from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import loadState, read_xml
-from openmm_exactrb.tuning.advice import progress, tune
+from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 
 #: Files in the folder of a run.
 START, STEP = "start.xml", "step.json"
@@ -59,7 +61,7 @@ def step_of(
         box.system,
         start,
         target=args.target,
-        schemes=None if args.scheme is None else [args.scheme],
+        schemes=_schemes(args),
         platform=platform,
         report=None if args.quiet else progress,
     )
@@ -70,6 +72,15 @@ def step_of(
     options, step = result.chosen.options(), result.chosen.step
     _keep(job, STEP, json.dumps({**options, "step": step}))
     return options, step
+
+
+def _schemes(args: argparse.Namespace) -> Sequence[str] | None:
+    """Return the schemes to be tried, None for the usual ones: a bath has none that are processed."""
+    if args.scheme is not None:
+        return [args.scheme]
+    if args.ensemble == "nve":
+        return None
+    return [name for name in CANDIDATES if not look_up(name).processor]
 
 
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
