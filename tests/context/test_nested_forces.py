@@ -10,6 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.device import choice
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide, positions_of
 
@@ -357,3 +358,13 @@ def test_exceptions_with_parameters_of_the_context_stay():
     nonbonded.addExceptionParameterOffset("scale", 0, 0.1, 0.0, 0.0)
     with pytest.raises(ValueError, match=r"parameter offsets.*leave exceptions=True away"):
         rb.separate_bonded(system, exceptions=True)
+
+
+def test_where_steps_are_nested_the_host_is_better_than_a_device():
+    """Which has no such steps; asked on Reference, since what decides is the System and the step."""
+    _, system, x = peptide("None")
+    for h, reason in ((0.004, "bonded forces are nested at this step"), (0.0005, None)):
+        integrator, context = moving(system, x, h)
+        found = choice.against_steps(context, integrator, integrator.getScheme(), integrator.getNesting())
+        assert found == reason or found.startswith(reason)
+        assert choice.against_steps(context, integrator, integrator.getScheme(), None) is None
