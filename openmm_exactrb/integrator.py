@@ -140,6 +140,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def setStepSize(self, size: float | unit.Quantity) -> None:
         """Set the size of a whole step of the scheme, in ps if it has no unit."""
         super().setStepSize(picoseconds(size))
+        if self._engine.open and self._engine.on_device:
+            self._host = None  # longer steps may be the host's
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set which force groups act, as a set or by their bits."""

@@ -151,7 +151,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         account.write(self, _SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
         makers = {**self._makers, **self._own_makers()}
         kT, tallies = gas_constant_times(self._temperature), account.Account(self, self.tallies)
-        return Plan(self._steps(), makers, kT, tallies, self._numbers(), self.getSeedInUse())
+        return Plan(self._steps(), makers, kT, tallies, self._numbers(), self.getSeedInUse(), self.getScheme())
 
     def _numbers(self) -> Mapping[str, float]:
         """Return what a program on a device is told of the bath."""

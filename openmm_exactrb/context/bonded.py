@@ -1,14 +1,12 @@
-"""The bonded forces of a System: which they are, their groups, and how fast they move atoms."""
+"""The bonded forces of a System: which they are, and their groups."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
 import openmm
-from openmm import unit
 
 #: What the bonded forces of a System are.
 BONDED = (
@@ -23,7 +21,8 @@ BONDED = (
 )
 #: Coulomb's constant in kJ nm/mol/e², from the numbers that OpenMM makes its own of.
 COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
-_PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
+#: The formula of exceptions of a NonbondedForce.
+PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
 # What acts between steps has no forces on atoms.
 _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
@@ -83,23 +82,26 @@ def _move_exceptions(system: openmm.System, force: openmm.NonbondedForce) -> Non
             "exceptions=True away"
         )
     apart = pairs_by_formula(force, interacting_exceptions(force))
+    if not apart.getNumBonds():
+        return
     for number in range(force.getNumExceptions()):
         i, j, charges, sigma, epsilon = force.getExceptionParameters(number)
         if charges._value or epsilon._value:
             force.setExceptionParameters(number, i, j, 0.0, sigma, 0.0)
-    if apart.getNumBonds():
-        system.addForce(apart)
+    system.addForce(apart)
 
 
 def interacting_exceptions(force: openmm.NonbondedForce) -> list[tuple[Any, ...]]:
     """Return the exceptions that interact: particles, product of charges, sigma and epsilon of each."""
+    if not force.getIncludeDirectSpace():  # where OpenMM has them
+        return []
     exceptions = map(force.getExceptionParameters, range(force.getNumExceptions()))
     return [tuple(exception) for exception in exceptions if exception[2]._value or exception[4]._value]
 
 
 def pairs_by_formula(force: openmm.NonbondedForce, pairs: Iterable[tuple[Any, ...]]) -> openmm.CustomBondForce:
     """Return a force of pairs that interact as exceptions of a NonbondedForce, in its group."""
-    apart = openmm.CustomBondForce(_PAIR)
+    apart = openmm.CustomBondForce(PAIR)
     for name in ("charges", "sigma", "epsilon"):
         apart.addPerBondParameter(name)
     cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
@@ -126,51 +128,3 @@ def groups_of(force: Any) -> set[int]:
     """Return the force groups of a force: two where the reciprocal part of an Ewald sum has its own."""
     own = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
     return {force.getForceGroup()} | ({own} if own >= 0 else set())
-
-
-def fastest(system: openmm.System, groups: Sequence[int] = range(_GROUPS)) -> float:
-    """Estimate the highest frequency of the harmonic bonds and angles in some force groups, or all.
-
-    Each bond and angle is taken by itself, without those that constraints hold.
-
-    Returns
-    -------
-    float
-        In 1/ps; 0 where there are none.
-    """
-    mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
-    held = {
-        frozenset((i, j)): d.value_in_unit(unit.nanometer)
-        for i, j, d in map(system.getConstraintParameters, range(system.getNumConstraints()))
-    }
-    forces = [force for force in system.getForces() if force.getForceGroup() in groups]
-    bonds = [parameters for force in forces for parameters in _bonds(force)]
-    length = held | {frozenset((i, j)): r for i, j, r, _ in bonds}
-    squares = [k * (_inverse(mass[i]) + _inverse(mass[j])) for i, j, _, k in bonds if frozenset((i, j)) not in held]
-    for force in forces:
-        for i, j, k, angle, strength in _angles(force):
-            a, b = length.get(frozenset((i, j))), length.get(frozenset((k, j)))
-            if a and b and frozenset((i, k)) not in held:
-                middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
-                squares.append(
-                    strength * (_inverse(mass[i]) / a**2 + _inverse(mass[k]) / b**2 + _inverse(mass[j]) * middle)
-                )
-    return float(np.sqrt(max(squares, default=0.0)))
-
-
-def _bonds(force: Any) -> Iterable[tuple[int, int, float, float]]:
-    """Yield the particles, lengths (nm) and strengths (kJ/mol/nm²) of harmonic bonds."""
-    if isinstance(force, openmm.HarmonicBondForce):
-        for i, j, r, k in map(force.getBondParameters, range(force.getNumBonds())):
-            yield i, j, r._value, k._value
-
-
-def _angles(force: Any) -> Iterable[tuple[int, int, int, float, float]]:
-    """Yield the particles, angles and strengths (kJ/mol) of harmonic angles."""
-    if isinstance(force, openmm.HarmonicAngleForce):
-        for i, j, k, angle, strength in map(force.getAngleParameters, range(force.getNumAngles())):
-            yield i, j, k, angle._value, strength._value
-
-
-def _inverse(mass: float) -> float:
-    return 1.0 / mass if mass else 0.0

@@ -47,7 +47,7 @@ class Plan:
     seed : int
         Of the noise there.
     splitting : Scheme or None
-        The drifts and kicks of a step, where they are not in the scheme.
+        The drifts and kicks of a step, where there is more in the scheme, or it has them in one letter.
     splits : int
         Steps of a splitting in a step.
     """
@@ -100,7 +100,7 @@ class Host:
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        kinetic, slow, follow = self._split(plan, forces, h)
+        kinetic, slow, follow = self._split(plan, forces, guard, h)
         parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
@@ -124,13 +124,13 @@ class Host:
             account.close()
             session.publish()
 
-    def _split(self, plan: Plan, forces: Forces, h: float) -> tuple[Kinetic, Kicks, Callable[[], None]]:
+    def _split(self, plan: Plan, forces: Forces, guard: Guard, h: float) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts and kicks, with what is nested in the drifts, and what keeps up with the Context."""
         splitting, own_letters = plan.splitting or plan.scheme, plan.makers.items() ^ LETTERS.items()
         replaced = any(letter in LETTERS for letter, _ in own_letters)
         if self.inner is None or not self.inner.acts(splitting, h, replaced):
             return self.kinetic, forces, lambda: None
-        return self.inner.split(self.session, self.kinetic, forces, splitting, h, plan.splits)
+        return self.inner.split(self.session, self.kinetic, forces, guard, splitting, h / plan.splits)
 
     def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
         """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""

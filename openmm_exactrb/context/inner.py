@@ -16,9 +16,13 @@ from openmm_exactrb.context.nesting import Nested
 from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.motion.bodies import RigidBodies
-from openmm_exactrb.motion.kinetic import Kinetic, of_bodies
+from openmm_exactrb.motion.engine import Flow
+from openmm_exactrb.motion.guard import Guard
+from openmm_exactrb.motion.kick import kick
+from openmm_exactrb.motion.kinetic import Kinetic, of_bodies, rigid
 from openmm_exactrb.motion.nested import nested_drift
 from openmm_exactrb.motion.part import Whole
+from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 
@@ -44,6 +48,8 @@ class Inner:
         self._portion = Whole(bodies) if nested.excerpt is None else nested.excerpt.part
         self._kinetic = free_motion(self._portion.bodies, rotor, timings)
         self._own = None if nested.excerpt is None else Own(nested.excerpt)
+        self._clusters_outside = len(self._portion.bodies.clusters) < len(bodies.clusters)
+        self._free = rigid(bodies.mass, timings.of_rotor(rotor_of_sums(rotor, bodies.inertia)), rotor.order)
 
     def acts(self, splitting: Scheme, h: float, replaced: bool) -> bool:
         """Tell whether it is there in steps of h (ps), where letters of the package may do something else.
@@ -62,7 +68,7 @@ class Inner:
         return self._nested.asked.certain or (not replaced and self._nested.helps(splitting, h))
 
     def split(
-        self, session: Session, kinetic: Kinetic, forces: Forces, splitting: Scheme, h: float, splits: int
+        self, session: Session, kinetic: Kinetic, forces: Forces, guard: Guard, splitting: Scheme, h: float
     ) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts with the nested forces in them, what is left for kicks, and what keeps up with the Context.
 
@@ -73,21 +79,28 @@ class Inner:
             Of all bodies.
         forces : Forces
             All of them.
+        guard : Guard
         splitting : Scheme
-            Whose drifts they are, with `splits` steps in the time h (ps).
+            Whose drifts they are.
+        h : float
+            Its step in ps.
         """
         fast, slow, follow = self._sides(session, forces)
-        others = None if self._own is None else kinetic.drift
-        inner = self._nested.inner(splitting)
         drift = nested_drift(
-            others,
+            self._others(kinetic),
             self._portion,
             self._kinetic.drift,
-            fast,
-            inner.word,
-            lambda tau: self._nested.repetitions(splitting, h / splits, tau),
+            guard.bearable(self._portion.bodies, kick(fast)),
+            self._nested.inner(splitting).word,
+            lambda tau: self._nested.repetitions(splitting, h, tau),
         )
         return replace(kinetic, drift=drift), slow, follow
+
+    def _others(self, kinetic: Kinetic) -> Flow[State] | None:
+        """Return a drift of all bodies that is right for the others: mostly none of them is of a cluster."""
+        if self._own is None:
+            return None
+        return kinetic.drift if self._clusters_outside else self._free.drift
 
     def _sides(self, session: Session, forces: Forces) -> tuple[Forces, Kicks, Callable[[], None]]:
         if self._own is None:
@@ -123,7 +136,8 @@ class Own:
         self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
         theirs = state.getParameters()
         for name in self._context.getParameters():
-            self._context.setParameter(name, theirs[name])
+            if name in theirs:  # not that of a force which joined the System after its Context was made
+                self._context.setParameter(name, theirs[name])
 
 
 def free_motion(bodies: RigidBodies, rotor: Rotor, timings: Timings) -> Kinetic:

@@ -12,8 +12,9 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.checks import whole
-from openmm_exactrb.context.bonded import acting, fastest, groups_of, others
+from openmm_exactrb.context.bonded import acting, groups_of, others
 from openmm_exactrb.context.excerpt import Excerpt, bonded_excerpt
+from openmm_exactrb.context.stiffness import fastest
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
@@ -173,7 +174,7 @@ def _where_it_helps(system: openmm.System, bodies: RigidBodies, nesting: Nesting
     if excerpt is None or not others(system):
         return None
     frequency = fastest(excerpt.system)
-    return Nested(nesting, frequency, excerpt) if frequency or nesting.steps else None
+    return Nested(nesting, frequency, excerpt) if frequency else None
 
 
 def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested:
@@ -209,6 +210,6 @@ def _of_groups(system: openmm.System, nesting: Nesting) -> Nested:
 def _refuse_unknown(frequency: float, nesting: Nesting, what: str) -> None:
     if nesting.steps is None and not frequency:
         raise ValueError(
-            f"the {what} have no harmonic bonds or angles that tell how fast they are: say how many inner steps a step "
+            f"the {what} have no bonds or harmonic angles that tell how fast they are: say how many inner steps a step "
             "needs with innerSteps="
         )

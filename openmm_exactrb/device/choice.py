@@ -58,13 +58,14 @@ def against_context(context: Any, named: list[list[int]] | None = None) -> str |
     return _against_platform(context) or _against_system(context, named)
 
 
-def against_steps(context: Any, integrator: Any, scheme: Scheme, nesting: Nesting | None) -> str | None:
+def against_steps(context: Any, integrator: Any, nesting: Nesting | None) -> str | None:
     """Say why the host's steps are better in a Context that the device could run, or return None."""
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     if nesting is None or not x.any():
         return None
     nested = nested_in(system, find_bodies(system, x, integrator.getNamedBodies()), nesting)
-    if nested is None or not nested.helps(scheme, integrator.getStepSize().value_in_unit(unit.picosecond)):
+    h = integrator.getStepSize().value_in_unit(unit.picosecond)
+    if nested is None or not nested.helps(integrator.getScheme(), h):
         return None
     return 'bonded forces are nested at this step (fast="auto"), for which the device has no steps'
 

@@ -137,7 +137,7 @@ class Chosen:
         against = (
             choice.slower(context)
             or choice.against_context(context, integrator.getNamedBodies())
-            or choice.against_steps(context, integrator, self._scheme, self._nesting)
+            or choice.against_steps(context, integrator, self._nesting)
         )
         if against:
             return False, against

@@ -18,6 +18,8 @@ LIGHT = 299_792.458
 _GROWN = 1.5
 # More energy than this part of the kinetic energy cannot come from the errors of a run that follows its equations.
 _GAINED = 0.5
+# kJ/mol of kinetic energy in the mean of bodies with bonds between them: bonds break with a fifth of it.
+_HOTTEST = 2500.0
 # What single precision may leave of an energy, and kJ/mol per body that say nothing: a start at rest has less.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 
@@ -71,6 +73,23 @@ class Guard:
         def guarded(state: State, tau: float) -> State:
             after = flow(state, tau)
             self._measured(after)
+            return after
+
+        return guarded
+
+    def bearable(self, bodies: RigidBodies, flow: Flow[State]) -> Flow[State]:
+        """Return a flow of some bodies that raises NonFiniteError where they are far too hot for any molecule.
+
+        Nested steps need it, of which a drift has thousands where it is far too long.
+        """
+        most = 2.0 * _HOTTEST * len(bodies)
+
+        def guarded(state: State, tau: float) -> State:
+            after = flow(state, tau)
+            P, m = after.P[0], after.m[0]
+            twice = float(np.einsum("ij,ij,j", P, P, 1.0 / bodies.mass)) + float(np.sum(m * m / bodies.inertia.T))
+            if not twice <= most:
+                raise NonFiniteError(self._complaint(f"{twice / most * _HOTTEST:.3g} kJ/mol in each body", after))
             return after
 
         return guarded

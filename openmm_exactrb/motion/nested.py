@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from openmm_exactrb.motion.engine import Flow, run
-from openmm_exactrb.motion.kick import Forces, kick
 from openmm_exactrb.motion.part import Portion
 from openmm_exactrb.motion.state import State
 from openmm_exactrb.schemes.word import DRIFT, KICK, Word, repeated
@@ -15,7 +14,7 @@ def nested_drift(
     all_drift: Flow[State] | None,
     portion: Portion,
     drift: Flow[State],
-    forces: Forces,
+    kick: Flow[State],
     word: Word,
     repetitions: Callable[[float], int],
 ) -> Flow[State]:
@@ -33,14 +32,14 @@ def nested_drift(
         The bodies that the fast forces move.
     drift : callable
         Their free motion.
-    forces : callable
-        The fast forces on them.
+    kick : callable
+        The flow of the fast forces on them.
     word : Word
         Of the inner scheme, drifts and kicks.
     repetitions : callable
         repetitions(tau) -> inner steps in a drift of this time.
     """
-    moves = {DRIFT: drift, KICK: kick(forces)}
+    moves = {DRIFT: drift, KICK: kick}
     words: dict[int, Word] = {}
 
     def flow(state: State, tau: float) -> State:

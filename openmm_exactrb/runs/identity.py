@@ -52,7 +52,7 @@ def _settings(integrator: Any) -> str:
         text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
         if (nesting := integrator.getNesting()) is None:
             text += ", nothing nested"
-        else:
+        elif nesting.certain:  # else System and step decide
             inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
             text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
     if isinstance(integrator, ThermostattedIntegrator):

@@ -10,6 +10,9 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.context.excerpt import bonded_excerpt
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.context.stiffness import fastest
 from openmm_exactrb.device import choice
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide, positions_of
@@ -365,6 +368,102 @@ def test_where_steps_are_nested_the_host_is_better_than_a_device():
     _, system, x = peptide("None")
     for h, reason in ((0.004, "bonded forces are nested at this step"), (0.0005, None)):
         integrator, context = moving(system, x, h)
-        found = choice.against_steps(context, integrator, integrator.getScheme(), integrator.getNesting())
+        found = choice.against_steps(context, integrator, integrator.getNesting())
         assert found == reason or found.startswith(reason)
-        assert choice.against_steps(context, integrator, integrator.getScheme(), None) is None
+        assert choice.against_steps(context, integrator, None) is None
+
+
+@pytest.mark.parametrize("scheme", ["V2", "S2_2", "W2_3"])
+def test_baths_nest_at_the_steps_at_which_constant_energy_does(scheme):
+    """From 1.5 fs a force: the letters of a bath are no kicks."""
+    _, system, x = peptide()
+    stages = rb.SCHEMES[scheme].stages
+    for often, nested in ((0.0017, True), (0.0013, False)):
+        h = often * stages
+        integrators = [
+            rb.ExactRigidBodyIntegrator(h, scheme),
+            rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, h, scheme),
+            rb.ExactRigidBodyRescalingIntegrator(300.0, 1e300, h, scheme),
+            rb.ExactRigidBodyHybridIntegrator(300.0, 0.0, h, scheme),
+            rb.ExactRigidBodyHybridIntegrator(300.0, 0.0, 3 * h, scheme, stepsPerProposal=3),
+        ]
+        for integrator in integrators:
+            context = openmm.Context(system, integrator, REFERENCE)
+            context.setPositions(x)
+            integrator.setVelocitiesToTemperature(300.0, 3)
+            integrator.step(1)
+            assert (integrator.timings.fast_evaluations > 0) == nested, integrator
+
+
+@pytest.mark.parametrize(("h", "scheme"), [(4.0, "S2_2"), (3.5, "V2"), (8.0, "SRKN4_6b"), (1.0, "W2_1")])
+def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
+    """Thousands of inner steps would be made before an outer kick looks at what they did."""
+    _, system, x = peptide()
+    integrator, context = moving(system, x, h, scheme)
+    with pytest.raises(rb.NonFiniteError, match=r"numbers without a unit are ps"):
+        integrator.step(10)
+    assert integrator.timings.fast_evaluations < 3000
+    assert np.abs(positions_of(context) - x).max() < 1e-6
+
+
+def test_a_proposal_that_is_far_too_long_is_refused_at_once():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 4.8, "S2_2")
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    integrator.step(2)
+    assert integrator.acceptanceRate() == 0.0
+    assert integrator.timings.fast_evaluations < 3000
+
+
+def test_a_force_that_came_after_the_context_does_not_act():
+    """As OpenMM has it, until the Context is reinitialised."""
+    _, system, x = peptide()
+    ends = []
+    for late in (False, True):
+        integrator, context = moving(system, x, 0.004)
+        if late:
+            force = openmm.CustomBondForce("stiff*r")
+            force.addGlobalParameter("stiff", 10.0)
+            force.addBond(0, 20)
+            system.addForce(force)
+        integrator.step(5)
+        ends.append(positions_of(context))
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-7)
+
+
+def test_pairs_are_not_taken_from_a_force_without_direct_space():
+    """OpenMM has the exceptions in the direct part: a force that is the reciprocal part alone has none."""
+    _, system, x = peptide()
+    system.setDefaultPeriodicBoxVectors(*(2.2 * np.eye(3)))
+    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded.setNonbondedMethod(openmm.NonbondedForce.PME)
+    nonbonded.setIncludeDirectSpace(False)
+    before = energy_and_forces(system, x)
+    forces = system.getNumForces()
+    rb.separate_bonded(system, exceptions=True)
+    assert system.getNumForces() == forces
+    assert energy_and_forces(system, x)[0] == pytest.approx(before[0], rel=1e-12)
+    excerpt = bonded_excerpt(system, find_bodies(system, x))
+    assert not any(isinstance(force, openmm.CustomBondForce) for force in excerpt.system.getForces())
+
+
+def test_bonds_of_a_formula_are_as_fast_as_they_are():
+    """The frequencies of the same bonds as HarmonicBondForce and by a formula, in Morse's potential about as high."""
+    _, system, _ = peptide("None")
+    bonds = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    exact = fastest(system)
+    for formula in ("0.5*k*(r-length)^2", "4000*(1-exp(-sqrt(k/8000)*(r-length)))^2"):
+        other = openmm.XmlSerializer.clone(system)
+        for i in reversed(range(other.getNumForces())):
+            if isinstance(other.getForce(i), openmm.HarmonicBondForce):
+                other.removeForce(i)
+        assert fastest(other) < 0.6 * exact  # of the angles
+        force = openmm.CustomBondForce(formula)
+        force.addPerBondParameter("length")
+        force.addPerBondParameter("k")
+        for i, j, length, k in map(bonds.getBondParameters, range(bonds.getNumBonds())):
+            force.addBond(i, j, [length, k])
+        other.addForce(force)
+        assert fastest(other) == pytest.approx(exact, rel=0.03)

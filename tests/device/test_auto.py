@@ -11,6 +11,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from openmm_exactrb.device import trial
+from peptides import peptide
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +161,23 @@ def test_copies_choose_anew(times, platform, water):
     twin = copy.copy(simulation.integrator)
     assert twin.getSettings() == simulation.integrator.getSettings()
     assert twin.getSettings()["arguments"]["engine"] == "auto"
+
+
+def test_the_host_makes_steps_that_are_nested(platform, times):
+    """A flexible molecule on the device, until steps get so long that bonded forces need steps of their own."""
+    times(1.0, 2.0)
+    topology, system, positions = peptide("None")
+    simulation = auto((topology, system, positions), platform)
+    integrator = simulation.integrator
+    integrator.setStepSize(0.0005)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    simulation.step(20)
+    assert integrator.getEngine() == "device"
+    energy = integrator.totalEnergy()._value
+    integrator.setStepSize(0.004)
+    assert integrator.getEngine() == "host"
+    assert integrator.engineNote().startswith("bonded forces are nested at this step")
+    assert integrator.totalEnergy()._value == pytest.approx(energy, abs=1e-4)
+    simulation.step(20)
+    assert integrator.timings.fast_evaluations > 0
+    assert integrator.totalEnergy()._value == pytest.approx(energy, abs=2.0)

@@ -6,6 +6,7 @@ import pytest
 import openmm_exactrb as rb
 from openmm_exactrb.context.excerpt import bonded_excerpt
 from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.motion.kick import kick
 from openmm_exactrb.motion.kinetic import of_bodies
 from openmm_exactrb.motion.nested import nested_drift
 from openmm_exactrb.motion.part import Part, Whole
@@ -79,10 +80,10 @@ def test_a_nested_drift_without_forces_is_the_drift(droplet):
         return np.zeros(state.R.shape[1:]), np.zeros(state.m.shape[1:])
 
     word = rb.SCHEMES["S2_2"].word
-    drift = nested_drift(free.drift, part, kinetic_of(part.bodies).drift, nothing, word, lambda tau: 3)
+    drift = nested_drift(free.drift, part, kinetic_of(part.bodies).drift, kick(nothing), word, lambda tau: 3)
     for a, b in zip(drift(state, 0.002), free.drift(state, 0.002), strict=True):
         np.testing.assert_allclose(a[0], b[0], rtol=0.0, atol=1e-13)
     assert len(calls) == 7
-    whole = nested_drift(None, Whole(bodies), free.drift, nothing, word, lambda tau: 1)
+    whole = nested_drift(None, Whole(bodies), free.drift, kick(nothing), word, lambda tau: 1)
     for a, b in zip(whole(state, 0.002), free.drift(state, 0.002), strict=True):
         np.testing.assert_allclose(a[0], b[0], rtol=0.0, atol=1e-13)
