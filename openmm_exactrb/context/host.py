@@ -126,9 +126,8 @@ class Host:
 
     def _split(self, plan: Plan, forces: Forces, guard: Guard, h: float) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts and kicks, with what is nested in the drifts, and what keeps up with the Context."""
-        splitting, own_letters = plan.splitting or plan.scheme, plan.makers.items() ^ LETTERS.items()
-        replaced = any(letter in LETTERS for letter, _ in own_letters)
-        if self.inner is None or not self.inner.acts(splitting, h, replaced):
+        splitting = plan.splitting or plan.scheme
+        if self.inner is None or not self.inner.nested.acts(splitting, h, LETTERS.items() <= plan.makers.items()):
             return self.kinetic, forces, lambda: None
         return self.inner.split(self.session, self.kinetic, forces, guard, splitting, h / plan.splits)
 

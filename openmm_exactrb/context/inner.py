@@ -6,9 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.excerpt import Excerpt
 from openmm_exactrb.context.forces import Forces, Kicks, OtherGroups, Places, Remainder
@@ -26,8 +24,6 @@ from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 
-Array = NDArray[np.float64]
-
 _COUNTER = "fast_evaluations"
 
 
@@ -41,31 +37,19 @@ class Inner:
         All of the Context.
     rotor : Rotor
     timings : Timings
+
+    Attributes
+    ----------
+    nested : Nested
     """
 
     def __init__(self, nested: Nested, bodies: RigidBodies, rotor: Rotor, timings: Timings) -> None:
-        self._nested, self._timings = nested, timings
+        self.nested, self._timings = nested, timings
         self._portion = Whole(bodies) if nested.excerpt is None else nested.excerpt.part
         self._kinetic = free_motion(self._portion.bodies, rotor, timings)
         self._own = None if nested.excerpt is None else Own(nested.excerpt)
         self._clusters_outside = len(self._portion.bodies.clusters) < len(bodies.clusters)
         self._free = rigid(bodies.mass, timings.of_rotor(rotor_of_sums(rotor, bodies.inertia)), rotor.order)
-
-    def acts(self, splitting: Scheme, h: float, replaced: bool) -> bool:
-        """Tell whether it is there in steps of h (ps), where letters of the package may do something else.
-
-        Raises
-        ------
-        ValueError
-            If bonded forces shall be nested and a letter kicks a force group, which may have some of them.
-        """
-        groups = sorted({letter for letter, _ in splitting.word if letter[0] == "B" and letter != "B"})
-        if groups and self._own is not None and self._nested.asked.certain:
-            raise ValueError(
-                f"scheme {splitting.name} kicks force groups by themselves ({', '.join(groups)}), which may have "
-                "bonded forces in them: name what is nested by its groups too, such as fast=(1,)"
-            )
-        return self._nested.asked.certain or (not replaced and self._nested.helps(splitting, h))
 
     def split(
         self, session: Session, kinetic: Kinetic, forces: Forces, guard: Guard, splitting: Scheme, h: float
@@ -91,8 +75,8 @@ class Inner:
             self._portion,
             self._kinetic.drift,
             guard.bearable(self._portion.bodies, kick(fast)),
-            self._nested.inner(splitting).word,
-            lambda tau: self._nested.repetitions(splitting, h, tau),
+            self.nested.inner(splitting).word,
+            lambda tau: self.nested.repetitions(splitting, h, tau),
         )
         return replace(kinetic, drift=drift), slow, follow
 
@@ -104,7 +88,7 @@ class Inner:
 
     def _sides(self, session: Session, forces: Forces) -> tuple[Forces, Kicks, Callable[[], None]]:
         if self._own is None:
-            bits = self._nested.bits
+            bits = self.nested.bits
             fast = forces.of(bits, _COUNTER)
             return fast, OtherGroups(forces.of(~bits), fast), lambda: None
         part, own = self._own.excerpt.part, self._own

@@ -134,13 +134,25 @@ class Nested:
             return max(1, round(self.asked.steps * abs(tau / h)))
         return max(1, math.ceil(self._kicks(outer, tau) / self.inner(outer).stages))
 
-    def helps(self, outer: Scheme, h: float) -> bool:
-        """Tell whether the fast forces need kicks of their own, or those of the outer scheme come often enough.
+    def acts(self, outer: Scheme, h: float, known: bool = True) -> bool:
+        """Tell whether the fast forces have kicks of their own in steps of h (ps).
 
-        Those that were asked for have them in any case.
+        They have if they were asked for, or if those of the outer scheme come too rarely and it is `known` what its
+        letters do.
+
+        Raises
+        ------
+        ValueError
+            If bonded forces were asked for, and a letter kicks a force group, which may have some of them.
         """
-        if self.asked.certain:
-            return True
+        groups = sorted({letter for letter, _ in outer.word if letter[0] == KICK and letter != KICK})
+        if self.asked.fast == BONDED and groups:
+            raise ValueError(
+                f"scheme {outer.name} kicks force groups by themselves ({', '.join(groups)}), which may have bonded "
+                "forces in them: name what is nested by its groups too, such as fast=(1,)"
+            )
+        if self.asked.certain or not (outer.stages and known):
+            return self.asked.certain
         ours = all(letter in (DRIFT, KICK) or letter[0] in (GRADIENT, BATH) for letter, _ in outer.word)
         return ours and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _OFTEN
 

@@ -65,7 +65,7 @@ def against_steps(context: Any, integrator: Any, nesting: Nesting | None) -> str
         return None
     nested = nested_in(system, find_bodies(system, x, integrator.getNamedBodies()), nesting)
     h = integrator.getStepSize().value_in_unit(unit.picosecond)
-    if nested is None or not nested.helps(integrator.getScheme(), h):
+    if nested is None or not nested.acts(integrator.getScheme(), h):
         return None
     return 'bonded forces are nested at this step (fast="auto"), for which the device has no steps'
 

@@ -467,3 +467,9 @@ def test_bonds_of_a_formula_are_as_fast_as_they_are():
             force.addBond(i, j, [length, k])
         other.addForce(force)
         assert fastest(other) == pytest.approx(exact, rel=0.03)
+
+
+def test_a_scheme_without_kicks_runs():
+    """Free motion alone, of which nothing can be nested."""
+    _, system, x = peptide()
+    assert not nests(system, x, 0.01, rb.schemes.Scheme("free", 2, (("A", 1.0),)))
