@@ -76,7 +76,7 @@ class Inner:
             self._kinetic.drift,
             guard.bearable(self._portion.bodies, kick(fast)),
             self.nested.inner(splitting).word,
-            lambda tau: self.nested.repetitions(splitting, h, tau),
+            self.nested.repetitions(splitting, h),
         )
         return replace(kinetic, drift=drift), slow, follow
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import reprlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,11 +128,13 @@ class Nested:
         """Return the inner scheme that an outer one has."""
         return self.asked.scheme or look_up(_usual(outer)[0])
 
-    def repetitions(self, outer: Scheme, h: float, tau: float) -> int:
-        """Return the inner steps in a drift of tau (ps), with steps of h (ps) of the outer scheme."""
+    def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
+        """Return what tells the inner steps in a drift from its time (ps), in steps of h (ps) of the outer scheme."""
         if self.asked.steps:
-            return max(1, round(self.asked.steps * abs(tau / h)))
-        return max(1, math.ceil(self._kicks(outer, tau) / self.inner(outer).stages))
+            rate = self.asked.steps / abs(h)
+            return lambda tau: max(1, round(rate * abs(tau)))
+        rate = self.frequency / (2.0 * math.pi * _usual(outer)[1] * self.inner(outer).stages)
+        return lambda tau: max(1, math.ceil(rate * abs(tau)))
 
     def acts(self, outer: Scheme, h: float, known: bool = True) -> bool:
         """Tell whether the fast forces have kicks of their own in steps of h (ps).
@@ -155,9 +157,6 @@ class Nested:
             return self.asked.certain
         ours = all(letter in (DRIFT, KICK) or letter[0] in (GRADIENT, BATH) for letter, _ in outer.word)
         return ours and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _OFTEN
-
-    def _kicks(self, outer: Scheme, tau: float) -> float:
-        return abs(tau) * self.frequency / (2.0 * math.pi * _usual(outer)[1])
 
 
 def _usual(outer: Scheme) -> tuple[str, float]:

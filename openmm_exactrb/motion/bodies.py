@@ -91,15 +91,16 @@ class RigidBodies:
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
         self.kinds = tuple(kinds)
+        self._turning = tuple(kind for kind in kinds if kind.turns)
         self.n_particles = n_particles
         self.clusters = Clusters([]) if clusters is None else clusters
-        self.n_turning = sum(len(kind.particles) for kind in kinds if kind.turns)
+        self.n_turning = sum(len(kind.particles) for kind in self._turning)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
         self.first_particle: Indices = np.concatenate(
             [np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)]
         )
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
-        self.inertia = _moments([kind for kind in kinds if kind.turns])
+        self.inertia = _moments(self._turning)
         self._single = self.first_particle[self.n_turning :]
         self._particles_of = kernels.twins().bodies
 
@@ -111,13 +112,12 @@ class RigidBodies:
     @property
     def rotational_freedom(self) -> int:
         """Rotational degrees of freedom."""
-        return sum((3 - kind.linear) * len(kind.particles) for kind in self.kinds if kind.turns)
+        return sum((3 - kind.linear) * len(kind.particles) for kind in self._turning)
 
     @property
     def principal_moments(self) -> Array:
         """Principal moments of the bodies that turn, (3, K): 0 along the axis of a linear one."""
-        turning = [kind for kind in self.kinds if kind.turns]
-        rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in turning]
+        rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in self._turning]
         return np.ascontiguousarray(np.concatenate([np.zeros((0, 3)), *rows]).T)
 
     def __len__(self) -> int:
@@ -158,9 +158,8 @@ class RigidBodies:
 
     def positions(self, state: BodyState, out: Array) -> Array:
         """Write the positions of all particles with mass into `out` (n_particles, 3)."""
-        for kind in self.kinds:
-            if kind.turns:
-                self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
+        for kind in self._turning:
+            self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
         if self._single.size:
             out[self._single] = state.R.T[self.n_turning :]
         return out
@@ -181,11 +180,8 @@ class RigidBodies:
     def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
         """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles (n_particles, 3)."""
         total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
-        for kind in self.kinds:
-            if kind.turns:
-                self._particles_of.collect(
-                    state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque
-                )
+        for kind in self._turning:
+            self._particles_of.collect(state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque)
         if self._single.size:
             total[:, self.n_turning :] = forces[self._single].T
         return total, torque
@@ -217,7 +213,7 @@ class RigidBodies:
         raise IndexError(f"there is no body {body}")
 
 
-def _moments(turning: list[Kind]) -> Array:
+def _moments(turning: Sequence[Kind]) -> Array:
     """Return the moments for the rotor, one row for all where all bodies have the same."""
     if not turning:
         return np.ones((1, 3))

@@ -82,12 +82,12 @@ class Guard:
 
         Nested steps need it, of which a drift has thousands where it is far too long.
         """
-        most = 2.0 * _HOTTEST * len(bodies)
+        most, of_mass, of_inertia = 2.0 * _HOTTEST * len(bodies), 1.0 / bodies.mass, 1.0 / bodies.inertia.T
 
         def guarded(state: State, tau: float) -> State:
             after = flow(state, tau)
             P, m = after.P[0], after.m[0]
-            twice = float(np.einsum("ij,ij,j", P, P, 1.0 / bodies.mass)) + float(np.sum(m * m / bodies.inertia.T))
+            twice = float((P * P).sum(axis=0) @ of_mass) + float((m * m * of_inertia).sum())
             if not twice <= most:
                 raise NonFiniteError(self._complaint(f"{twice / most * _HOTTEST:.3g} kJ/mol in each body", after))
             return after
