@@ -1,0 +1,57 @@
+"""The record of the study of equipartition: what runs gave, kept from machine to machine."""
+
+import math
+
+import numpy as np
+import pytest
+
+from equipartition import COLUMNS, LFM, MEASURED, RECORD, gist, read, table, write
+
+
+def record_of(*values):
+    """Return a record of runs with seeds 1, 2, ... that have these potential energies."""
+    keys = [("spce", "NVT", "W2_3", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
+    return {
+        key: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
+        for key, U in zip(keys, values, strict=True)
+    }
+
+
+def test_a_record_is_read_as_it_was_written(tmp_path):
+    record = record_of(-46.5, -46.75)
+    write(record, tmp_path / "record.csv")
+    found = read(tmp_path / "record.csv")
+    assert found.keys() == record.keys()
+    for key, run in record.items():
+        assert found[key] == pytest.approx(run, nan_ok=True)
+    assert read(tmp_path / "nothing.csv") == {}
+
+
+def test_errors_are_those_of_the_mean_of_independent_runs():
+    values = [-46.5, -46.75, -46.9, -46.6]
+    ((*point, picoseconds, found),) = table(record_of(*values))
+    assert (point, picoseconds) == (["spce", "NVT", "W2_3", 6.0], 200.0)
+    assert found["U"] == pytest.approx((np.mean(values), np.std(values, ddof=1) / 2.0))
+    assert "acceptance" not in found
+
+
+def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
+    """Around the bath where that is looked at; of LangevinMiddleIntegrator there is one translation."""
+    samples = {
+        "T_tr": [290.0, 300.0],
+        "T_rot": [300.0, 304.0],
+        "T_tr, other": [291.0, 293.0],
+        "T_rot, other": [301.0, 303.0],
+    }
+    result = {"samples": samples | {"U": [-46.0, -47.0], "density": [1000.0, 1001.0]}}
+    assert gist("W2_3", result)["other T_rot - T_tr"] == pytest.approx(10.0)
+    assert gist(LFM, result)["other T_rot - T_tr"] == pytest.approx(7.0)
+    assert gist(LFM, result)["T_rot - T_tr"] == pytest.approx(7.0)
+
+
+def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
+    record = read(RECORD)
+    assert all(len(key) == len(COLUMNS) for key in record)
+    points = table(record)
+    assert all(picoseconds >= 1000.0 for *_, picoseconds, _ in points)
+    assert {(model, method) for model, _, method, *_ in points} >= {("spce", "W2_3"), ("spce", LFM)}
