@@ -81,7 +81,7 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies) -> Excerpt | None
     for force, of_force in pairs:
         if of_force:
             own.addForce(pairs_by_formula(force, [(int(number[i]), int(number[j]), *rest) for i, j, *rest in of_force]))
-    _same_box(own, system)
+    own.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
     return Excerpt(own, particles, Part(bodies.chosen(chosen, number, len(particles)), chosen))
 
 
@@ -108,10 +108,6 @@ def _particles_and_constraints(system: openmm.System, particles: Indices, number
         if number[i] >= 0 and number[j] >= 0:
             own.addConstraint(int(number[i]), int(number[j]), length)
     return own
-
-
-def _same_box(own: openmm.System, system: openmm.System) -> None:
-    own.setDefaultPeriodicBoxVectors(*system.getDefaultPeriodicBoxVectors())
 
 
 # -- forces as trees of XML: the same for bonds, angles and torsions of all kinds --------------------------------------
