@@ -60,7 +60,7 @@ class _Moving:
 def bonded_excerpt(system: openmm.System, bodies: RigidBodies) -> Excerpt | None:
     """Return the bonded forces that move bodies against each other, and the exceptions of NonbondedForces that do.
 
-    Without what acts on virtual sites. None if there are none, or there are no other forces.
+    Without what acts on virtual sites. None if there are no bonded ones.
     """
     moving = _Moving(system, bodies)
     forces = [force for force in system.getForces() if isinstance(force, BONDED)]
