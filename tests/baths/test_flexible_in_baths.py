@@ -227,8 +227,8 @@ def test_populations_are_measured_side_by_side():
 def test_populations_of_torsions_are_those_of_small_steps():
     """Alanine dipeptide at 4 fs, nested by default, against OpenMM's LangevinMiddleIntegrator at 1 fs: 4 ns of each.
 
-    Errors are those of the scatter between independent runs, and the bounds Student's, by Welch. A quarter of an hour
-    of two cores.
+    Errors are those of the scatter between independent runs, and the bounds Student's, by Welch. Half an hour of two
+    cores that have other work too.
     """
     ours, theirs = side_by_side(RUNS, LENGTH)
     error = np.sqrt((ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / RUNS)
