@@ -173,23 +173,14 @@ def nested_in(system: openmm.System, bodies: RigidBodies, nesting: Nesting | Non
     """
     if nesting is None:
         return None
-    if nesting.fast == AUTO:
-        return _where_it_helps(system, bodies, nesting)
-    if nesting.fast == BONDED:
-        return _bonded(system, bodies, nesting)
-    return _of_groups(system, nesting)
+    return _bonded(system, bodies, nesting) if isinstance(nesting.fast, str) else _of_groups(system, nesting)
 
 
-def _where_it_helps(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested | None:
+def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested | None:
     excerpt = bonded_excerpt(system, bodies)
-    if excerpt is None or not others(system):
-        return None
-    frequency = fastest(excerpt.system)
-    return Nested(nesting, frequency, excerpt) if frequency else None
-
-
-def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nested:
-    excerpt = bonded_excerpt(system, bodies)
+    frequency = 0.0 if excerpt is None else fastest(excerpt.system)
+    if not nesting.certain:
+        return Nested(nesting, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(
             "the System has no bonded forces that move anything, and nothing to be nested: leave fast=, inner= and "
@@ -200,7 +191,6 @@ def _bonded(system: openmm.System, bodies: RigidBodies, nesting: Nesting) -> Nes
             "all forces of the System are bonded, and nothing is left that could have longer steps: leave fast=, "
             "inner= and innerSteps= away"
         )
-    frequency = fastest(excerpt.system)
     _refuse_unknown(frequency, nesting, "bonded forces")
     return Nested(nesting, frequency, excerpt)
 
