@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Protocol
 
 import numpy as np
@@ -83,9 +84,7 @@ class Part:
 
     def twin(self) -> Part:
         """Return the same part with a memory of its own."""
-        twin = object.__new__(Part)
-        twin.__dict__.update(self.__dict__)
-        return twin
+        return copy.copy(self)
 
 
 def _columns(a: Array, columns: NDArray[np.intp]) -> Array:
