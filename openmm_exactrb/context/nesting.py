@@ -131,7 +131,7 @@ class Nested:
     def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
         """Return what tells the inner steps in a drift from its time (ps), in steps of h (ps) of the outer scheme."""
         if self.asked.steps:
-            rate = self.asked.steps / abs(h)
+            rate = self.asked.steps / abs(h) if h else 0.0
             return lambda tau: max(1, round(rate * abs(tau)))
         rate = self.frequency / (2.0 * math.pi * _usual(outer)[1] * self.inner(outer).stages)
         return lambda tau: max(1, math.ceil(rate * abs(tau)))

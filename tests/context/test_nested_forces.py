@@ -473,3 +473,12 @@ def test_a_scheme_without_kicks_runs():
     """Free motion alone, of which nothing can be nested."""
     _, system, x = peptide()
     assert not nests(system, x, 0.01, rb.schemes.Scheme("free", 2, (("A", 1.0),)))
+
+
+@pytest.mark.parametrize("options", [{}, {"fast": "bonded"}, {"innerSteps": 4}])
+def test_steps_of_no_time_leave_all_where_it_is(options):
+    _, system, x = peptide()
+    integrator, context = moving(system, x, 0.0, **options)
+    before = positions_of(context)
+    integrator.step(3)
+    np.testing.assert_allclose(positions_of(context), before, rtol=0.0, atol=1e-15)
