@@ -16,7 +16,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from water import energy_noise
+from water import energy_noise, equilibrated
 
 RECIPROCAL = 1
 #: Name, outer scheme and reciprocal evaluations per ps, inner scheme and direct evaluations per ps.
@@ -38,23 +38,6 @@ def box(molecules):
     (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
     nonbonded.setReciprocalSpaceForceGroup(RECIPROCAL)
     return system, np.array(positions.value_in_unit(unit.nanometer))
-
-
-def equilibrated(system, x, starts):
-    """Return canonical starts of a Langevin run."""
-    integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
-    integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-    context.setPositions(x)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(300.0, 1)
-    integrator.step(5000)
-    found = []
-    for _ in range(starts):
-        integrator.step(1000)
-        state = context.getState(positions=True, velocities=True)
-        found.append([state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value])
-    return found
 
 
 def integrator_of(outer, reciprocal, inner, direct):
@@ -87,7 +70,7 @@ def main():
     parser.add_argument("--duration", type=float, default=2.0, metavar="PS", help="of each run (%(default)s)")
     args = parser.parse_args()
     system, x = box(args.molecules)
-    starts = equilibrated(system, x, args.starts)
+    starts = equilibrated(system, x, "CPU", 10.0, args.starts)
     direct_cost, reciprocal_cost = seconds(system, starts[0][0])
     print(f"an evaluation takes {1e3 * direct_cost:.2g} ms (direct) and {1e3 * reciprocal_cost:.2g} ms (reciprocal)\n")
     print("| method | reciprocal per ps | direct per ps | std, kJ/mol per molecule | s per ps |")
