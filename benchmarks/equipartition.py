@@ -60,6 +60,13 @@ R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvi
 LFM = "LangevinMiddle"
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "W2_3", "S2_2")
+LABELS = {
+    "T_rot - T_tr": "T_rot − T_tr (K)",
+    "U": "potential energy\n(kJ/mol per molecule)",
+    "density": "density (kg/m³)",
+}
+AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
+NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
     f"{LFM}, as reported": ("#D55E00", "o"),
@@ -306,34 +313,52 @@ def table(record: dict[tuple, dict[str, float]]) -> list[tuple]:
 
 
 def draw(rows: list[tuple], file: Path) -> None:
-    """Draw T_rot - T_tr and the potential energy over the time a force evaluation: the first model and ensemble."""
-    figure, (above, below) = plt.subplots(2, 1, figsize=(7.0, 6.4), sharex=True, layout="constrained")
-    first = rows[0][:2]
-    lines: dict[tuple, list] = {}
-    for model, kind, method, interval, _, found in rows:
-        if (model, kind) != first:
-            continue
+    """Draw a column of panels for each model: temperatures and energy at constant volume, density at constant pressure.
+
+    Where there are runs of one ensemble only, its temperatures and energies are drawn.
+    """
+    models = list(dict.fromkeys(row[0] for row in rows))
+    kinds = {row[1] for row in rows}
+    main = "NVT" if "NVT" in kinds else "NPT"
+    panels = [("T_rot - T_tr", main), ("U", main)] + [("density", "NPT")] * ("NPT" in kinds)
+    size = (1.2 + 4.4 * len(models), 1.2 + 2.6 * len(panels))
+    figure, grid = plt.subplots(
+        len(panels), len(models), figsize=size, sharex=True, squeeze=False, layout="constrained"
+    )
+    for (quantity, kind), line in zip(panels, grid, strict=True):
+        line[0].set_ylabel(LABELS[quantity] + f"\n{AT_CONSTANT[kind]}")
+        for model, axes in zip(models, line, strict=True):
+            plot(axes, quantity, [row for row in rows if row[:2] == (model, kind)])
+    for model, top, bottom in zip(models, grid[0], grid[-1], strict=True):
+        top.set_title(NAMES.get(model, model))
+        top.axhline(0.0, color="0.6", lw=0.8)
+        bottom.set_xscale("log", base=2)
+        bottom.set_xticks(sorted({row[3] for row in rows}), minor=False)
+        bottom.xaxis.set_major_formatter("{x:g}")
+        bottom.set_xlabel("time per force evaluation (fs)")
+    found = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=2, fontsize=9)
+    figure.savefig(file, dpi=150)
+
+
+def plot(axes: plt.Axes, quantity: str, rows: list[tuple]) -> None:
+    """Plot what was measured over the time a force, a line for each method."""
+    lines: dict[str, list] = {}
+    for _, _, method, interval, _, found in rows:
         names = {
             LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
             "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
         }.get(method, (method,))
-        for name, quantity in zip(names, ("T_rot - T_tr", "other T_rot - T_tr"), strict=False):
-            lines.setdefault((above, name, names[0]), []).append((interval, *found[quantity]))
-        lines.setdefault((below, names[0], names[0]), []).append((interval, *found["U"]))
-    for shift, ((axes, name, _), points) in enumerate(lines.items()):
+        looks = (quantity, f"other {quantity}") if f"other {quantity}" in found else (quantity,)
+        for name, look in zip(names, looks, strict=False):
+            lines.setdefault(name, []).append((interval, *found[look]))
+    for name, points in lines.items():
         colour, marker = STYLES.get(name, ("#999999", "x"))
         x, y, error = np.array(sorted(points)).T
-        label = name if axes is above else None
-        nudged = x + 0.02 * (shift % 7 - 3)  # so that error bars do not hide each other
-        axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, label=label)
-    above.axhline(0.0, color="0.6", lw=0.8)
-    above.set_ylabel("T_rot − T_tr (K)")
-    below.set_ylabel("potential energy\n(kJ/mol per molecule)")
-    below.set_xticks(sorted({row[3] for row in rows if row[:2] == first}))
-    below.set_xlabel("time per force evaluation (fs)")
-    above.set_title(f"{first[0]}, {first[1]}")
-    figure.legend(loc="outside lower center", ncols=2, fontsize=9)
-    figure.savefig(file, dpi=150)
+        nudged = x * (
+            1.0 + 0.012 * (list(STYLES).index(name) - 3 if name in STYLES else 4)
+        )  # error bars beside each other
+        axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, ms=5, label=name)
 
 
 def parse() -> argparse.Namespace:
