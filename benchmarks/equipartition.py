@@ -19,7 +19,6 @@ a part of it. Several such commands beside each other are fastest with a core fo
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 from functools import cache
@@ -31,6 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from equipartition_record import LABELS, LFM, RECORD, Point, Run, points, read, write
 from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble.store import Store
 
@@ -38,33 +38,14 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 OUT = Path("out/equipartition")
-RECORD = Path(__file__).resolve().parents[1] / "docs" / "equipartition.csv"
-# What a run is, and what it gives, in the record.
-COLUMNS = {
-    "model": str,
-    "ensemble": str,
-    "method": str,
-    "fs per force": float,
-    "molecules": int,
-    "friction": float,
-    "ps": float,
-    "seed": int,
-}
-MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
 BAROSTAT = 0.02  # ps between two moves of the barostat: the volume forgets in 0.7 ps, with 0.05 in 1.5, with 0.1 in 4.5
 LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-LFM = "LangevinMiddle"
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "W2_3", "S2_2")
-LABELS = {
-    "T_rot - T_tr": "T_rot − T_tr (K)",
-    "U": "potential energy\n(kJ/mol per molecule)",
-    "density": "density (kg/m³)",
-}
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
@@ -221,18 +202,17 @@ def gist(method: str, result: dict) -> dict[str, float]:
     }
 
 
-def recipe_of(point: tuple, seed: int, args: argparse.Namespace) -> ensemble.Recipe:
-    model, kind, method, interval = point
+def recipe_of(run: Run) -> ensemble.Recipe:
     return ensemble.Recipe(
         run_of,
-        model=model,
-        method=method,
-        interval=interval / 1000.0,
-        pressure=PRESSURE if kind == "NPT" else None,
-        length=args.length,
-        seed=seed,
-        n=args.molecules,
-        friction=args.friction,
+        model=run.model,
+        method=run.method,
+        interval=run.interval / 1000.0,
+        pressure=PRESSURE if run.ensemble == "NPT" else None,
+        length=run.ps,
+        seed=run.seed,
+        n=run.molecules,
+        friction=run.friction,
     )
 
 
@@ -240,22 +220,21 @@ def main() -> None:
     args = parse()
     record = read(args.record)
     settings = (args.molecules, args.friction, args.length)
-    points = list(itertools.product(args.models, args.ensembles, args.methods, args.intervals))
-    wanted = {(*point, *settings, seed): point for point in points for seed in range(1, args.runs + 1)}
-    missing = {key: recipe_of(point, key[-1], args) for key, point in wanted.items() if key not in record}
+    kinds = itertools.product(args.models, args.ensembles, args.methods, args.intervals)
+    wanted = [Run(*kind, *settings, seed) for kind in kinds for seed in range(1, args.runs + 1)]
+    missing = {run: recipe_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
-    for key, recipe in missing.items():
+    for run, recipe in missing.items():
         if recipe.key in results:
-            record[key] = gist(key[2], results[recipe.key])
+            record[run] = gist(run.method, results[recipe.key])
     write(record, args.record)
-    rows = table({key: record[key] for key in wanted if key in record})
-    if not rows:
+    found = points({run: record[run] for run in wanted if run in record})
+    if not found:
         raise SystemExit(f"no run of these points is in {args.record} or finished in {args.out}")
-    for *point, ps, found in rows:
-        print(
-            *point, f"{ps:g} ps ", "  ".join(f"{name} {mean:.5g}({error:.2g})" for name, (mean, error) in found.items())
-        )
-    whole = [row for row in rows if row[4] >= args.runs * args.length]
+    for point in found:
+        means = (f"{name} {mean:.5g}({error:.2g})" for name, (mean, error) in point.found.items())
+        print(*point[:4], f"friction {point.friction:g}, {point.ps:g} ps ", "  ".join(means))
+    whole = [point for point in found if point.ps >= args.runs * args.length]
     if whole:
         draw(whole, args.out / "equipartition.png")
 
@@ -275,90 +254,50 @@ def finished(recipes: list[ensemble.Recipe], args: argparse.Namespace) -> dict[s
     return {outcome.recipe.key: outcome.result for outcome in outcomes if outcome.error is None}
 
 
-def read(file: Path) -> dict[tuple, dict[str, float]]:
-    """Return what runs gave, by what they were."""
-    if not file.exists():
-        return {}
-    with file.open(newline="") as text:
-        return {
-            tuple(kind(row[name]) for name, kind in COLUMNS.items()): {name: float(row[name]) for name in MEASURED}
-            for row in csv.DictReader(text)
-        }
-
-
-def write(record: dict[tuple, dict[str, float]], file: Path) -> None:
-    """Write the record, in its order."""
-    with file.open("w", newline="") as out:
-        lines = csv.writer(out, lineterminator="\n")
-        lines.writerow([*COLUMNS, *MEASURED])
-        for key, run in sorted(record.items()):
-            lines.writerow([*key, *(f"{run[name]:.7g}" for name in MEASURED)])
-
-
-def table(record: dict[tuple, dict[str, float]]) -> list[tuple]:
-    """Return a row for each point: what it is, its ps, and (mean, error) of what was measured by name."""
-    runs: dict[tuple, list] = {}
-    for key, run in record.items():
-        runs.setdefault(key[:4], []).append((key, run))
-    rows = []
-    for point, of_point in runs.items():
-        found = {}
-        for name in MEASURED:
-            values = np.array([run[name] for _, run in of_point])
-            if np.isfinite(values).all():
-                error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else math.nan
-                found[name] = (float(np.mean(values)), float(error))
-        rows.append((*point, sum(key[6] for key, _ in of_point), found))
-    return rows
-
-
-def draw(rows: list[tuple], file: Path) -> None:
+def draw(drawn: list[Point], file: Path) -> None:
     """Draw a column of panels for each model: temperatures and energy at constant volume, density at constant pressure.
 
     Where there are runs of one ensemble only, its temperatures and energies are drawn.
     """
-    models = list(dict.fromkeys(row[0] for row in rows))
-    kinds = {row[1] for row in rows}
+    models = list(dict.fromkeys(point.model for point in drawn))
+    kinds = {point.ensemble for point in drawn}
     main = "NVT" if "NVT" in kinds else "NPT"
     panels = [("T_rot - T_tr", main), ("U", main)] + [("density", "NPT")] * ("NPT" in kinds)
+    shape = len(panels), len(models)
     size = (1.2 + 4.4 * len(models), 1.2 + 2.6 * len(panels))
-    figure, grid = plt.subplots(
-        len(panels), len(models), figsize=size, sharex=True, squeeze=False, layout="constrained"
-    )
+    figure, grid = plt.subplots(*shape, figsize=size, sharex=True, squeeze=False, layout="constrained")
     for (quantity, kind), line in zip(panels, grid, strict=True):
-        line[0].set_ylabel(LABELS[quantity] + f"\n{AT_CONSTANT[kind]}")
+        line[0].set_ylabel(LABELS[quantity].replace(" (kJ", "\n(kJ") + f"\n{AT_CONSTANT[kind]}")
         for model, axes in zip(models, line, strict=True):
-            plot(axes, quantity, [row for row in rows if row[:2] == (model, kind)])
+            plot(axes, quantity, [point for point in drawn if point[:2] == (model, kind)])
     for model, top, bottom in zip(models, grid[0], grid[-1], strict=True):
         top.set_title(NAMES.get(model, model))
         top.axhline(0.0, color="0.6", lw=0.8)
         bottom.set_xscale("log", base=2)
-        bottom.set_xticks(sorted({row[3] for row in rows}), minor=False)
+        bottom.set_xticks(sorted({point.interval for point in drawn}))
         bottom.xaxis.set_major_formatter("{x:g}")
         bottom.set_xlabel("time per force evaluation (fs)")
-    found = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
-    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=2, fontsize=9)
+    legend = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
 
 
-def plot(axes: plt.Axes, quantity: str, rows: list[tuple]) -> None:
+def plot(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
     """Plot what was measured over the time a force, a line for each method."""
     lines: dict[str, list] = {}
-    for _, _, method, interval, _, found in rows:
+    for point in drawn:
         names = {
             LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
             "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
-        }.get(method, (method,))
-        looks = (quantity, f"other {quantity}") if f"other {quantity}" in found else (quantity,)
-        for name, look in zip(names, looks, strict=False):
-            lines.setdefault(name, []).append((interval, *found[look]))
-    for name, points in lines.items():
+        }.get(point.method, (point.method,))
+        for name, look in zip(names, (quantity, f"other {quantity}"), strict=False):
+            if look in point.found:
+                lines.setdefault(name, []).append((point.interval, *point.found[look]))
+    for name, of_method in lines.items():
         colour, marker = STYLES.get(name, ("#999999", "x"))
-        x, y, error = np.array(sorted(points)).T
-        nudged = x * (
-            1.0 + 0.012 * (list(STYLES).index(name) - 3 if name in STYLES else 4)
-        )  # error bars beside each other
-        axes.errorbar(nudged, y, error, color=colour, marker=marker, capsize=3, lw=1.2, ms=5, label=name)
+        x, y, error = np.array(sorted(of_method)).T
+        beside = 1.0 + 0.012 * (list(STYLES).index(name) - 3 if name in STYLES else 4)  # not one over the other
+        axes.errorbar(x * beside, y, error, color=colour, marker=marker, capsize=3, lw=1.2, ms=5, label=name)
 
 
 def parse() -> argparse.Namespace:

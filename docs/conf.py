@@ -19,10 +19,12 @@ from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
 import droplet
 
 import openmm_exactrb
+from equipartition_record import RECORD, over_frictions, over_steps, read
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 log = logging.getLogger(__name__)
@@ -111,7 +113,22 @@ def scheme_table() -> str:
     return "\n".join(rows)
 
 
-myst_substitutions = {"scheme_table": scheme_table()}
+def equipartition_tables() -> dict[str, str]:
+    """Return what was measured of equipartition as tables, for the page on temperature."""
+    record = read(RECORD)
+    tables = {
+        f"{model}_{name}": over_steps(record, quantity, model, kind)
+        for model in ("spce", "tip4p2005")
+        for name, quantity, kind in (
+            ("temperatures", "T_rot - T_tr", "NVT"),
+            ("energies", "U", "NVT"),
+            ("densities", "density", "NPT"),
+        )
+    }
+    return tables | {"spce_frictions": over_frictions(record, "spce", "W2_3", 6.0)}
+
+
+myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()
 
 
 def undocumented(app: Sphinx, env: Any) -> None:

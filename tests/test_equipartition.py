@@ -5,15 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from equipartition import LFM, MEASURED, RECORD, gist, read, table, write
+from equipartition import gist
+from equipartition_record import LFM, MEASURED, RECORD, Run, over_frictions, over_steps, points, read, write
 
 
 def record_of(*values):
     """Return a record of runs with seeds 1, 2, ... that have these potential energies."""
-    keys = [("spce", "NVT", "W2_3", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
+    runs = [Run("spce", "NVT", "W2_3", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
     return {
-        key: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
-        for key, U in zip(keys, values, strict=True)
+        run: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
+        for run, U in zip(runs, values, strict=True)
     }
 
 
@@ -29,10 +30,20 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
 
 def test_errors_are_those_of_the_mean_of_independent_runs():
     values = [-46.5, -46.75, -46.9, -46.6]
-    ((*point, picoseconds, found),) = table(record_of(*values))
-    assert (point, picoseconds) == (["spce", "NVT", "W2_3", 6.0], 200.0)
-    assert found["U"] == pytest.approx((np.mean(values), np.std(values, ddof=1) / 2.0))
-    assert "acceptance" not in found
+    (point,) = points(record_of(*values))
+    assert point[:6] == ("spce", "NVT", "W2_3", 6.0, 5.0, 200.0)
+    assert point.found["U"] == pytest.approx((np.mean(values), np.std(values, ddof=1) / 2.0))
+    assert "acceptance" not in point.found
+
+
+def test_a_table_has_whole_points_only():
+    values = np.linspace(-46.0, -47.0, 20)
+    whole, part = record_of(*values), record_of(*values[:19])
+    assert "| W2_3, the default | −46.50 ± 0.07 |" in over_steps(whole, "U", "spce", "NVT")
+    assert "−46" not in over_steps(part, "U", "spce", "NVT")
+    harder = {run._replace(friction=20.0): means for run, means in whole.items()}
+    assert over_frictions(whole | harder, "spce", "W2_3", 6.0).count("−46.50 ± 0.07") == 2
+    assert over_steps(harder, "U", "spce", "NVT").count("±") == 0
 
 
 def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
@@ -50,6 +61,6 @@ def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
 
 
 def test_the_record_in_the_documentation_has_whole_points():
-    record = {key: run for key, run in read(RECORD).items() if key[4:7] == (216, 5.0, 50.0)}
-    whole = {tuple(point) for *point, picoseconds, _ in table(record) if picoseconds >= 1000.0}
-    assert whole >= {("spce", "NVT", method, interval) for method in ("W2_3", "BAOAB", LFM) for interval in (4.0, 6.0)}
+    whole = {point[:5] for point in points(read(RECORD)) if point.ps >= 1000.0}
+    methods = ("W2_3", "BAOAB", LFM)
+    assert whole >= {("spce", "NVT", method, interval, 5.0) for method in methods for interval in (4.0, 6.0)}
