@@ -101,8 +101,8 @@ def integrator_of(method: str, interval: float, friction: float) -> openmm.Integ
         return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
     if method == EXACT:
         return rb.ExactRigidBodyHybridIntegrator(TEMPERATURE, friction, 2 * interval, scheme="S2_2")
-    stages = 1 if method == "BAOAB" else rb.SCHEMES[method].stages
-    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, stages * interval, scheme=method)
+    forces = 1 if method == "BAOAB" else rb.SCHEMES[method].forces
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, forces * interval, scheme=method)
 
 
 def run_of(

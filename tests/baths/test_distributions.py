@@ -24,7 +24,7 @@ def hybrid(h, scheme="S2_2", **options):
 # -- a dipole in a field ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["W2_3", "S2_2", "BAOAB"])
+@pytest.mark.parametrize("scheme", ["W2_3", "W2_4g", "S2_2", "BAOAB"])
 def test_dipoles_in_a_field_obey_langevin(scheme):
     error, width = mean_and_error(reduced_energies(langevin(0.008, scheme), 500, FIELD, 200, 1000, 5))
     assert width < 0.012
@@ -50,7 +50,7 @@ def test_hybrid_monte_carlo_is_exact_where_langevin_dynamics_is_not():
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize("scheme", ["W2_3", "S2_2", "BAOAB"])
+@pytest.mark.parametrize("scheme", ["W2_3", "W2_4g", "S2_2", "BAOAB"])
 def test_dipoles_in_a_field_obey_langevin_to_five_thousandths(scheme):
     error, width = mean_and_error(reduced_energies(langevin(0.008, scheme), 4000, FIELD, 400, 8000, 5))
     assert width < 0.001
@@ -99,7 +99,7 @@ def test_baoab_has_the_places_of_a_trap_at_any_step():
     assert abs(momentum - (1.0 - 1.44**2 / 4.0)) < 0.005 + 3.0 * other
 
 
-@pytest.mark.parametrize(("scheme", "angle"), [("V2", 1.0), ("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2)])
+@pytest.mark.parametrize(("scheme", "angle"), [("V2", 1.0), ("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2), ("W2_4g", 3.4)])
 def test_a_trap_is_as_wide_as_the_shadow_energy_says(scheme, angle):
     """Weak friction: the bath holds <p²> of the only mode there is, and <z²> follows from the energy that is kept."""
     (place, width), (momentum, other) = trapped_ions(langevin(0.02, scheme, friction=1.0), angle, 200, 400)
