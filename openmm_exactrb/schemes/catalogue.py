@@ -225,7 +225,7 @@ _SCHEMES = (
     *FORCE_GRADIENT,
     # Near the force-gradient scheme of this word that has order 4 and the smallest error constant there.
     force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
-    # Of this word the member whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs per force.
+    # Of this word the one whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs per force.
     force_gradient("W2_4g", "ABACABA", order=2, a=(0.08209,), b=(0.24119,), e=(0.025308,), reference=_CANONICAL),
     processed(
         _V2_DRIFT,

@@ -99,7 +99,9 @@ def test_baoab_has_the_places_of_a_trap_at_any_step():
     assert abs(momentum - (1.0 - 1.44**2 / 4.0)) < 0.005 + 3.0 * other
 
 
-@pytest.mark.parametrize(("scheme", "angle"), [("V2", 1.0), ("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2), ("W2_4g", 3.4)])
+@pytest.mark.parametrize(
+    ("scheme", "angle"), [("V2", 1.0), ("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2), ("W2_4g", 3.4)]
+)
 def test_a_trap_is_as_wide_as_the_shadow_energy_says(scheme, angle):
     """Weak friction: the bath holds <p²> of the only mode there is, and <z²> follows from the energy that is kept."""
     (place, width), (momentum, other) = trapped_ions(langevin(0.02, scheme, friction=1.0), angle, 200, 400)
