@@ -2,7 +2,7 @@
 
 With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
-BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and S2_2 run the same water at the same time a force
+BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and W2_4g run the same water at the same time a force
 evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
 T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error.
 
@@ -45,7 +45,7 @@ LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, an
 BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
-METHODS = (LFM, "BAOAB", "W2_3", "S2_2")
+METHODS = (LFM, "BAOAB", "W2_3", "W2_4g")
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
@@ -55,7 +55,8 @@ STYLES = {
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
     "W2_3": ("#0072B2", "D"),
-    "S2_2": ("#CC79A7", "P"),
+    "W2_4g": ("#CC79A7", "P"),
+    "S2_2": ("#999999", "X"),
     EXACT: ("#000000", "*"),
 }
 

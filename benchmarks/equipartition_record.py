@@ -21,6 +21,7 @@ WHOLE = 1000.0  # ps of a point that is in the tables
 ROWS = {
     "T_rot - T_tr": (
         ("W2_3, the default", "W2_3", "T_rot - T_tr"),
+        ("W2_4g", "W2_4g", "T_rot - T_tr"),
         ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
         ("constrained", LFM, "other T_rot - T_tr"),
         ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
@@ -31,6 +32,7 @@ ROWS = {
 } | {
     name: (
         ("W2_3, the default", "W2_3", name),
+        ("W2_4g", "W2_4g", name),
         ("`LangevinMiddleIntegrator`", LFM, name),
         ("BAOAB", "BAOAB", name),
         ("S2_2", "S2_2", name),

@@ -86,7 +86,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Temperatures and energy of water from shadow energies.")
     parser.add_argument("--model", default="spce", help="%(default)s")
     parser.add_argument("--length", type=float, default=24.0, metavar="PS", help="%(default)s")
-    parser.add_argument("--schemes", nargs="+", default=["V2", "V2_drift", "S2_2", "SBAB_2", "SABA_2", "S2_3", "W2_3"])
+    parser.add_argument(
+        "--schemes", nargs="+", default=["V2", "V2_drift", "S2_2", "SBAB_2", "SABA_2", "S2_3", "W2_3", "W2_4g"]
+    )
     parser.add_argument("--intervals", nargs="+", type=float, default=[2, 4, 6], metavar="FS", help="a force")
     args = parser.parse_args()
     linear, angular = momenta(args.model, args.length)
