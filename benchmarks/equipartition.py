@@ -40,7 +40,7 @@ import matplotlib.pyplot as plt
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
-BAROSTAT = 0.02  # ps between two moves of the barostat: the volume forgets in 0.7 ps, with 0.05 in 1.5, with 0.1 in 4.5
+BAROSTAT = 0.02  # ps between two moves of the barostat: the volume forgets in 1 ps, with 0.1 in four times as long
 LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
