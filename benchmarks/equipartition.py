@@ -36,6 +36,7 @@ from openmm_exactrb.ensemble.store import Store
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.artist import Artist
 
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
@@ -271,6 +272,9 @@ def draw(drawn: list[Point], file: Path) -> None:
         line[0].set_ylabel(LABELS[quantity].replace(" (kJ", "\n(kJ") + f"\n{AT_CONSTANT[kind]}")
         for model, axes in zip(models, line, strict=True):
             plot(axes, quantity, [point for point in drawn if point[:2] == (model, kind)])
+            if not axes.has_data():
+                axes.text(0.5, 0.5, "not measured yet", transform=axes.transAxes, ha="center", color="0.4")
+                axes.set_yticks([])
     for model, top, bottom in zip(models, grid[0], grid[-1], strict=True):
         top.set_title(NAMES.get(model, model))
         top.axhline(0.0, color="0.6", lw=0.8)
@@ -278,7 +282,9 @@ def draw(drawn: list[Point], file: Path) -> None:
         bottom.set_xticks(sorted({point.interval for point in drawn}))
         bottom.xaxis.set_major_formatter("{x:g}")
         bottom.set_xlabel("time per force evaluation (fs)")
-    legend = dict(zip(*reversed(grid[0, 0].get_legend_handles_labels()), strict=True))
+    legend: dict[str, Artist] = {}
+    for axes in grid.flat:
+        legend |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)
 
