@@ -153,7 +153,7 @@ def shown(found: dict[str, tuple[float, float]], name: str) -> str:
     """Return a mean and its error as a reader wants them, or nothing."""
     if name not in found:
         return ""
-    mean, error = found[name]
+    mean, error = (round(value, DIGITS[name]) + 0.0 for value in found[name])  # + 0.0: no minus before a zero
     return f"{mean:.{DIGITS[name]}f} ± {error:.{DIGITS[name]}f}".replace("-", "−")
 
 

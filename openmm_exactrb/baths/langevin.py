@@ -37,8 +37,9 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "W2_3" takes three forces a
-        step: it keeps translation and rotation of water within a kelvin of each other at 6 fs per force. "BAOAB" and
-        "ABOBA" have the bath in their middle and need one force per step (doi:10.1063/1.4802990).
+        step: it keeps translation and rotation of water within a kelvin of each other at 6 fs per force. "W2_4g" takes
+        four, up to 4 fs per force, and has the density of water right too, where "W2_3" makes it 0.8 % too dense.
+        "BAOAB" and "ABOBA" have the bath in their middle and need one force per step (doi:10.1063/1.4802990).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
