@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -38,7 +38,7 @@ ROWS = {
         ("S2_2", "S2_2", name),
         ("hybrid Monte Carlo, no error of the step", "hybrid", name),
     )
-    for name in ("U", "density", "T_tr")
+    for name in ("U", "density")
 }
 DIGITS = {"T_tr": 1, "T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
 LABELS = {
@@ -62,13 +62,7 @@ class Run(NamedTuple):
     seed: int
 
 
-COLUMNS = dict(
-    zip(
-        ("model", "ensemble", "method", "fs per force", "molecules", "friction", "ps", "seed"),
-        (str, str, str, float, int, float, float, int),
-        strict=True,
-    )
-)
+COLUMNS = {"fs per force" if name == "interval" else name: kind for name, kind in get_type_hints(Run).items()}
 Record = dict[Run, dict[str, float]]
 
 

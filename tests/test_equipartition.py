@@ -60,7 +60,11 @@ def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
     assert gist(LFM, result)["T_rot - T_tr"] == pytest.approx(7.0)
 
 
-def test_the_record_in_the_documentation_has_whole_points():
-    whole = {point[:5] for point in points(read(RECORD)) if point.ps >= 1000.0}
+def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
+    record = read(RECORD)
+    assert len(record) == len(RECORD.read_text().splitlines()) - 1
+    found = points(record)
+    assert all(point.ps >= 1000.0 for point in found)
+    whole = {point[:5] for point in found}
     methods = ("W2_3", "BAOAB", LFM)
     assert whole >= {("spce", "NVT", method, interval, 5.0) for method in methods for interval in (4.0, 6.0)}

@@ -20,7 +20,7 @@ _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
 # energies of fast and slow modes at 4 to 6 fs per force: benchmarks/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
-# Momenta and places both canonical up to 200/ps: benchmarks/shadow.py.
+# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/shadow.py.
 _CANONICAL = "openmm-exactrb, for the canonical distribution of rigid water at 4 fs per force evaluation"
 # Changes of coordinates that leave of a kernel's error what no change removes, for the frequencies of rigid water:
 # benchmarks/processors.py.
