@@ -32,6 +32,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from equipartition_record import LABELS, LFM, RECORD, Point, Run, points, read, write
 from openmm_exactrb import ensemble
+from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
 
 mpl.use("Agg")
@@ -46,7 +47,7 @@ LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, an
 BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
-METHODS = (LFM, "BAOAB", "W2_3", "W2_4g")
+METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g")
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
@@ -55,7 +56,8 @@ STYLES = {
     f"{LFM}, constrained": ("#E69F00", "s"),
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
-    "W2_3": ("#0072B2", "D"),
+    "W2_3m": ("#0072B2", "D"),
+    "BAOA": ("#8C510A", "<"),
     "W2_4g": ("#CC79A7", "P"),
     "S2_2": ("#999999", "X"),
     EXACT: ("#000000", "*"),
@@ -103,7 +105,7 @@ def integrator_of(method: str, interval: float, friction: float) -> openmm.Integ
         return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
     if method == EXACT:
         return rb.ExactRigidBodyHybridIntegrator(TEMPERATURE, friction, 2 * interval, scheme="S2_2")
-    forces = 1 if method == "BAOAB" else rb.SCHEMES[method].forces
+    forces = splitting(method).forces
     return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, forces * interval, scheme=method)
 
 

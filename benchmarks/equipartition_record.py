@@ -20,8 +20,10 @@ WHOLE = 1000.0  # ps of a point that is in the tables
 # What a row of a table is called, of which method it is, and what it shows.
 ROWS = {
     "T_rot - T_tr": (
-        ("W2_3, the default", "W2_3", "T_rot - T_tr"),
+        ("W2_3m, the default", "W2_3m", "T_rot - T_tr"),
         ("W2_4g", "W2_4g", "T_rot - T_tr"),
+        ("W2_3", "W2_3", "T_rot - T_tr"),
+        ("BAOA", "BAOA", "T_rot - T_tr"),
         ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
         ("constrained", LFM, "other T_rot - T_tr"),
         ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
@@ -31,8 +33,10 @@ ROWS = {
     )
 } | {
     name: (
-        ("W2_3, the default", "W2_3", name),
+        ("W2_3m, the default", "W2_3m", name),
         ("W2_4g", "W2_4g", name),
+        ("W2_3", "W2_3", name),
+        ("BAOA", "BAOA", name),
         ("`LangevinMiddleIntegrator`", LFM, name),
         ("BAOAB", "BAOAB", name),
         ("S2_2", "S2_2", name),
@@ -41,6 +45,7 @@ ROWS = {
     for name in ("U", "density")
 }
 DIGITS = {"T_tr": 1, "T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
+FRICTIONS = {LFM: "`LangevinMiddleIntegrator`, constrained", "BAOAB": "BAOAB, at the step's end"}
 LABELS = {
     "T_tr": "T_tr (K)",
     "T_rot - T_tr": "T_rot − T_tr (K)",
@@ -133,13 +138,17 @@ def over_steps(record: Record, quantity: str, model: str, ensemble: str, frictio
     return markdown(lines)
 
 
-def over_frictions(record: Record, model: str, method: str, interval: float) -> str:
-    """Return a table in Markdown: a row for each friction, a column for each quantity, at constant volume."""
-    names = ("T_tr", "T_rot - T_tr", "U")
-    lines = [["friction (1/ps)", *(LABELS[name] for name in names)], ["---"] * (1 + len(names))]
-    for point in sorted(points(record), key=lambda point: point.friction):
-        if point[:4] == (model, "NVT", method, interval) and point.ps >= WHOLE:
-            lines.append([f"{point.friction:g}", *(shown(point.found, name) for name in names)])
+def over_frictions(record: Record, model: str, interval: float) -> str:
+    """Return a table in Markdown: a row for each method and friction, a column for each quantity, at constant volume.
+
+    Temperatures of LangevinMiddleIntegrator are those of its constrained velocities.
+    """
+    lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", "T_rot - T_tr", "U"))], ["---"] * 5]
+    for point in sorted(points(record), key=lambda point: (point.method, point.friction)):
+        if (point.model, point.ensemble, point.interval) == (model, "NVT", interval) and point.ps >= WHOLE:
+            difference = "other T_rot - T_tr" if point.method == LFM else "T_rot - T_tr"
+            cells = (shown(point.found, name) for name in ("T_tr", difference, "U"))
+            lines.append([FRICTIONS.get(point.method, point.method), f"{point.friction:g}", *cells])
     return markdown(lines)
 
 

@@ -125,7 +125,7 @@ def equipartition_tables() -> dict[str, str]:
             ("densities", "density", "NPT"),
         )
     }
-    return tables | {"spce_frictions": over_frictions(record, "spce", "W2_3", 6.0)}
+    return tables | {"spce_frictions": over_frictions(record, "spce", 6.0)}
 
 
 myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()

@@ -11,7 +11,7 @@ from equipartition_record import LFM, MEASURED, RECORD, Run, over_frictions, ove
 
 def record_of(*values):
     """Return a record of runs with seeds 1, 2, ... that have these potential energies."""
-    runs = [Run("spce", "NVT", "W2_3", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
+    runs = [Run("spce", "NVT", "W2_3m", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
     return {
         run: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
         for run, U in zip(runs, values, strict=True)
@@ -31,7 +31,7 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
 def test_errors_are_those_of_the_mean_of_independent_runs():
     values = [-46.5, -46.75, -46.9, -46.6]
     (point,) = points(record_of(*values))
-    assert point[:6] == ("spce", "NVT", "W2_3", 6.0, 5.0, 200.0)
+    assert point[:6] == ("spce", "NVT", "W2_3m", 6.0, 5.0, 200.0)
     assert point.found["U"] == pytest.approx((np.mean(values), np.std(values, ddof=1) / 2.0))
     assert "acceptance" not in point.found
 
@@ -39,10 +39,10 @@ def test_errors_are_those_of_the_mean_of_independent_runs():
 def test_a_table_has_whole_points_only():
     values = np.linspace(-46.0, -47.0, 20)
     whole, part = record_of(*values), record_of(*values[:19])
-    assert "| W2_3, the default | −46.50 ± 0.07 |" in over_steps(whole, "U", "spce", "NVT")
+    assert "| W2_3m, the default | −46.50 ± 0.07 |" in over_steps(whole, "U", "spce", "NVT")
     assert "−46" not in over_steps(part, "U", "spce", "NVT")
     harder = {run._replace(friction=20.0): means for run, means in whole.items()}
-    assert over_frictions(whole | harder, "spce", "W2_3", 6.0).count("−46.50 ± 0.07") == 2
+    assert over_frictions(whole | harder, "spce", 6.0).count("−46.50 ± 0.07") == 2
     assert over_steps(harder, "U", "spce", "NVT").count("±") == 0
 
 
@@ -55,7 +55,7 @@ def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
         "T_rot, other": [301.0, 303.0],
     }
     result = {"samples": samples | {"U": [-46.0, -47.0], "density": [1000.0, 1001.0]}}
-    assert gist("W2_3", result)["other T_rot - T_tr"] == pytest.approx(10.0)
+    assert gist("W2_3m", result)["other T_rot - T_tr"] == pytest.approx(10.0)
     assert gist(LFM, result)["other T_rot - T_tr"] == pytest.approx(7.0)
     assert gist(LFM, result)["T_rot - T_tr"] == pytest.approx(7.0)
 

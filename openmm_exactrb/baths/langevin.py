@@ -36,10 +36,10 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, or a scheme of your own. "W2_3" takes three forces a
-        step: it keeps translation and rotation of water within a kelvin of each other at 6 fs per force. "W2_4g" takes
-        four, up to 4 fs per force, and has the density of water right too, where "W2_3" makes it 0.8 % too dense.
-        "BAOAB" and "ABOBA" have the bath in their middle and need one force per step (doi:10.1063/1.4802990).
+        A key of `openmm_exactrb.SCHEMES` without a processor, a splitting with the bath within it, or a scheme of your
+        own. The default takes three forces per step: up to 6 fs per force it keeps translation and rotation of water
+        within a kelvin of each other, and the density right. "W2_4g" takes four, up to 4 fs per force, and has the
+        potential energy right too. "BAOA", the splitting of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
@@ -69,7 +69,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
         stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "W2_3",
+        scheme: str | Scheme = "W2_3m",
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         bodies: Sequence[Sequence[int]] | None = None,

@@ -44,7 +44,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     temperature : float or Quantity
         In K if it has no unit.
     stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine
-        As `ExactRigidBodyIntegrator` takes them; the schemes also "BAOAB" and "ABOBA".
+        As `ExactRigidBodyIntegrator` takes them; the schemes also those with the bath within them: "W2_3m",
+        "BAOA", "BAOAB" and "ABOBA".
     """
 
     _bath_in_steps: ClassVar[str | None] = "one of your own"

@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT, Word
+from openmm_exactrb.schemes.word import BATH, DRIFT, Word
 
 
 def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
@@ -31,7 +31,9 @@ def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
 
 
 class Shadow(NamedTuple):
-    """The energy kinetic p²/2 + potential q²/2 that a scheme keeps of the oscillator p²/2 + q²/2.
+    """How stiff the oscillator p²/2 + q²/2 seems to be from its p and from its q at the ends of steps.
+
+    A symmetric scheme keeps the energy kinetic p²/2 + potential q²/2 there.
 
     Attributes
     ----------
@@ -44,12 +46,12 @@ class Shadow(NamedTuple):
 
 
 def shadow(scheme: Scheme, step: float) -> Shadow:
-    """Return the energy that a symmetric scheme keeps exactly where its states are looked at, at the ends of steps.
+    """Return what the energy that a scheme keeps exactly makes of its states, at the ends of steps.
 
     A step turns the plane of q and p along ellipses. So a state of temperature T' has <p²> = kT'/kinetic and
     <q²> = kT'/potential: in a liquid, where fast and slow modes exchange this energy, those with a larger `kinetic`
-    look colder. Up to step² they are 1 + 2 b step² and 1 + 2 a step², where b and a belong to the commutators of two
-    kinetic and one potential energy, and of one and two.
+    look colder. Of a symmetric scheme they are 1 + 2 b step² and 1 + 2 a step² up to step², where b and a belong to the
+    commutators of two kinetic and one potential energy, and of one and two. A bath within the word does nothing here.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     angle = math.acos(0.5 * (qq + pp))
     if qp < 0.0:
         angle = 2.0 * math.pi - angle
-    per_step = angle / (math.sin(angle) * step)
-    return Shadow(per_step * qp, -per_step * pq)
+    width = math.sin(angle) * angle / step
+    return Shadow(-width / pq, width / qp)
 
 
 def _trace(scheme: Scheme, h: float) -> float:
@@ -101,7 +103,7 @@ def oscillated(word: Word, scheme: Scheme, h: Any) -> tuple[tuple[Any, Any], tup
         tau = part * h
         if letter == DRIFT:
             qq, qp = qq + tau * pq, qp + tau * pp
-        else:
+        elif not letter.startswith(BATH):
             tau = tau * (1.0 - strengths.get(letter, 0.0) * tau * tau)
             pq, pp = pq - tau * qq, pp - tau * qp
     return (qq, qp), (pq, pp)
