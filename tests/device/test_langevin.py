@@ -174,7 +174,8 @@ def test_copies_keep_the_engine():
     assert copy.copy(integrator).getEngine() == "device"
 
 
-def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions():
+@pytest.mark.parametrize("scheme", ["W2_3m", "BAOAB"])
+def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions(scheme):
     system, positions = free_water(125)
     force = openmm.CustomExternalForce("0.5*strength*mass*(x*x+y*y+z*z)-charge*z")
     force.addGlobalParameter("strength", 400.0)
@@ -183,7 +184,7 @@ def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions():
     for i in range(system.getNumParticles()):
         force.addParticle(i, [system.getParticleMass(i)._value, (-2.0, 1.0, 1.0)[i % 3] * 50.0])
     system.addForce(force)
-    context = langevin(system, positions, 8.0, h=0.005, platform=opencl(), precision="mixed", scheme="BAOAB")
+    context = langevin(system, positions, 8.0, h=0.005, platform=opencl(), precision="mixed", scheme=scheme)
     integrator = context.getIntegrator()
     integrator.step(400)
     places, along = [], []
