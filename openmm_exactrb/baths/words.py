@@ -53,7 +53,10 @@ def splitting(name: str | Scheme) -> Scheme:
     """
     if isinstance(name, str) and name in WITHIN:
         return WITHIN[name]
-    found = look_up(name)
+    try:
+        found = look_up(name)
+    except ValueError as error:
+        raise ValueError(f"{error}, or with the bath within it {', '.join(WITHIN)}") from None
     if found.processor:
         raise ValueError(
             f"scheme {found.name} prepares the state before a run and finishes it after, but a bath acts on the true "

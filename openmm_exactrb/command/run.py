@@ -11,6 +11,7 @@ from typing import Any
 
 from openmm import app
 
+from openmm_exactrb.baths.words import WITHIN, splitting
 from openmm_exactrb.command import arguments, boxes, ensembles, outcome, prepared
 from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.context.platforms import mixed, platform_of
@@ -101,6 +102,15 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
     add("--quiet", action="store_true", help="nothing on stderr but errors")
 
 
+def _refuse_scheme(args: argparse.Namespace) -> None:
+    """Raise ValueError if there is no such scheme in the ensemble, or it cannot be measured."""
+    if args.scheme is None:
+        return
+    (look_up if args.ensemble == "nve" else splitting)(args.scheme)
+    if args.step is None and args.scheme in WITHIN:
+        raise ValueError(f"--step auto measures without a bath, and {args.scheme} has one within it: give a --step.")
+
+
 def carry_out(args: argparse.Namespace) -> int:
     """Run what the options describe; return the exit status 0.
 
@@ -112,8 +122,7 @@ def carry_out(args: argparse.Namespace) -> int:
         After a signal, with a checkpoint written.
     """
     job = Run.from_options(args, free=_FREE)
-    if args.scheme is not None:
-        look_up(args.scheme)
+    _refuse_scheme(args)
     platform = platform_of(args.platform)
     box = boxes.load(args)
     ensembles.couple(box.system, args)

@@ -14,6 +14,8 @@ CASES = [
     (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "unknown scheme 'BAOA'"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has one within it"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water is it? Add --water"),
