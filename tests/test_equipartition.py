@@ -66,5 +66,5 @@ def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
     found = points(record)
     assert all(point.ps >= 1000.0 for point in found)
     whole = {point[:5] for point in found}
-    methods = ("W2_3", "BAOAB", LFM)
+    methods = ("W2_3m", "BAOAB", LFM)
     assert whole >= {("spce", "NVT", method, interval, 5.0) for method in methods for interval in (4.0, 6.0)}

@@ -38,8 +38,8 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES` without a processor, a splitting with the bath within it, or a scheme of your
         own. The default takes three forces per step: up to 6 fs per force it keeps translation and rotation of water
-        within a kelvin of each other, and the density right. "W2_4g" takes four, up to 4 fs per force, and has the
-        potential energy right too. "BAOA", the splitting of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
+        within a kelvin of each other, and the density within 0.2 %. "W2_4g" takes four, up to 4 fs per force, and has
+        the potential energy right too. "BAOA", the splitting of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
