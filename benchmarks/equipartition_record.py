@@ -18,31 +18,25 @@ MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "accep
 WHOLE = 1000.0  # ps of a point that is in the tables
 
 # What a row of a table is called, of which method it is, and what it shows.
+OURS = (("W2_3m, the default", "W2_3m"), ("W2_4g", "W2_4g"), ("W2_3", "W2_3"), ("BAOA", "BAOA"))
+OTHERS = (("S2_2", "S2_2"), ("hybrid Monte Carlo, no error of the step", "hybrid"))
+TEMPERATURES = (
+    ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
+    ("constrained", LFM, "other T_rot - T_tr"),
+    ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
+    ("around the bath", "BAOAB", "other T_rot - T_tr"),
+)
 ROWS = {
-    "T_rot - T_tr": (
-        ("W2_3m, the default", "W2_3m", "T_rot - T_tr"),
-        ("W2_4g", "W2_4g", "T_rot - T_tr"),
-        ("W2_3", "W2_3", "T_rot - T_tr"),
-        ("BAOA", "BAOA", "T_rot - T_tr"),
-        ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
-        ("constrained", LFM, "other T_rot - T_tr"),
-        ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
-        ("around the bath", "BAOAB", "other T_rot - T_tr"),
-        ("S2_2", "S2_2", "T_rot - T_tr"),
-        ("hybrid Monte Carlo, no error of the step", "hybrid", "T_rot - T_tr"),
-    )
-} | {
     name: (
-        ("W2_3m, the default", "W2_3m", name),
-        ("W2_4g", "W2_4g", name),
-        ("W2_3", "W2_3", name),
-        ("BAOA", "BAOA", name),
-        ("`LangevinMiddleIntegrator`", LFM, name),
-        ("BAOAB", "BAOAB", name),
-        ("S2_2", "S2_2", name),
-        ("hybrid Monte Carlo, no error of the step", "hybrid", name),
+        *((*row, name) for row in OURS),
+        *(
+            TEMPERATURES
+            if name == "T_rot - T_tr"
+            else (("`LangevinMiddleIntegrator`", LFM, name), ("BAOAB", "BAOAB", name))
+        ),
+        *((*row, name) for row in OTHERS),
     )
-    for name in ("U", "density")
+    for name in ("T_rot - T_tr", "U", "density")
 }
 DIGITS = {"T_tr": 1, "T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
 FRICTIONS = {LFM: "`LangevinMiddleIntegrator`, constrained", "BAOAB": "BAOAB, at the step's end"}
