@@ -43,9 +43,9 @@ CANDIDATES = (
 #: Schemes that are tried with nested bonded forces unless others are named.
 NESTED_CANDIDATES = ("W2_1", "S2_2", "S2_3", "W2_4", "W2_5", "W4_4", "W4_5", "SRKN4_6b", "ABA_8_6_4")
 
-# Length of the runs of the survey in units of the system's time scale; of the run that confirms a setting, and of that
-# for which errors are promised, in units of that.
-_SURVEY, _CONFIRM, _LONGER = 100.0, 5.0, 10.0
+# Length of the runs of the survey in units of the system's time scale; of those for which errors are promised, in units
+# of that.
+_SURVEY, _LONGER = 100.0, 10.0
 # The survey of a horizon that is named is a tenth of it, up to so many times the usual one.
 _LONGEST = 4.0
 
@@ -78,8 +78,8 @@ def tune(
     The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol per
     body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs
     `duration`; how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is
-    run over all of a horizon that is named, and over half of the usual one. A wandering energy is known badly from one
-    run, so that its error is raised by up to a half. Short swings alone would not do: where a step is long against the
+    run over all of the horizon first. A wandering energy is known badly from one run, so that its error is raised by up
+    to a half. Short swings alone would not do: where a step is long against the
     vibrations, the energy wanders for picoseconds, and near hard cores as a random walk does; what a scheme gains in
     short runs may be lost in longer ones.
 
@@ -154,8 +154,8 @@ def tune(
     if length is None:
         usual = _SURVEY * bench.scales.time
         length = usual if named is None else min(max(usual, named / _LONGER), _LONGEST * usual)
-    confirmation, promised = (_CONFIRM * length, _LONGER * length) if named is None else (named, named)
-    measured = Measurements(bench, [*chosen, *inner], length, confirmation, promised, report or (lambda line: None))
+    promised = _LONGER * length if named is None else named
+    measured = Measurements(bench, [*chosen, *inner], length, promised, report or (lambda line: None))
     found = search(measured, wanted, levels)
     return _result(measured, found, wanted, notes)
 

@@ -24,8 +24,8 @@ class Measurements:
     bench : Bench
     schemes : sequence of Scheme or NestedScheme
         OpenMM's Verlet integrator is measured beside them where it moves the same bodies.
-    duration, confirmation, horizon : float
-        Length in ps of a run of the survey, of one that confirms a setting, and of that for which errors are promised.
+    duration, horizon : float
+        Length in ps of a run of the survey, and of those for which errors are promised.
     report : callable
         Gets a line of text for each run.
 
@@ -45,12 +45,11 @@ class Measurements:
         bench: Bench,
         schemes: Sequence[Scheme | NestedScheme],
         duration: float,
-        confirmation: float,
         horizon: float,
         report: Callable[[str], None],
     ) -> None:
         self.bench, self._report = bench, report
-        self.duration, self.confirmation, self.horizon = duration, confirmation, horizon
+        self.duration, self.horizon = duration, horizon
         self.methods: dict[str, Method] = {s.name: s for s in schemes}
         if bench.has_baseline:
             self.methods[VERLET] = VERLET

@@ -145,7 +145,7 @@ def _approached(measured: Measurements, name: str, cost: float, target: float, c
     for _ in range(5):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None
-        point = measured.at(name, step_at(curve, cost) / measured.stages[name], measured.confirmation)
+        point = measured.at(name, step_at(curve, cost) / measured.stages[name], measured.horizon)
         if point.error <= target:
             return point
         cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)
