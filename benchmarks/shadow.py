@@ -3,14 +3,16 @@
 A symmetric splitting keeps an energy beside the true one. Of an oscillator of the frequency w it is that of
 `openmm_exactrb.schemes.shadow`, which tells how hot and how wide the oscillator looks at the ends of steps. Here the
 spectrum of the linear momenta of water and that of its angular momenta, each about one axis of the molecule, take the
-places of oscillators, all of which share one temperature. What comes out is T_rot - T_tr and the error of the potential
-energy for each scheme and each time a force evaluation. It knows nothing of resonances of long steps with fast motion,
-which heat, and of friction, which pulls each mode to the temperature of the bath.
+places of oscillators, all of which share one temperature; the bath sets their mean kinetic temperature where it acts.
+What comes out is T_rot - T_tr and the error of the potential energy for each scheme and each time a force evaluation.
+It knows nothing of resonances of long steps with fast motion, which heat, and of friction, which pulls each mode to the
+temperature of the bath.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -18,7 +20,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.baths.words import splitting
-from openmm_exactrb.schemes import shadow
+from openmm_exactrb.schemes import Scheme, shadow
+from openmm_exactrb.schemes.word import BATH
 
 TEMPERATURE = 298.15
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
@@ -56,30 +59,44 @@ def spectrum(series) -> np.ndarray:
     return power / power.sum()
 
 
-def predicted(scheme, interval: float, frequencies, translational, rotational) -> tuple[float, float, float]:
-    """Return T_rot - T_tr in K, the error of U in kJ/mol per molecule, and the part of rotation beyond stability.
+def at_bath(scheme: Scheme) -> Scheme:
+    """Return the scheme whose steps end with the bath: the same where half a bath stands at either end."""
+    letters = [letter for letter, _ in scheme.word]
+    after = letters.index(BATH) + 1 if BATH in letters else 0
+    return replace(scheme, word=scheme.word[after:] + scheme.word[:after])
+
+
+def shadows(scheme: Scheme, h: float, frequencies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return K, Q and whether the step is stable, for each frequency.
 
     What is beyond stability is taken like the fastest motion that is not.
     """
-    h = scheme.forces * interval
-    kinetic, potential, stable = [], [], []
+    kept: list[tuple[float, float]] = []
+    stable = []
     for w in frequencies:
         try:
-            found = shadow(scheme, w * h)
-        except ValueError:
-            stable.append(False)
-            found = kinetic[-1], potential[-1]
-        else:
+            kept.append(shadow(scheme, w * h))
             stable.append(True)
-        kinetic.append(found[0])
-        potential.append(found[1])
-    cold_tr, cold_rot = (float((part / kinetic).sum()) for part in (translational, rotational))
-    shared = 2.0 * TEMPERATURE / (cold_tr + cold_rot)
-    wide = float(((translational + rotational) / potential).sum())
+        except ValueError:
+            kept.append(kept[-1])
+            stable.append(False)
+    kinetic, potential = np.transpose(kept)
+    return kinetic, potential, np.array(stable)
+
+
+def predicted(scheme: Scheme, interval: float, frequencies, translational, rotational) -> tuple[float, float, float]:
+    """Return T_rot - T_tr in K, the error of U in kJ/mol per molecule, and the part of rotation beyond stability.
+
+    Both are those at the end of a step.
+    """
+    h, both = scheme.forces * interval, translational + rotational
+    kinetic, potential, stable = shadows(scheme, h, frequencies)
+    kinetic_at_bath, _, _ = shadows(at_bath(scheme), h, frequencies)
+    shared = 2.0 * TEMPERATURE / float((both / kinetic_at_bath).sum())
     return (
-        shared * (cold_rot - cold_tr),
-        1.5 * R * (shared * wide - 2.0 * TEMPERATURE),
-        float(rotational[~np.array(stable)].sum()),
+        shared * float(((rotational - translational) / kinetic).sum()),
+        1.5 * R * (shared * float((both / potential).sum()) - 2.0 * TEMPERATURE),
+        float(rotational[~stable].sum()),
     )
 
 
