@@ -12,7 +12,7 @@ applyVelocityConstraints, which leaves the linear and angular momentum of each m
 A point is made of several runs with their own seeds, and each is one recipe of an ensemble: the command goes on where
 it stopped. What each run gave is a line of a record, docs/equipartition.csv, and what is in the record is not run
 again: so the study goes on from machine to machine. Errors are those of the mean of independent runs. The whole study,
-1 ns a point of 216 molecules, takes 50 million forces; --models, --ensembles, --methods, --intervals and --runs choose
+1 ns a point of 216 molecules, takes 69 million forces; --models, --ensembles, --methods, --intervals and --runs choose
 a part of it. Several such commands beside each other are fastest with a core for each and one worker: taskset -c 0.
 """
 
@@ -30,7 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from equipartition_record import LABELS, LFM, RECORD, Point, Run, points, read, write
+from equipartition_record import LABELS, LFM, RECORD, Point, Run, add, points, read
 from openmm_exactrb import ensemble
 from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
@@ -228,10 +228,9 @@ def main() -> None:
     wanted = [Run(*kind, *settings, seed) for kind in kinds for seed in range(1, args.runs + 1)]
     missing = {run: recipe_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
-    for run, recipe in missing.items():
-        if recipe.key in results:
-            record[run] = gist(run.method, results[recipe.key])
-    write(record, args.record)
+    new = {run: gist(run.method, results[recipe.key]) for run, recipe in missing.items() if recipe.key in results}
+    add(new, args.record)
+    record |= new
     found = points({run: record[run] for run in wanted if run in record})
     if not found:
         raise SystemExit(f"no run of these points is in {args.record} or finished in {args.out}")
@@ -311,19 +310,21 @@ def plot(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
-    add = parser.add_argument
-    add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
-    add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
-    add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
-    add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
-    add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
-    add("--molecules", type=int, default=216)
-    add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
-    add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
-    add("--workers", type=int, default=None, help="processes; one for each core unless given")
-    add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
-    add("--record", type=Path, default=RECORD, metavar="CSV", help="what runs gave; read first, written at the end")
+    option = parser.add_argument
+    option("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
+    option("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
+    option("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
+    option(
+        "--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation"
+    )
+    option("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
+    option("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
+    option("--molecules", type=int, default=216)
+    option("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
+    option("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
+    option("--workers", type=int, default=None, help="processes; one for each core unless given")
+    option("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    option("--record", type=Path, default=RECORD, metavar="CSV", help="what runs gave; read first, added to at the end")
     return parser.parse_args()
 
 

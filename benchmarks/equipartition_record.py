@@ -12,6 +12,8 @@ from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
+from openmm_exactrb.files import written_whole
+
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "equipartition.csv"
 LFM = "LangevinMiddle"
 MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
@@ -88,9 +90,10 @@ def read(file: Path) -> Record:
         }
 
 
-def write(record: Record, file: Path) -> None:
-    """Write the record, in its order."""
-    with file.open("w", newline="") as out:
+def add(found: Record, file: Path) -> None:
+    """Add runs to the record, in its order; what other commands added meanwhile stays."""
+    record = read(file) | found
+    with written_whole(file) as out:
         lines = csv.writer(out, lineterminator="\n")
         lines.writerow([*COLUMNS, *MEASURED])
         for run, means in sorted(record.items()):
