@@ -11,13 +11,14 @@ from typing import Any
 
 from openmm import app
 
-from openmm_exactrb.baths.words import WITHIN, splitting
+from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.command import arguments, boxes, ensembles, outcome, prepared
 from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.runs import Run
+from openmm_exactrb.schemes import WITH_BATH
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import loadState
 from openmm_exactrb.tuning import CANDIDATES
@@ -107,7 +108,7 @@ def _refuse_scheme(args: argparse.Namespace) -> None:
     if args.scheme is None:
         return
     (look_up if args.ensemble == "nve" else splitting)(args.scheme)
-    if args.step is None and args.scheme in WITHIN:
+    if args.step is None and args.scheme in WITH_BATH:
         raise ValueError(f"--step auto measures without a bath, and {args.scheme} has one within it: give a --step.")
 
 
@@ -128,6 +129,7 @@ def carry_out(args: argparse.Namespace) -> int:
     ensembles.couple(box.system, args)
     start = prepared.start_of(job, args, box, platform)
     options, step = prepared.step_of(job, args, box, start, platform)
+    ensembles.pace(box.system, step)
     integrator = ensembles.integrator_of(args, options, step)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     loadState(simulation, start)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from openmm_exactrb.schemes.bathed import WITH_BATH
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, TAKAHASHI_IMADA_PAIR, force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
@@ -259,6 +260,24 @@ def scheme(name: str | Scheme) -> Scheme:
     ValueError
         If the catalogue has none of this name.
     """
+    found = _known(name)
+    if found is None and name in WITH_BATH:
+        raise ValueError(f"scheme {name} has a heat bath within it: ExactRigidBodyLangevinIntegrator takes it")
+    if found is None:
+        raise _unknown(str(name), [*CATALOGUE])
+    return found
+
+
+def scheme_for_bath(name: str | Scheme) -> Scheme:
+    """Look a scheme up in the catalogue, or among those with a bath within them; see `scheme`."""
+    found = _known(name) or WITH_BATH.get(str(name))
+    if found is None:
+        raise _unknown(str(name), [*WITH_BATH, *CATALOGUE])
+    return found
+
+
+def _known(name: str | Scheme) -> Scheme | None:
+    """Return a scheme of the catalogue, or one that it can generate, or None."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
@@ -266,8 +285,12 @@ def scheme(name: str | Scheme) -> Scheme:
     generated = re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name)
     if generated and name not in CATALOGUE:
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
-    if name not in CATALOGUE:
-        near = difflib.get_close_matches(name.upper(), CATALOGUE, 1)
-        hint = f"{near[0]} was meant perhaps; " if near else ""
-        raise ValueError(f"unknown scheme {name!r}: {hint}choose one of {', '.join(CATALOGUE)}")
-    return CATALOGUE[name]
+    return CATALOGUE.get(name)
+
+
+def _unknown(name: str, names: list[str]) -> ValueError:
+    """Return what says that a name is none of those, and which was meant perhaps."""
+    by_capitals = {known.upper(): known for known in names}
+    near = difflib.get_close_matches(name.upper(), by_capitals, 1)
+    hint = f"{by_capitals[near[0]]} was meant perhaps; " if near else ""
+    return ValueError(f"unknown scheme {name!r}: {hint}choose one of {', '.join(names)}")

@@ -14,7 +14,7 @@ CASES = [
     (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
-    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "unknown scheme 'BAOA'"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA has a heat bath within it"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has one within it"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),

@@ -13,7 +13,7 @@ from openmm import app, unit
 from processes_of_command import finish, launch
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.ensembles import couple, integrator_of
+from openmm_exactrb.command.ensembles import couple, integrator_of, pace
 from openmm_exactrb.command.main import main
 from openmm_exactrb.command.prepared import _schemes
 from openmm_exactrb.tuning.advice import CANDIDATES
@@ -192,3 +192,6 @@ def test_the_barostat_has_the_settings_of_the_options(box):
     assert barostat.getDefaultPressure() == 500 * unit.bar
     assert barostat.getDefaultTemperature() == 280 * unit.kelvin
     assert barostat.getRandomNumberSeed() == 7
+    for step, frequency in ((0.002, 25), (0.018, 3), (0.2, 1)):
+        pace(system, step)
+        assert barostat.getFrequency() == frequency
