@@ -221,15 +221,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If there is no Context yet, nothing in the System can move, a barostat would tear bodies, or positions are
-            not finite or not rigid. The state stays what it was.
+            If the number is not whole or negative, there is no Context yet, nothing in the System can move, a barostat
+            would tear bodies, or positions are not finite or not rigid. The state stays what it was.
         NonFiniteError
             If numbers of a body become infinite, it is faster than light, or energy comes from nowhere. As after any
             other error the Context holds the last good step; on the device or with a processor, that before this call.
         """
+        count = checks.whole(steps, "the number of steps", least=0)
         with self.timings.measuring():
             present = self._present()
-            present.advance(self, self._plan(present.session.context), steps)
+            present.advance(self, self._plan(present.session.context), count)
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -275,9 +276,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If the temperature is negative, not finite or has a unit that does not fit.
+            If the temperature is negative, not finite or has a unit that does not fit, or the seed is no whole number.
         """
-        parts, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(randomSeed)
+        seed = None if randomSeed is None else checks.whole(randomSeed, "randomSeed", least=0)
+        parts, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(seed)
         bodies, state = parts.session.bodies, parts.session.state.rounded
         parts.session.replace(canonical(bodies, state, kT, rng, parts.couplings.removes_motion))
 

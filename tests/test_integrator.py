@@ -223,6 +223,18 @@ def test_a_step_size_may_have_a_unit():
     assert rb.ExactRigidBodyIntegrator(2.0 * unit.femtosecond).getStepSize()._value == pytest.approx(0.002)
 
 
+@pytest.mark.parametrize("steps", [-1, 1.5, "ten", None])
+def test_a_number_of_steps_is_whole(steps):
+    with pytest.raises(ValueError, match="the number of steps must be a whole number of at least 0"):
+        simulation_of().integrator.step(steps)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "one"])
+def test_the_seed_of_momenta_is_whole(seed):
+    with pytest.raises(ValueError, match="randomSeed must be a whole number of at least 0"):
+        simulation_of().integrator.setVelocitiesToTemperature(1.0, seed)
+
+
 def test_steps_without_a_context_are_refused():
     with pytest.raises(ValueError, match="no Context yet"):
         rb.ExactRigidBodyIntegrator(0.01).step(1)

@@ -17,7 +17,7 @@ from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context import account
 from openmm_exactrb.context.host import Plan
 from openmm_exactrb.context.letters import Maker, Parts, flows
-from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.context.units import gas_constant_times, kelvin
 from openmm_exactrb.device.choice import Engine
 from openmm_exactrb.motion.draws import Draws, Instant, Purpose
 from openmm_exactrb.motion.engine import Flow, run
@@ -83,8 +83,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def setTemperature(self, temperature: float | unit.Quantity) -> None:
         """Set the temperature, in K if it has no unit; it must be above zero."""
+        positive(kelvin(temperature), "the temperature of Metropolis's rule", "K")
         super().setTemperature(temperature)
-        positive(self._temperature, "the temperature of Metropolis's rule", "K")
 
     def getStepsPerProposal(self) -> int:
         """Return how many steps of the scheme a proposal is made of."""

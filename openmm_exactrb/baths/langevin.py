@@ -21,11 +21,12 @@ _RATE = unit.picosecond**-1
 
 
 class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
-    """Rigid-body Langevin dynamics: a splitting between two halves of an exact Ornstein-Uhlenbeck flow.
+    """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
     Linear and angular momenta are damped and get noise, the angular ones in the principal axes of the body. Free
     particles and linear molecules take part with the degrees of freedom that they have. Everything else is as in
-    `ExactRigidBodyIntegrator`, whose trajectory comes out, bit for bit, without friction.
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue stands between two halves of that flow: without friction it
+    gives the trajectory of that integrator, bit for bit.
 
     Parameters
     ----------
@@ -36,10 +37,11 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor, a splitting with the bath within it, or a scheme of your
-        own. The default takes three forces per step: up to 6 fs per force it keeps translation and rotation of water
-        within a kelvin of each other, and the density within 0.2 %. "W2_4g" takes four, up to 4 fs per force, and has
-        the potential energy right too. "BAOA", the splitting of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
+        A key of `openmm_exactrb.SCHEMES` without a processor or of `openmm_exactrb.schemes.WITH_BATH`, which have the
+        bath within them, or a scheme of your own. The default takes three forces per step: up to 6 fs per force
+        translation and rotation of rigid water were within a kelvin of each other (SPC/E, TIP4P/2005; friction 5/ps).
+        "W2_4g" takes four, up to 4 fs per force, and has the potential energy right too. "BAOA", the splitting of
+        LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional

@@ -7,7 +7,10 @@ from typing import Any
 import numpy as np
 from openmm import unit
 
+from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.checks import whole
+from openmm_exactrb.context.units import kelvin
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 
 
 class CanonicalMomenta:
@@ -25,6 +28,12 @@ class CanonicalMomenta:
         Steps between two draws.
     seed : int
 
+    Raises
+    ------
+    ValueError
+        If the temperature is negative or not finite, or interval or seed are no whole numbers; at the first step, if
+        the integrator is none of this package or has a bath of its own.
+
     Notes
     -----
     It is appended to ``Simulation.reporters``. The momenta after a draw depend on the seed and the number of the step
@@ -32,11 +41,18 @@ class CanonicalMomenta:
     """
 
     def __init__(self, temperature: float | unit.Quantity, reportInterval: int, seed: int = 0) -> None:
-        self._temperature, self._seed = temperature, seed
+        self._temperature = kelvin(temperature)
         self._interval = whole(reportInterval, "reportInterval", of="steps")
+        self._seed = whole(seed, "the seed", least=0)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Tell OpenMM when momenta are due."""
+        integrator = simulation.integrator
+        if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
+            raise ValueError(
+                "CanonicalMomenta is the bath of an ExactRigidBodyIntegrator at constant energy: take it out of the "
+                f"reporters beside a {type(integrator).__name__}"
+            )
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": []}
 

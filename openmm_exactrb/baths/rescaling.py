@@ -45,8 +45,8 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     Raises
     ------
     ValueError
-        If the temperature is negative, the relaxation time not positive, one of them not finite, or scheme, rotor or
-        step size do not fit.
+        If the temperature is negative, the relaxation time not positive, one of them not finite, ``together`` no truth
+        value, or scheme, rotor or step size do not fit.
 
     Notes
     -----
@@ -74,7 +74,9 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     ) -> None:
         super().__init__(temperature, stepSize, scheme, rotor, bodies, fast, inner, innerSteps, engine)
         self.setRelaxationTime(relaxationTime)
-        self._together = bool(together)
+        if not isinstance(together, bool):
+            raise ValueError(f"together must be True or False, not {together!r}")
+        self._together = together
 
     def getRelaxationTime(self) -> unit.Quantity:
         """Return the relaxation time of the kinetic energy."""
@@ -96,7 +98,9 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         """Return the total energy less the heat.
 
         It is as constant as the total energy of the splitting without a bath: what it drifts or swings is the error of
-        the step. A barostat or a ``CMMotionRemover`` changes it too.
+        the step. So take a scheme of the catalogue to watch it; those with the bath within them end their steps where
+        the sum of kinetic and potential energy is not what a step keeps. A barostat or a ``CMMotionRemover`` changes it
+        too.
         """
         return self.totalEnergy() - self.heat()
 

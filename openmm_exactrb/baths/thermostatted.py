@@ -67,7 +67,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     ) -> None:
         super().__init__(stepSize, words.splitting(scheme), rotor, bodies, fast, inner, innerSteps, engine)
         self.setTemperature(temperature)
-        self._around: tuple[int, State, State] | None = None
+        self._around: tuple[State, State] | None = None  # before and after the last bath letter
+        self._left: State | None = None  # what the last call of `step` ended with
 
     def getTemperature(self) -> unit.Quantity:
         """Return the temperature of the bath."""
@@ -107,23 +108,28 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
         return {"temperature": self._temperature, "seed": self.getRandomNumberSeed() or "random"}
 
+    def step(self, steps: int) -> None:
+        """Advance the bodies by this many steps; see `ExactRigidBodyIntegrator.step`."""
+        super().step(steps)
+        self._left = None if self._engine.on_device else self._present().session.state
+
     def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and rotational temperatures, each the mean of before and after the last bath letter.
 
-        With "BAOAB" and "ABOBA" the bath stands in the middle of a step, where momenta are canonical to a higher order
-        than at its end: there `temperatures`, like the velocities of the Context, is biased.
+        With "BAOAB" and "ABOBA" the bath stands in the middle of a step, where momenta are nearer to canonical than at
+        its end: there `temperatures`, like the velocities of the Context, is biased.
 
         Raises
         ------
         ValueError
-            If the step that the Context is at was not made here.
+            If the state of the bodies is not the one that a step made here has left.
         """
         host = self._up_to_date()
         if self.getEngine() == "device":
             raise ValueError("on the device nobody looks at momenta within a step: take engine='host' for that")
-        if self._around is None or self._around[0] != host.session.context.getStepCount():
-            raise ValueError("there is no bath yet to take temperatures around: make a step first")
-        energies = [host.session.bodies.kinetic_energies(state.rounded) for state in self._around[1:]]
+        if self._around is None or self._left is not host.session.state:
+            raise ValueError("there is no bath to take temperatures around: make a step first")
+        energies = [host.session.bodies.kinetic_energies(state.rounded) for state in self._around]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
         translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)
@@ -170,7 +176,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             P, m = exchange(along.P, along.m, tau, Instant(seed, parts.clock.number, place))
             same = P is along.P and m is along.m
             after = state if same else parts.kinetic.tangent(state._replace(P=P, m=m))
-            self._around = parts.clock.number + 1, state, after
+            self._around = state, after
             return after
 
         return flow

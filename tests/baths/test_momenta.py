@@ -39,3 +39,32 @@ def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
 def test_intervals_are_at_least_one_step(interval):
     with pytest.raises(ValueError, match="reportInterval must be a whole number of steps of at least 1"):
         rb.CanonicalMomenta(1.0, interval)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-5.0, 10), "a temperature must not be negative"),
+        ((float("nan"), 10), "a temperature must be a finite number"),
+        (("warm", 10), "a temperature must be a finite number"),
+        ((300.0, 10, -1), "the seed must be a whole number of at least 0"),
+        ((300.0, 10, 1.5), "the seed must be a whole number of at least 0"),
+    ],
+)
+def test_other_bad_input_is_refused_at_once(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        rb.CanonicalMomenta(*arguments)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01), openmm.VerletIntegrator(0.001)],
+    ids=["a bath", "OpenMM's"],
+)
+def test_an_integrator_that_has_a_bath_or_no_bodies_is_refused(integrator):
+    topology, system, positions = rb.dipole_fluid(64, seed=1)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
+    with pytest.raises(ValueError, match=f"take it out of the reporters beside a {type(integrator).__name__}"):
+        simulation.step(1)

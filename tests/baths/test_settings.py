@@ -66,7 +66,9 @@ def test_other_bad_settings_get_a_sentence_too():
         langevin().setRandomNumberSeed(-1)
     with pytest.raises(ValueError, match=r"must be below 2\^31"):
         langevin().setRandomNumberSeed(2**31)
-    with pytest.raises(ValueError, match=r"unknown scheme 'OBABO': .*, or with the bath within it BAOAB, "):
+    with pytest.raises(
+        ValueError, match=r"unknown scheme .OBABO.: BAOA was meant perhaps; choose one of BAOAB, .*, V2"
+    ):
         langevin(scheme="OBABO")
     with pytest.raises(ValueError, match="V2_C17 prepares the state before a run"):
         langevin(scheme="V2_C17")
@@ -74,6 +76,8 @@ def test_other_bad_settings_get_a_sentence_too():
         rb.ExactRigidBodyRescalingIntegrator(300.0, 0.0, 0.002)
     with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
         rb.ExactRigidBodyHybridIntegrator(0.0, 1.0, 0.002)
+    with pytest.raises(ValueError, match="together must be True or False, not 'no'"):
+        rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.002, together="no")
     with pytest.raises(ValueError, match="BAOAB has a bath within it"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme="BAOAB")
     with pytest.raises(ValueError, match="stepsPerProposal must be a whole number"):
@@ -81,6 +85,16 @@ def test_other_bad_settings_get_a_sentence_too():
     lopsided = rb.SCHEMES["V2"].__class__("Euler", 1, (("A", 1.0), ("B", 1.0)))
     with pytest.raises(ValueError, match="Euler is not symmetric in time"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme=lopsided)
+
+
+def test_a_temperature_that_is_refused_leaves_the_one_there_was():
+    hybrid = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002)
+    with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
+        hybrid.setTemperature(0.0)
+    for integrator in (hybrid, langevin()):
+        with pytest.raises(ValueError, match="a temperature must"):
+            integrator.setTemperature(-1.0)
+        assert integrator.getTemperature() == 300.0 * unit.kelvin
 
 
 COPIES = {
@@ -167,6 +181,10 @@ def test_temperatures_around_the_bath_need_a_step():
     checkpoint = simulation.context.createCheckpoint()
     simulation.step(2)
     simulation.context.loadCheckpoint(checkpoint)
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
+    simulation.step(1)
+    simulation.integrator.setVelocitiesToTemperature(3000.0, 1)
     with pytest.raises(ValueError, match="make a step first"):
         simulation.integrator.temperaturesAroundBath()
 
