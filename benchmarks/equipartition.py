@@ -30,7 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from equipartition_record import LABELS, LFM, RECORD, Point, Run, add, points, read
+from equipartition_record import LABELS, LFM, NAMES, RECORD, Point, Run, add, points, read
 from openmm_exactrb import ensemble
 from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
@@ -49,7 +49,6 @@ R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvi
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g")
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
-NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
     f"{LFM}, as reported": ("#D55E00", "o"),

@@ -16,6 +16,7 @@ from openmm_exactrb.files import written_whole
 
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "equipartition.csv"
 LFM = "LangevinMiddle"
+NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
 WHOLE = 1000.0  # ps of a point that is in the tables
 
@@ -65,6 +66,8 @@ class Run(NamedTuple):
 
 COLUMNS = {"fs per force" if name == "interval" else name: kind for name, kind in get_type_hints(Run).items()}
 Record = dict[Run, dict[str, float]]
+Mean = tuple[float, float]  # and its error
+Means = dict[str, Mean]
 
 
 class Point(NamedTuple):
@@ -76,7 +79,7 @@ class Point(NamedTuple):
     interval: float
     friction: float
     ps: float
-    found: dict[str, tuple[float, float]]
+    found: Means
 
 
 def read(file: Path) -> Record:
@@ -118,21 +121,77 @@ def points(record: Record) -> list[Point]:
     ]
 
 
-def mean_and_error(values: np.ndarray) -> tuple[float, float]:
+def mean_and_error(values: np.ndarray) -> Mean:
     error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else math.nan
     return float(np.mean(values)), float(error)
 
 
-def over_steps(record: Record, quantity: str, model: str, ensemble: str, friction: float = 5.0) -> str:
+def whole(record: Record, friction: float = 5.0) -> dict[tuple[str, str, str, float], Means]:
+    """Return the means of whole points of a friction, by model, ensemble, method and time per force."""
+    return {p[:4]: p.found for p in points(record) if p.friction == friction and p.ps >= WHOLE}
+
+
+def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
     """Return a table in Markdown: a row for each method, a column for each time per force, of whole points."""
-    of_interest = [p for p in points(record) if p[:2] == (model, ensemble) and p.friction == friction and p.ps >= WHOLE]
-    found = {(p.method, p.interval): p.found for p in of_interest}
-    intervals = sorted({p.interval for p in of_interest})
+    found = {point[2:]: means for point, means in whole(record).items() if point[:2] == (model, ensemble)}
+    intervals = sorted({interval for _, interval in found})
     lines = [[LABELS[quantity], *(f"{interval:g} fs" for interval in intervals)], ["---"] * (1 + len(intervals))]
     for label, method, name in ROWS[quantity]:
         cells = [shown(found.get((method, interval), {}), name) for interval in intervals]
         lines += [[label, *cells]] if any(cells) else []
     return markdown(lines)
+
+
+def over_goals(record: Record) -> str:
+    """Return a table in Markdown of what was to be reached with SPC/E, a column for each method.
+
+    References are the runs of LangevinMiddleIntegrator at 0.5 fs per force.
+    """
+    found = whole(record)
+    methods = {
+        "W2_3m, the default": ("W2_3m", "T_rot - T_tr"),
+        "`LangevinMiddleIntegrator`, constrained": (LFM, "other T_rot - T_tr"),
+        "BAOAB, around the bath": ("BAOAB", "other T_rot - T_tr"),
+    }
+    lines = [["SPC/E", "goal", *methods], ["---"] * (2 + len(methods))]
+    for kind, name in (("NVT", "constant volume"), ("NPT", "1 bar")):
+        cells = [shown(found.get(("spce", kind, method, 6.0), {}), quantity) for method, quantity in methods.values()]
+        lines.append([f"T_rot − T_tr at 6 fs, {name} (K)", "up to 1", *cells])
+    for kind, name, interval, scale, text, goal in (
+        ("NVT", "U", 6.0, None, "U at 6 fs less that at 0.5 fs (kJ/mol per molecule)", "up to 0.03 ± 0.01"),
+        ("NPT", "density", 4.0, 100.0, "density at 4 fs over that at 0.5 fs (%)", "up to 0.1"),
+    ):
+        reference = found.get(("spce", kind, LFM, 0.5), {}).get(name)
+        cells = [
+            "" if reference is None or name not in means else with_error(*less(means[name], reference, scale), 2)
+            for means in (found.get(("spce", kind, method, interval), {}) for method, _ in methods.values())
+        ]
+        lines.append([text, goal, *cells])
+    return markdown(lines)
+
+
+def over_models(record: Record) -> str:
+    """Return a table in Markdown: densities of the default at 4 fs per force, of OpenMM's integrator at 1 fs or less."""
+    found = whole(record)
+    lines = [
+        ["density (kg/m³), 1 bar", "the default, 4 fs", "`LangevinMiddleIntegrator`", "difference (%)"],
+        ["---"] * 4,
+    ]
+    for model, name in NAMES.items():
+        ours = found.get((model, "NPT", "W2_3m", 4.0), {}).get("density")
+        finest = min((p[3] for p in found if p[:3] == (model, "NPT", LFM) and p[3] <= 1.0), default=None)
+        if ours is None or finest is None:
+            continue
+        theirs = found[model, "NPT", LFM, finest]["density"]
+        difference = with_error(*less(ours, theirs, 100.0), 2)
+        lines.append([name, with_error(*ours, 1), f"{with_error(*theirs, 1)} at {finest:g} fs", difference])
+    return markdown(lines)
+
+
+def less(a: Mean, b: Mean, scale: float | None = None) -> Mean:
+    """Return the difference of two means with its error, as a part of the second one times a scale if there is one."""
+    factor = 1.0 if scale is None else scale / b[0]
+    return factor * (a[0] - b[0]), abs(factor) * math.hypot(a[1], b[1])
 
 
 def over_frictions(record: Record, model: str, interval: float) -> str:
@@ -149,12 +208,17 @@ def over_frictions(record: Record, model: str, interval: float) -> str:
     return markdown(lines)
 
 
-def shown(found: dict[str, tuple[float, float]], name: str) -> str:
+def shown(found: Means, name: str) -> str:
     """Return a mean and its error as a reader wants them, or nothing."""
     if name not in found:
         return ""
-    mean, error = (round(value, DIGITS[name]) + 0.0 for value in found[name])  # + 0.0: no minus before a zero
-    return f"{mean:.{DIGITS[name]}f} ± {error:.{DIGITS[name]}f}".replace("-", "−")
+    return with_error(*found[name], DIGITS[name])
+
+
+def with_error(mean: float, error: float, digits: int) -> str:
+    """Return a mean and its error with so many digits after the point."""
+    mean, error = (round(value, digits) + 0.0 for value in (mean, error))  # + 0.0: no minus before a zero
+    return f"{mean:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
 
 
 def markdown(lines: list[list[str]]) -> str:

@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import droplet
 
 import openmm_exactrb
-from equipartition_record import RECORD, over_frictions, over_steps, read
+from equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 log = logging.getLogger(__name__)
@@ -121,11 +121,17 @@ def equipartition_tables() -> dict[str, str]:
         for model in ("spce", "tip4p2005")
         for name, quantity, kind in (
             ("temperatures", "T_rot - T_tr", "NVT"),
+            ("temperatures_at_pressure", "T_rot - T_tr", "NPT"),
             ("energies", "U", "NVT"),
             ("densities", "density", "NPT"),
         )
     }
-    return tables | {"spce_frictions": over_frictions(record, "spce", 6.0)}
+    others = {
+        "frictions": over_frictions(record, "spce", 6.0),
+        "goals": over_goals(record),
+        "models": over_models(record),
+    }
+    return tables | {f"equipartition_{name}": table for name, table in others.items()}
 
 
 myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()
