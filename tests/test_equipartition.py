@@ -6,7 +6,22 @@ import numpy as np
 import pytest
 
 from equipartition import gist
-from equipartition_record import LFM, MEASURED, RECORD, Run, add, over_frictions, over_steps, points, read
+from equipartition_record import (
+    LFM,
+    MEASURED,
+    RECORD,
+    Run,
+    add,
+    less,
+    over_frictions,
+    over_goals,
+    over_models,
+    over_steps,
+    points,
+    read,
+    whole,
+    with_error,
+)
 
 
 def record_of(*values):
@@ -69,3 +84,46 @@ def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
     whole = {point[:5] for point in found}
     methods = ("W2_3m", "BAOAB", LFM)
     assert whole >= {("spce", "NVT", method, interval, 5.0) for method in methods for interval in (4.0, 6.0)}
+
+
+def test_goals_are_differences_from_the_smallest_steps():
+    """Means that are known: 20 runs of each point, of which two values alternate."""
+    found = {}
+    for ensemble, method, interval, density in (
+        ("NPT", LFM, 0.5, 1000.0),
+        ("NPT", "W2_3m", 4.0, 1005.0),
+        ("NPT", LFM, 4.0, 990.0),
+        ("NVT", "W2_3m", 6.0, 1.0),
+    ):
+        for seed in range(1, 21):
+            run = Run("spce", ensemble, method, interval, 216, 5.0, 50.0, seed)
+            found[run] = dict.fromkeys(MEASURED, 0.5) | {"density": density + (-1.0) ** seed}
+    error = with_error(0.0, 100.0 * math.hypot(1.0, 1.0) / math.sqrt(19.0) / 1000.0, 2)[-4:]
+    table = over_goals(found)
+    assert f"density at 4 fs over that at 0.5 fs (%) | up to 0.1 | 0.50 ± {error} | −1.00 ± {error} |  |" in table
+    assert "T_rot − T_tr at 6 fs, constant volume (K) | up to 1 | 0.5 ± 0.0 |  |  |" in table
+    assert "less that at 0.5 fs (kJ/mol per molecule) | up to 0.03 ± 0.01 |  |  |  |" in table
+    assert "| SPC/E | 1005.0 ± 0.2 | 1000.0 ± 0.2 at 0.5 fs | 0.50 ± " in over_models(found)
+
+
+FIGURES = [
+    ("README.md", "translation and rotation of SPC/E are {} K apart", ("NVT", "W2_3m", 6.0), 5.0),
+    ("README.md", "where `LangevinMiddleIntegrator` reports {} K", ("NVT", LFM, 6.0), 5.0),
+    ("docs/explanation/temperature.md", "BAOA is {} K apart at 20/ps", ("NVT", "BAOA", 6.0), 20.0),
+    ("docs/explanation/temperature.md", "the rotation that it reports is {} K hotter", ("NVT", LFM, 6.0), 20.0),
+]
+
+
+@pytest.mark.parametrize(("page", "words", "point", "friction"), FIGURES)
+def test_figures_in_prose_are_those_of_the_record(page, words, point, friction):
+    mean = whole(read(RECORD), friction)["spce", *point]["T_rot - T_tr"]
+    text = " ".join((RECORD.parents[1] / page).read_text().split())
+    assert words.format(with_error(*mean, 1)) in text
+
+
+@pytest.mark.parametrize(("interval", "percent"), [(4.0, "0.6"), (6.0, "1.4")])
+def test_w2_3_is_as_dense_as_the_pages_say(interval, percent):
+    found = whole(read(RECORD))
+    densities = (found["spce", "NPT", method, step]["density"] for method, step in (("W2_3", interval), (LFM, 0.5)))
+    assert with_error(*less(*densities, 100.0), 1).startswith(percent)
+    assert f"{percent} %" in (RECORD.parent / "explanation" / "temperature.md").read_text()
