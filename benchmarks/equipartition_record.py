@@ -171,7 +171,7 @@ def over_goals(record: Record) -> str:
 
 
 def over_models(record: Record) -> str:
-    """Return a table in Markdown: densities of the default at 4 fs, of OpenMM's integrator at 1 fs per force or less."""
+    """Return a table in Markdown: densities of the default at 4 fs, of OpenMM's integrator at 1 fs or less."""
     found = whole(record)
     lines = [
         ["density (kg/m³), 1 bar", "the default, 4 fs", "`LangevinMiddleIntegrator`", "difference (%)"],
