@@ -30,7 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from equipartition_record import LABELS, LFM, NAMES, RECORD, Point, Run, add, points, read
+from equipartition_record import LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
 from openmm_exactrb import ensemble
 from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
@@ -228,8 +228,7 @@ def main() -> None:
     missing = {run: recipe_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
     new = {run: gist(run.method, results[recipe.key]) for run, recipe in missing.items() if recipe.key in results}
-    add(new, args.record)
-    record |= new
+    record = merge(new, args.record)
     found = points({run: record[run] for run in wanted if run in record})
     if not found:
         raise SystemExit(f"no run of these points is in {args.record} or finished in {args.out}")
@@ -309,21 +308,19 @@ def plot(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
 
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
-    option = parser.add_argument
-    option("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
-    option("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    option("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
-    option(
-        "--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation"
-    )
-    option("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
-    option("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
-    option("--molecules", type=int, default=216)
-    option("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
-    option("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
-    option("--workers", type=int, default=None, help="processes; one for each core unless given")
-    option("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
-    option("--record", type=Path, default=RECORD, metavar="CSV", help="what runs gave; read first, added to at the end")
+    add = parser.add_argument
+    add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
+    add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
+    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
+    add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
+    add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
+    add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
+    add("--molecules", type=int, default=216)
+    add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
+    add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
+    add("--workers", type=int, default=None, help="processes; one for each core unless given")
+    add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
+    add("--record", type=Path, default=RECORD, metavar="CSV", help="what runs gave; read first, added to at the end")
     return parser.parse_args()
 
 

@@ -93,14 +93,15 @@ def read(file: Path) -> Record:
         }
 
 
-def add(found: Record, file: Path) -> None:
-    """Add runs to the record, in its order; what other commands added meanwhile stays."""
+def merge(found: Record, file: Path) -> Record:
+    """Add runs to the record, in its order, and return all of it; what other commands added meanwhile stays."""
     record = read(file) | found
     with written_whole(file) as out:
         lines = csv.writer(out, lineterminator="\n")
         lines.writerow([*COLUMNS, *MEASURED])
         for run, means in sorted(record.items()):
             lines.writerow([*run, *(f"{means[name]:.7g}" for name in MEASURED)])
+    return record
 
 
 def points(record: Record) -> list[Point]:

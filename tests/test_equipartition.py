@@ -11,8 +11,8 @@ from equipartition_record import (
     MEASURED,
     RECORD,
     Run,
-    add,
     less,
+    merge,
     over_frictions,
     over_goals,
     over_models,
@@ -36,7 +36,7 @@ def record_of(*values):
 def test_a_record_is_read_as_it_was_written(tmp_path):
     record = record_of(-46.5, -46.75)
     for key, means in reversed(record.items()):  # as two commands beside each other would
-        add({key: means}, tmp_path / "record.csv")
+        merge({key: means}, tmp_path / "record.csv")
     found = read(tmp_path / "record.csv")
     assert [*found] == [*record]
     for key, run in record.items():

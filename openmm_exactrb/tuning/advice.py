@@ -79,9 +79,9 @@ def tune(
     body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs
     `duration`; how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is
     run over all of the horizon first. A wandering energy is known badly from one run, so that its error is raised by up
-    to a half. Short swings alone would not do: where a step is long against the
-    vibrations, the energy wanders for picoseconds, and near hard cores as a random walk does; what a scheme gains in
-    short runs may be lost in longer ones.
+    to a half. Short swings alone would not do: where a step is long against the vibrations, the energy wanders for
+    picoseconds, and near hard cores as a random walk does; what a scheme gains in short runs may be lost in longer
+    ones.
 
     Parameters
     ----------
