@@ -110,6 +110,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
     def step(self, steps: int) -> None:
         """Advance the bodies by this many steps; see `ExactRigidBodyIntegrator.step`."""
+        self._around = self._left = None  # so that no steps, or one that fails, leave none
         super().step(steps)
         self._left = None if self._engine.on_device else self._present().session.state
 

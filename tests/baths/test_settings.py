@@ -186,6 +186,9 @@ def test_temperatures_around_the_bath_need_a_step():
     simulation.integrator.setVelocitiesToTemperature(3000.0, 1)
     with pytest.raises(ValueError, match="make a step first"):
         simulation.integrator.temperaturesAroundBath()
+    simulation.integrator.step(0)
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
 
 
 def test_reporters_and_velocities_tell_the_temperature_of_the_step_s_end(tmp_path):
