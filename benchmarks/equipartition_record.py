@@ -19,6 +19,7 @@ LFM = "LangevinMiddle"
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
 WHOLE = 1000.0  # ps of a point that is in the tables
+FRICTION = 5.0  # 1/ps, of the points in the tables over steps
 
 # What a row of a table is called, of which method it is, and what it shows.
 OURS = (("W2_3m, the default", "W2_3m"), ("W2_4g", "W2_4g"), ("W2_3", "W2_3"), ("BAOA", "BAOA"))
@@ -127,14 +128,18 @@ def mean_and_error(values: np.ndarray) -> Mean:
     return float(np.mean(values)), float(error)
 
 
-def whole(record: Record, friction: float = 5.0) -> dict[tuple[str, str, str, float], Means]:
-    """Return the means of whole points of a friction, by model, ensemble, method and time per force."""
-    return {p[:4]: p.found for p in points(record) if p.friction == friction and p.ps >= WHOLE}
+def whole(record: Record) -> dict[tuple[str, str, str, float, float], Means]:
+    """Return the means of whole points, by model, ensemble, method, time per force and friction."""
+    return {point[:5]: point.found for point in points(record) if point.ps >= WHOLE}
 
 
 def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
     """Return a table in Markdown: a row for each method, a column for each time per force, of whole points."""
-    found = {point[2:]: means for point, means in whole(record).items() if point[:2] == (model, ensemble)}
+    found = {
+        (method, interval): means
+        for (*kind, method, interval, friction), means in whole(record).items()
+        if (*kind, friction) == (model, ensemble, FRICTION)
+    }
     intervals = sorted({interval for _, interval in found})
     lines = [[LABELS[quantity], *(f"{interval:g} fs" for interval in intervals)], ["---"] * (1 + len(intervals))]
     for label, method, name in ROWS[quantity]:
@@ -150,24 +155,30 @@ def over_goals(record: Record) -> str:
     """
     found = whole(record)
     methods = {
-        "W2_3m, the default": ("W2_3m", "T_rot - T_tr"),
-        "`LangevinMiddleIntegrator`, constrained": (LFM, "other T_rot - T_tr"),
-        "BAOAB, around the bath": ("BAOAB", "other T_rot - T_tr"),
+        "W2_3m, the default": ("W2_3m", FRICTION, "T_rot - T_tr"),
+        "BAOA, friction 30/ps": ("BAOA", 30.0, "T_rot - T_tr"),
+        "`LangevinMiddleIntegrator`, constrained": (LFM, FRICTION, "other T_rot - T_tr"),
+        "BAOAB, around the bath": ("BAOAB", FRICTION, "other T_rot - T_tr"),
     }
+
+    def of_methods(ensemble: str, interval: float) -> list[Means]:
+        return [found.get(("spce", ensemble, method, interval, g), {}) for method, g, _ in methods.values()]
+
     lines = [["SPC/E", "goal", *methods], ["---"] * (2 + len(methods))]
-    for kind, name in (("NVT", "constant volume"), ("NPT", "1 bar")):
-        cells = [shown(found.get(("spce", kind, method, 6.0), {}), quantity) for method, quantity in methods.values()]
+    for ensemble, name in (("NVT", "constant volume"), ("NPT", "1 bar")):
+        quantities = (quantity for *_, quantity in methods.values())
+        cells = map(shown, of_methods(ensemble, 6.0), quantities)
         lines.append([f"T_rot − T_tr at 6 fs, {name} (K)", "up to 1", *cells])
-    for kind, name, interval, scale, text, goal in (
+    for ensemble, name, interval, scale, text, goal in (
         ("NVT", "U", 6.0, None, "U at 6 fs less that at 0.5 fs (kJ/mol per molecule)", "up to 0.03 ± 0.01"),
         ("NPT", "density", 4.0, 100.0, "density at 4 fs over that at 0.5 fs (%)", "up to 0.1"),
     ):
-        reference = found.get(("spce", kind, LFM, 0.5), {}).get(name)
-        cells = [
+        reference = found.get(("spce", ensemble, LFM, 0.5, FRICTION), {}).get(name)
+        differences = (
             "" if reference is None or name not in means else with_error(*less(means[name], reference, scale), 2)
-            for means in (found.get(("spce", kind, method, interval), {}) for method, _ in methods.values())
-        ]
-        lines.append([text, goal, *cells])
+            for means in of_methods(ensemble, interval)
+        )
+        lines.append([text, goal, *differences])
     return markdown(lines)
 
 
@@ -179,13 +190,13 @@ def over_models(record: Record) -> str:
         ["---"] * 4,
     ]
     for model, name in NAMES.items():
-        ours = found.get((model, "NPT", "W2_3m", 4.0), {}).get("density")
-        finest = min((p[3] for p in found if p[:3] == (model, "NPT", LFM) and p[3] <= 1.0), default=None)
-        if ours is None or finest is None:
+        ours = found.get((model, "NPT", "W2_3m", 4.0, FRICTION), {}).get("density")
+        steps = [p[3] for p in found if (*p[:3], p[4]) == (model, "NPT", LFM, FRICTION) and p[3] <= 1.0]
+        if ours is None or not steps:
             continue
-        theirs = found[model, "NPT", LFM, finest]["density"]
+        theirs = found[model, "NPT", LFM, min(steps), FRICTION]["density"]
         difference = with_error(*less(ours, theirs, 100.0), 2)
-        lines.append([name, with_error(*ours, 1), f"{with_error(*theirs, 1)} at {finest:g} fs", difference])
+        lines.append([name, with_error(*ours, 1), f"{with_error(*theirs, 1)} at {min(steps):g} fs", difference])
     return markdown(lines)
 
 
@@ -196,16 +207,20 @@ def less(a: Mean, b: Mean, scale: float | None = None) -> Mean:
 
 
 def over_frictions(record: Record, model: str, interval: float) -> str:
-    """Return a table in Markdown: a row for each method and friction, a column for each quantity, at constant volume.
+    """Return a table in Markdown: a row for each method and friction, a column for each quantity.
 
-    Temperatures of LangevinMiddleIntegrator are those of its constrained velocities.
+    Temperatures and energies are those at constant volume. Temperatures of LangevinMiddleIntegrator are those of its
+    constrained velocities.
     """
-    lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", "T_rot - T_tr", "U"))], ["---"] * 5]
-    for point in sorted(points(record), key=lambda point: (point.method, point.friction)):
-        if (point.model, point.ensemble, point.interval) == (model, "NVT", interval) and point.ps >= WHOLE:
-            difference = "other T_rot - T_tr" if point.method == LFM else "T_rot - T_tr"
-            cells = (shown(point.found, name) for name in ("T_tr", difference, "U"))
-            lines.append([FRICTIONS.get(point.method, point.method), f"{point.friction:g}", *cells])
+    found = whole(record)
+    lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", *ROWS))], ["---"] * 6]
+    for point in sorted(found, key=lambda point: point[2:]):
+        *kind, method, _, friction = point
+        if (*kind, point[3]) == (model, "NVT", interval):
+            difference = "other T_rot - T_tr" if method == LFM else "T_rot - T_tr"
+            cells = [shown(found[point], name) for name in ("T_tr", difference, "U")]
+            at_pressure = found.get((model, "NPT", *point[2:]), {})
+            lines.append([FRICTIONS.get(method, method), f"{friction:g}", *cells, shown(at_pressure, "density")])
     return markdown(lines)
 
 
