@@ -116,9 +116,10 @@ def scheme_table() -> str:
 def equipartition_tables() -> dict[str, str]:
     """Return what was measured of equipartition as tables, for the page on temperature."""
     record = read(RECORD)
+    models = ("spce", "tip4p2005")
     tables = {
         f"{model}_{name}": over_steps(record, quantity, model, kind)
-        for model in ("spce", "tip4p2005")
+        for model in models
         for name, quantity, kind in (
             ("temperatures", "T_rot - T_tr", "NVT"),
             ("temperatures_at_pressure", "T_rot - T_tr", "NPT"),
@@ -126,12 +127,8 @@ def equipartition_tables() -> dict[str, str]:
             ("densities", "density", "NPT"),
         )
     }
-    others = {
-        "frictions": over_frictions(record, "spce", 6.0),
-        "goals": over_goals(record),
-        "models": over_models(record),
-    }
-    return tables | {f"equipartition_{name}": table for name, table in others.items()}
+    frictions = {f"{model}_frictions": over_frictions(record, model, 6.0) for model in models}
+    return tables | frictions | {"equipartition_goals": over_goals(record), "equipartition_models": over_models(record)}
 
 
 myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()
