@@ -41,7 +41,8 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         bath within them, or a scheme of your own. The default takes three forces per step: up to 6 fs per force
         translation and rotation of rigid water were within a kelvin of each other (SPC/E, TIP4P/2005; friction 5/ps).
         "W2_4g" takes four, up to 4 fs per force, and has the potential energy right too. "BAOA", the splitting of
-        LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one.
+        LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one; with a friction of 30/ps BAOA had temperatures and
+        potential energy of that water right at 6 fs per force.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
