@@ -137,8 +137,8 @@ def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
     """Return a table in Markdown: a row for each method, a column for each time per force, of whole points."""
     found = {
         (method, interval): means
-        for (*kind, method, interval, friction), means in whole(record).items()
-        if (*kind, friction) == (model, ensemble, FRICTION)
+        for (*where, method, interval, friction), means in whole(record).items()
+        if (*where, friction) == (model, ensemble, FRICTION)
     }
     intervals = sorted({interval for _, interval in found})
     lines = [[LABELS[quantity], *(f"{interval:g} fs" for interval in intervals)], ["---"] * (1 + len(intervals))]
@@ -191,7 +191,7 @@ def over_models(record: Record) -> str:
     ]
     for model, name in NAMES.items():
         ours = found.get((model, "NPT", "W2_3m", 4.0, FRICTION), {}).get("density")
-        steps = [p[3] for p in found if (*p[:3], p[4]) == (model, "NPT", LFM, FRICTION) and p[3] <= 1.0]
+        steps = [step for *what, step, g in found if (*what, g) == (model, "NPT", LFM, FRICTION) and step <= 1.0]
         if ours is None or not steps:
             continue
         theirs = found[model, "NPT", LFM, min(steps), FRICTION]["density"]
@@ -209,18 +209,20 @@ def less(a: Mean, b: Mean, scale: float | None = None) -> Mean:
 def over_frictions(record: Record, model: str, interval: float) -> str:
     """Return a table in Markdown: a row for each method and friction, a column for each quantity.
 
-    Temperatures and energies are those at constant volume. Temperatures of LangevinMiddleIntegrator are those of its
-    constrained velocities.
+    Temperatures and energies are those at constant volume, densities those at 1 bar. Temperatures of
+    LangevinMiddleIntegrator are those of its constrained velocities.
     """
-    found = whole(record)
+    found = {
+        (ensemble, method, friction): means
+        for (name, ensemble, method, step, friction), means in whole(record).items()
+        if (name, step) == (model, interval)
+    }
     lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", *ROWS))], ["---"] * 6]
-    for point in sorted(found, key=lambda point: point[2:]):
-        *kind, method, _, friction = point
-        if (*kind, point[3]) == (model, "NVT", interval):
-            difference = "other T_rot - T_tr" if method == LFM else "T_rot - T_tr"
-            cells = [shown(found[point], name) for name in ("T_tr", difference, "U")]
-            at_pressure = found.get((model, "NPT", *point[2:]), {})
-            lines.append([FRICTIONS.get(method, method), f"{friction:g}", *cells, shown(at_pressure, "density")])
+    for method, friction in sorted(what for ensemble, *what in found if ensemble == "NVT"):
+        difference = "other T_rot - T_tr" if method == LFM else "T_rot - T_tr"
+        cells = [shown(found["NVT", method, friction], name) for name in ("T_tr", difference, "U")]
+        density = shown(found.get(("NPT", method, friction), {}), "density")
+        lines.append([FRICTIONS.get(method, method), f"{friction:g}", *cells, density])
     return markdown(lines)
 
 
