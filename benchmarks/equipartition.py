@@ -30,7 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from equipartition_record import LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
+from equipartition_record import FRICTION, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
 from openmm_exactrb import ensemble
 from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
@@ -47,7 +47,8 @@ LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, an
 BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
-METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g")
+METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g", "BAOA:30")  # with a friction of its own, in 1/ps, behind a colon
+GOALS = {"T_rot - T_tr": 1.0, "U": 0.03, "density": 1.0}  # K, kJ/mol per molecule, kg/m³ (0.1 %)
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
@@ -55,11 +56,11 @@ STYLES = {
     f"{LFM}, constrained": ("#E69F00", "s"),
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
-    "W2_3m": ("#0072B2", "D"),
-    "BAOA": ("#8C510A", "<"),
+    "W2_3m, the default": ("#0072B2", "D"),
     "W2_4g": ("#CC79A7", "P"),
+    "BAOA, friction 30/ps": ("#8C510A", "<"),
     "S2_2": ("#999999", "X"),
-    EXACT: ("#000000", "*"),
+    "hybrid Monte Carlo": ("#000000", "*"),
 }
 
 
@@ -222,14 +223,18 @@ def recipe_of(run: Run) -> ensemble.Recipe:
 def main() -> None:
     args = parse()
     record = read(args.record)
-    settings = (args.molecules, args.friction, args.length)
-    kinds = itertools.product(args.models, args.ensembles, args.methods, args.intervals)
-    wanted = [Run(*kind, *settings, seed) for kind in kinds for seed in range(1, args.runs + 1)]
+    seeds = range(1, args.runs + 1)
+    kinds = itertools.product(args.models, args.ensembles, args.methods, args.intervals, seeds)
+    wanted = [
+        Run(model, kind, method, interval, args.molecules, friction or args.friction, args.length, seed)
+        for model, kind, (method, friction), interval, seed in kinds
+    ]
     missing = {run: recipe_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
     new = {run: gist(run.method, results[recipe.key]) for run, recipe in missing.items() if recipe.key in results}
     record = merge(new, args.record)
-    found = points({run: record[run] for run in wanted if run in record})
+    asked = {run._replace(seed=0) for run in wanted}
+    found = points({run: means for run, means in record.items() if run._replace(seed=0) in asked})
     if not found:
         raise SystemExit(f"no run of these points is in {args.record} or finished in {args.out}")
     for point in found:
@@ -270,13 +275,17 @@ def draw(drawn: list[Point], file: Path) -> None:
     for (quantity, kind), line in zip(panels, grid, strict=True):
         line[0].set_ylabel(LABELS[quantity].replace(" (kJ", "\n(kJ") + f"\n{AT_CONSTANT[kind]}")
         for model, axes in zip(models, line, strict=True):
-            plot(axes, quantity, [point for point in drawn if point[:2] == (model, kind)])
+            shown = [point for point in drawn if point[:2] == (model, kind)]
+            shade_goal(axes, quantity, shown)
+            plot(axes, quantity, shown)
             if not axes.has_data():
                 axes.text(0.5, 0.5, "not measured yet", transform=axes.transAxes, ha="center", color="0.4")
                 axes.set_yticks([])
     for model, top, bottom in zip(models, grid[0], grid[-1], strict=True):
         top.set_title(NAMES.get(model, model))
-        top.axhline(0.0, color="0.6", lw=0.8)
+        top.set_yscale("symlog", linthresh=2.0)
+        top.set_yticks([-20, -10, -5, -2, -1, 0, 1, 2, 5, 10])
+        top.yaxis.set_major_formatter("{x:g}")
         bottom.set_xscale("log", base=2)
         bottom.set_xticks(sorted({point.interval for point in drawn}))
         bottom.xaxis.set_major_formatter("{x:g}")
@@ -288,15 +297,20 @@ def draw(drawn: list[Point], file: Path) -> None:
     figure.savefig(file, dpi=150)
 
 
+def shade_goal(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
+    """Shade where a quantity should be: about no difference, or about the reference, if it was measured."""
+    reference = [point.found[quantity][0] for point in drawn if point[2:5] == (LFM, 0.5, FRICTION)]
+    middles = [0.0] if quantity.startswith("T_rot") else reference
+    for middle in middles:
+        reach = GOALS[quantity]
+        axes.axhspan(middle - reach, middle + reach, color="0.87", lw=0.0, label=f"goal, about 0 or {LFM} at 0.5 fs")
+
+
 def plot(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
     """Plot what was measured over the time a force, a line for each method."""
     lines: dict[str, list] = {}
     for point in drawn:
-        names = {
-            LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
-            "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
-        }.get(point.method, (point.method,))
-        for name, look in zip(names, (quantity, f"other {quantity}"), strict=False):
+        for name, look in zip(labels(point), (quantity, f"other {quantity}"), strict=False):
             if look in point.found:
                 lines.setdefault(name, []).append((point.interval, *point.found[look]))
     for name, of_method in lines.items():
@@ -306,17 +320,37 @@ def plot(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
         axes.errorbar(x * beside, y, error, color=colour, marker=marker, capsize=3, lw=1.2, ms=5, label=name)
 
 
+def labels(point: Point) -> tuple[str, ...]:
+    """Return what the lines of a point are called: its velocities as they are, and as they are looked at besides."""
+    if point.friction != FRICTION:
+        return (f"{point.method}, friction {point.friction:g}/ps",)
+    names = {
+        LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
+        "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
+        "W2_3m": ("W2_3m, the default",),
+        EXACT: ("hybrid Monte Carlo",),
+    }
+    return names.get(point.method, (point.method,))
+
+
+def method_of(word: str) -> tuple[str, float | None]:
+    """Read a method, and the friction behind a colon if there is one."""
+    name, _, friction = word.partition(":")
+    return name, float(friction) if friction else None
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Equipartition, energy and density of rigid water over the step.")
     add = parser.add_argument
     add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
     add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    add("--methods", nargs="+", default=METHODS, metavar="NAME", help=f"{LFM}, BAOAB, a splitting, or {EXACT}")
+    methods = f"{LFM}, BAOAB, a splitting or {EXACT}, as BAOA:30 with a friction of its own"
+    add("--methods", nargs="+", type=method_of, default=[*map(method_of, METHODS)], metavar="NAME", help=methods)
     add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
     add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
-    add("--friction", type=float, default=5.0, metavar="1/PS", help="%(default)s")
+    add("--friction", type=float, default=FRICTION, metavar="1/PS", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")

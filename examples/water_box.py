@@ -149,7 +149,7 @@ def equilibrate(pdb: app.PDBFile | app.Modeller, system: openmm.System, platform
     langevin.setRandomNumberSeed(1)
     simulation = app.Simulation(pdb.topology, system, langevin, platform)
     simulation.context.setPositions(pdb.positions)
-    simulation.minimizeEnergy()
+    simulation.minimizeEnergy(tolerance=50)
     simulation.context.setVelocitiesToTemperature(300 * kelvin, 1)
     simulation.step(1000)
     simulation.currentStep = 0

@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 from hypothesis import settings
@@ -15,6 +17,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    if workers := config.getoption("numprocesses", None):  # they share the cores, and inherit this
+        os.environ.setdefault("OPENMM_CPU_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
     settings.load_profile("thorough" if config.getoption("--validate") else "fast")
 
 

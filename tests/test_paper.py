@@ -17,6 +17,7 @@ import oracle
 REPORT = Path(__file__).parent.parent / "benchmarks" / "paper" / "report.py"
 sys.path.append(str(REPORT.parent))
 claims = importlib.import_module("claims")
+pytestmark = pytest.mark.xdist_group("paper")  # one process, which draws the figures once
 
 
 @pytest.fixture(scope="module")
