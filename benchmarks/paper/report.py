@@ -54,8 +54,8 @@ WHEN = """\
   hand `V2_gradient_C17`; else `SABA_4` at loose and `ABA_10_6_4` at tight tolerances.
 - The potential is as large as the kinetic energy (T0 = ε; dipoles; every liquid): those schemes lose what they were
   made for. `SRKN4_6b` serves from loose to middle tolerances, `SRKN6_14a` or `S6_10` at tight ones.
-- Large steps, a few evaluations in the shortest period (rigid water at 2 to 4 fs): the minimal-error schemes of low
-  order, `S2_2`, `S2_3`, `W2_5`; see `rb.tune`, which measures it on your system.
+- Large steps, a few evaluations in the shortest period (rigid water): `W2_1` at 4 fs per force, `W4_4` at 2 fs; where
+  one looks often, `S2_3` at 4 fs and `W2_5` at 2 fs. `rb.tune` measures it on your system.
 - McLachlan-Reich in place of the exact flow brings every scheme down to order 2, but for compositions of Verlet steps
   (`Y4_3`, `Y6_7`, `KL8_17`), which pay with large error constants.
 """
