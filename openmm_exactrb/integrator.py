@@ -100,8 +100,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._makers: dict[str, Maker] = dict(LETTERS)
         super().__init__(picoseconds(stepSize))
-        options = self._rotor, self._nesting, self._bath_in_steps, self._kept_numbers()
-        self._engine = Chosen(engine, self._steps(), *options)
+        self._engine = Chosen(engine, self._steps(), self._rotor, self._nesting, self._bath_in_steps)
         self._engine.declare(self)
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
@@ -357,9 +356,6 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme
-
-    def _kept_numbers(self) -> tuple[str, ...]:  # what the steps add up
-        return ()
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         return host.Plan(self._steps(), self._makers)

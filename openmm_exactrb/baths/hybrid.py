@@ -27,8 +27,6 @@ from openmm_exactrb.motion.state import State
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 
-_ACCEPTED, _PROPOSED = "accepted", "proposed"
-
 
 class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     """Exact sampling: the splitting proposes, Metropolis decides, momenta turn round where the answer is no.
@@ -59,7 +57,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     """
 
     _bath_in_steps: ClassVar[str | None] = "hybrid Monte Carlo"
-    tallies: ClassVar[tuple[str, ...]] = (_ACCEPTED, _PROPOSED)
+    tallies: ClassVar[tuple[str, ...]] = (account.ACCEPTED, account.PROPOSED)
 
     def __init__(
         self,
@@ -100,7 +98,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def tally(self) -> Tally:
         """Return how many proposals were taken, and how many there were, since `resetTally` or the beginning."""
-        return Tally(int(account.read(self, _ACCEPTED)), int(account.read(self, _PROPOSED)))
+        return Tally(int(account.read(self, account.ACCEPTED)), int(account.read(self, account.PROPOSED)))
 
     def acceptanceRate(self) -> float:
         """Return the part of the proposals that was taken; nan before the first."""
@@ -132,7 +130,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         proposal = self._proposal
         parts = replace(parts, scheme=proposal, slow=parts.slow.with_energies())
         word, moves = proposal.word, flows(proposal.word, parts, self._makers)
-        kT, seed, draws = gas_constant_times(self._temperature), self.getSeedInUse(), Draws(kernels.twins().noise)
+        kT, key, draws = gas_constant_times(self._temperature), self._key(), Draws(kernels.twins().noise)
 
         def energy(state: State) -> float:
             return sum(parts.bodies.kinetic_energies(state.rounded)) + parts.slow.potential(state)
@@ -148,10 +146,10 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
         def flow(state: State, tau: float) -> State:
             new, rise = proposed(state, tau)
-            u = draws.uniform(Instant(seed, parts.clock.number, 0), Purpose.METROPOLIS)
+            u = draws.uniform(Instant(key, parts.clock.number, 0), Purpose.METROPOLIS)
             chosen, tally = decided(state, new, rise, kT, u, Tally(), flipped)
-            parts.account.add(_ACCEPTED, tally.accepted)
-            parts.account.add(_PROPOSED, tally.proposed)
+            parts.account.add(account.ACCEPTED, tally.accepted)
+            parts.account.add(account.PROPOSED, tally.proposed)
             return chosen
 
         return {words.PROPOSAL: flow}

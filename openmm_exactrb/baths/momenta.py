@@ -45,6 +45,10 @@ class CanonicalMomenta:
         self._interval = whole(reportInterval, "reportInterval", of="steps")
         self._seed = whole(seed, "the seed", least=0)
 
+    def settings(self) -> str:
+        """Return in words what decides on the momenta that are drawn."""
+        return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
+
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Tell OpenMM when momenta are due."""
         integrator = simulation.integrator

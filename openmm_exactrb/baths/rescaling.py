@@ -20,8 +20,6 @@ from openmm_exactrb.motion.rescaling import rescaling
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 
-_HEAT = "heat"
-
 
 class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     """Rigid-body dynamics at constant temperature that is hardly disturbed: stochastic velocity rescaling.
@@ -56,7 +54,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     """
 
     _bath_in_steps: ClassVar[str | None] = "velocity rescaling"
-    tallies: ClassVar[tuple[str, ...]] = (_HEAT,)
+    tallies: ClassVar[tuple[str, ...]] = (account.HEAT,)
 
     def __init__(
         self,
@@ -92,7 +90,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
 
     def heat(self) -> unit.Quantity:
         """Return the energy that the bath gave to the bodies since the integrator was made."""
-        return account.read(self, _HEAT) * unit.kilojoule_per_mole
+        return account.read(self, account.HEAT) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
         """Return the total energy less the heat.
@@ -118,7 +116,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
 
         def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
             P, m, heat = rescale(P, m, tau, at)
-            parts.account.add(_HEAT, heat)
+            parts.account.add(account.HEAT, heat)
             return P, m
 
         return exchange

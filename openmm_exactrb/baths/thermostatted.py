@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import secrets
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import openmm
 from openmm import unit
@@ -28,8 +29,28 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.word import BATH
 
-_SEED = "seed"
 _SEEDS = 2**31  # those of OpenMM that are not negative
+_STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
+
+
+class Moment(NamedTuple):
+    """Where a call of `step` has left the noise.
+
+    Attributes
+    ----------
+    session : object
+        Of the Context.
+    loads : int
+        How many checkpoints were loaded there.
+    key : int
+        What the noise is looked up by, beside the step.
+    step : int
+    """
+
+    session: object
+    loads: int
+    key: int
+    step: int
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
@@ -37,7 +58,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
     The noise of a step depends on the seed and the number of the step alone, so that ten calls of ``step(10)`` give the
     bits of ``step(100)``, as does a run that goes on from a checkpoint or State in another process. The seed and what
-    the steps add up travel with it; temperature and friction are settings, which a new process gives again.
+    the steps add up travel with it; temperature and friction are settings, which a new process gives again. Where a
+    State or a step count that is set takes a run elsewhere, as in replica exchange, what follows has noise of its own;
+    a checkpoint brings the noise back.
 
     Parameters
     ----------
@@ -69,6 +92,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self.setTemperature(temperature)
         self._around: tuple[State, State] | None = None  # before and after the last bath letter
         self._left: State | None = None  # what the last call of `step` ended with
+        self._last: Moment | None = None  # where in the noise it did
 
     def getTemperature(self) -> unit.Quantity:
         """Return the temperature of the bath."""
@@ -95,14 +119,14 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         if whole(seed, "the seed", 0) >= _SEEDS:
             raise ValueError(f"the seed must be below 2^31, not {seed}")
         super().setRandomNumberSeed(int(seed))
-        account.write(self, _SEED, int(seed))
+        account.write(self, account.SEED, int(seed))
 
     def getSeedInUse(self) -> int:
-        """Return the seed that the noise has: that of a checkpoint that was loaded, or the drawn one; 0 before it is.
+        """Return the seed that the noise has: the one that was asked for, else that of a checkpoint or the drawn one.
 
-        ``getRandomNumberSeed`` returns what was asked for.
+        0 before it is drawn. ``getRandomNumberSeed`` returns what was asked for.
         """
-        return int(account.read(self, _SEED)) or int(self.getRandomNumberSeed())
+        return int(self.getRandomNumberSeed()) or int(account.read(self, account.SEED))
 
     def getBathSettings(self) -> Mapping[str, Any]:
         """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
@@ -111,7 +135,10 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def step(self, steps: int) -> None:
         """Advance the bodies by this many steps; see `ExactRigidBodyIntegrator.step`."""
         self._around = self._left = None  # so that no steps, or one that fails, leave none
-        super().step(steps)
+        try:
+            super().step(steps)
+        finally:
+            self._last = self._moment()
         self._left = None if self._engine.on_device else self._present().session.state
 
     def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
@@ -148,18 +175,40 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """Return what makes the letters of the bath."""
         return {BATH: self._bath}
 
-    def _kept_numbers(self) -> tuple[str, ...]:
-        return (_SEED, *self.tallies)
-
     def _arguments(self) -> dict[str, Any]:
         return super()._arguments() | {"temperature": self._temperature}
 
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)
-        account.write(self, _SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
+        account.write(self, account.SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
+        self._part_streams()
         makers = {**self._makers, **self._own_makers()}
         kT, tallies = gas_constant_times(self._temperature), account.Account(self, self.tallies)
-        return Plan(self._steps(), makers, kT, tallies, self._numbers(), self.getSeedInUse(), self.getScheme())
+        return Plan(self._steps(), makers, kT, tallies, self._numbers(), self._key(), self.getScheme())
+
+    def _key(self) -> int:
+        """Return what the noise is looked up by beside the step: the seed, and which of its streams."""
+        return self.getSeedInUse() + _SEEDS * int(account.read(self, account.STREAM))
+
+    def _moment(self) -> Moment | None:
+        """Return where in the noise the Context is, None where there is none yet."""
+        if self._host is None or self._host.session.outdated:
+            return None
+        session = self._host.session
+        return Moment(session, session.loads, self._key(), session.context.getStepCount())
+
+    def _part_streams(self) -> None:
+        """Take a stream of noise that nothing had before, if the Context was taken elsewhere since the last call.
+
+        A checkpoint is what a run goes on from, so that its noise is wanted again. A State may be one of many that
+        begin at the same step.
+        """
+        last, now = self._last, self._moment()
+        if last is None or now is None or last == now or last[:2] != now[:2] or (last.key - now.key) % _SEEDS:
+            return
+        address = f"{last.key} {last.step} {now.key} {now.step}".encode()
+        stream = int.from_bytes(hashlib.sha256(address).digest()[:8], "little")
+        account.write(self, account.STREAM, 1 + stream % (_STREAMS - 1))
 
     def _numbers(self) -> Mapping[str, float]:
         """Return what a program on a device is told of the bath."""
@@ -170,11 +219,11 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return {letter: parts.guard.outside(self._bath_flow(parts, exchange, int(letter[1:]))) for letter in letters}
 
     def _bath_flow(self, parts: Parts, exchange: Bath, place: int) -> Flow[State]:
-        seed = self.getSeedInUse()
+        key = self._key()
 
         def flow(state: State, tau: float) -> State:
             along = parts.kinetic.tangent(state)
-            P, m = exchange(along.P, along.m, tau, Instant(seed, parts.clock.number, place))
+            P, m = exchange(along.P, along.m, tau, Instant(key, parts.clock.number, place))
             same = P is along.P and m is along.m
             after = state if same else parts.kinetic.tangent(state._replace(P=P, m=m))
             self._around = state, after

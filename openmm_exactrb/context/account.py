@@ -1,6 +1,7 @@
 """Numbers that the steps of an integrator add up, in its global variables: checkpoints and States take them along.
 
-Like those of the ledger the names are a part of the format of checkpoints: they stay.
+Like those of the ledger the names and their order are a part of the format of checkpoints: they stay. All integrators
+have all of them, so that a checkpoint or State of one kind can be read by another.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Any
 import openmm
 
 _PREFIX = "exactrb_"
+SEED, STREAM, HEAT, ACCEPTED, PROPOSED = "seed", "stream", "heat", "accepted", "proposed"
 
 
 class Account:
@@ -21,7 +23,7 @@ class Account:
     Parameters
     ----------
     integrator : openmm.CustomIntegrator, optional
-        For which `declare` was called with these names. Not needed where there are none.
+        For which `declare` was called. Not needed where there are no names.
     names : sequence of str, optional
     """
 
@@ -44,9 +46,9 @@ class Account:
             write(self._integrator, name, value)
 
 
-def declare(integrator: openmm.CustomIntegrator, names: Sequence[str]) -> None:
+def declare(integrator: openmm.CustomIntegrator) -> None:
     """Give a new integrator its variables, at zero."""
-    for name in names:
+    for name in (SEED, STREAM, HEAT, ACCEPTED, PROPOSED):
         integrator.addGlobalVariable(_PREFIX + name, 0.0)
 
 

@@ -8,10 +8,14 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb.context import ledger
+from openmm_exactrb.motion.engine import Flow
+from openmm_exactrb.motion.state import State
 
 
 class Clock:
-    """Counts the steps of a call, and has OpenMM count them.
+    """Counts the steps of a call, and has the Context know them: some forces look at its time or its number of steps.
+
+    Time goes on with the drifts. A force that depends on it so keeps a scheme's order, as if time were a coordinate.
 
     Parameters
     ----------
@@ -30,26 +34,36 @@ class Clock:
 
     def __init__(self, context: Any, integrator: openmm.CustomIntegrator, h: float) -> None:
         self._context, self._integrator, self._h = context, integrator, h
-        self._begin = self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
-        self._ticks = 0
+        self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
+        self._drifted = 0.0  # ps since the last step
+
+    def along(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift during which the time of the Context goes on."""
+
+        def flow(state: State, tau: float) -> State:
+            state = drift(state, tau)
+            self._drifted += tau
+            self._context.setTime(self.time + self._drifted)
+            return state
+
+        return flow
 
     def next(self) -> None:
         """Count a step."""
-        self.number, self.time = self.number + 1, self.time + self._h
+        self.reset(self.number + 1, self.time + self._h)
 
     def reset(self, number: int, time: float) -> None:
-        """Go back to a step."""
-        self.number, self.time = number, time
+        """Be at the end of a step."""
+        self.number, self.time, self._drifted = number, time, 0.0
+        self._tell(number)
 
     def tick(self) -> None:
         """Have OpenMM make a step of its own now, with what it does between steps."""
-        self._ticks += 1
+        self._tell(self.number - 1)
         ledger.step(self._integrator, 1)
+        self._tell(self.number)
 
-    def stop(self) -> None:
-        """Bring OpenMM's count and time up to those of the last step."""
-        missing = self.number - self._begin[0] - self._ticks
-        if missing > 0:
-            ledger.step(self._integrator, missing)
+    def _tell(self, number: int) -> None:
         # OpenMM's own clock does not learn of a new step size where no computation uses dt.
+        self._context.setStepCount(number)
         self._context.setTime(self.time)

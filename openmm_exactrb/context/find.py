@@ -11,7 +11,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions
+from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions, on_constraints
 from openmm_exactrb.motion.bodies import Kind, RigidBodies
 from openmm_exactrb.motion.clusters import Clusters, find_clusters
 from openmm_exactrb.motion.images import joined
@@ -60,10 +60,14 @@ def find_bodies(
         if not held_rigid(distances, positions[members[0]]):
             floppy.append((members, distances))
             continue
-        make = kinds_from_positions if np.isnan(distances).any() else kinds_from_distances
         particles = np.stack(members)
         whole = positions if box is None else joined(positions, particles, box, distances[None])
-        shapes += make(particles, body_masses, distances, whole)
+        if not np.isnan(distances).any():
+            shapes += kinds_from_distances(particles, body_masses, distances, whole)
+        else:
+            shapes += kinds_from_positions(
+                particles, body_masses, on_constraints(particles, body_masses, distances, whole)
+            )
     clusters = _floppy_clusters(masses, floppy)
     turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
     kinds, start = [], 0

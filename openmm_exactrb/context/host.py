@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import openmm
@@ -101,6 +101,7 @@ class Host:
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
         kinetic, slow, follow = self._split(plan, forces, guard, h)
+        kinetic = replace(kinetic, drift=clock.along(kinetic.drift))
         parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
@@ -120,7 +121,6 @@ class Host:
                         follow()
         finally:
             clock.reset(*kept)
-            clock.stop()
             account.close()
             session.publish()
 

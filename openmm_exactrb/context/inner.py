@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import openmm
 
 from openmm_exactrb.context.excerpt import Excerpt
@@ -93,29 +94,36 @@ class Inner:
             return fast, OtherGroups(forces.of(~bits), fast), lambda: None
         part, own = self._own.excerpt.part, self._own
         fast = own.forces(session, forces.groups, self._timings)
-        return fast, Remainder(forces, fast, part), lambda: own.follow(session.context)
+        return fast, Remainder(forces, fast, part), lambda: own.follow(session)
 
 
 class Own:
-    """The Context of an excerpt, which follows the box and the parameters of another one."""
+    """The Context of an excerpt, which follows box, parameters and particles without mass of another one."""
 
     def __init__(self, excerpt: Excerpt) -> None:
         self.excerpt = excerpt
         platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
         self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
         self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
+        self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
 
     def forces(self, session: Session, groups: int, timings: Timings) -> Forces:
         """Return the forces of some groups (bits) on the bodies of the part."""
-        self.follow(session.context)
-        x = session.particles[self.excerpt.particles]
-        places = Places(self._context, self.excerpt.part.bodies, x)
-        return Forces(places, groups, timings, not self._changes, counter=_COUNTER)
+        self._x = session.particles[self.excerpt.particles]
+        self._places = Places(self._context, self.excerpt.part.bodies, self._x)
+        self.follow(session)
+        return Forces(self._places, groups, timings, not self._changes, counter=_COUNTER)
 
-    def follow(self, context: Any) -> None:
-        """Take over the box and the parameters."""
-        if not self._changes:
-            return
+    def follow(self, session: Session) -> None:
+        """Take over the box, the parameters and the places of particles without mass."""
+        theirs = session.particles[self.excerpt.particles[self._massless]]
+        if not np.array_equal(self._x[self._massless], theirs):
+            self._x[self._massless] = theirs
+            self._places.lose()
+        if self._changes:
+            self._surround(session.context)
+
+    def _surround(self, context: Any) -> None:
         state = context.getState(parameters=True)
         self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
         theirs = state.getParameters()

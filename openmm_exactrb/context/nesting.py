@@ -145,13 +145,19 @@ class Nested:
         Raises
         ------
         ValueError
-            If bonded forces were asked for, and a letter kicks a force group, which may have some of them.
+            If a letter kicks a force group that is nested, or one that may have bonded forces where these are.
         """
         groups = sorted({letter for letter, _ in outer.word if letter[0] == KICK and letter != KICK})
         if self.asked.fast == BONDED and groups:
             raise ValueError(
                 f"scheme {outer.name} kicks force groups by themselves ({', '.join(groups)}), which may have bonded "
-                "forces in them: name what is nested by its groups too, such as fast=(1,)"
+                "forces in them: name what is nested by a group that no letter kicks, such as fast=(7,)"
+            )
+        twice = [letter for letter in groups if self.bits >> int(letter[1:]) & 1]
+        if twice:
+            raise ValueError(
+                f"scheme {outer.name} kicks by itself what is nested in its drifts ({', '.join(twice)}), which would "
+                "act twice: take its group out of fast=, or the letter out of the word"
             )
         if self.asked.certain or not (outer.stages and known):
             return self.asked.certain

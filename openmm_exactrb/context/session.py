@@ -56,7 +56,7 @@ class Session:
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
-        self._outdated = _watched(context)
+        self._outdated, self._loaded = _watched(context, "reinitialize"), _watched(context, "loadCheckpoint")
 
     @property
     def context(self) -> Any:
@@ -67,6 +67,11 @@ class Session:
     def outdated(self) -> bool:
         """Whether the Context is gone, or was reinitialised since: masses, constraints and forces may be others."""
         return self.context is None or bool(self._outdated)
+
+    @property
+    def loads(self) -> int:
+        """How many checkpoints were loaded into the Context."""
+        return len(self._loaded)
 
     @property
     def particles(self) -> Array:
@@ -164,16 +169,16 @@ def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:
     return np.flatnonzero(different)
 
 
-def _watched(context: openmm.Context) -> list[bool]:
-    """Return a list that gets an entry when the Context is reinitialised, since OpenMM does not tell."""
+def _watched(context: openmm.Context, name: str) -> list[bool]:
+    """Return a list that gets an entry when a method of the Context is called, since OpenMM does not tell."""
     noticed: list[bool] = []
-    reinitialize = type(context).reinitialize
+    method = getattr(type(context), name)
     reference = weakref.ref(context)
 
-    @functools.wraps(reinitialize)
+    @functools.wraps(method)
     def noticing(*arguments: Any, **options: Any) -> None:
         noticed.append(True)
-        reinitialize(reference(), *arguments, **options)
+        method(reference(), *arguments, **options)
 
-    context.reinitialize = noticing
+    setattr(context, name, noticing)
     return noticed

@@ -17,6 +17,8 @@ Indices = NDArray[np.intp]
 
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10
+# Iterations for positions on constraints, and how much these may be missed by (nm).
+_NEWTON, _REACHED = 30, 1e-11
 
 
 def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
@@ -33,14 +35,48 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
     ]
 
 
-def kinds_from_positions(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
+    """Return positions (n_particles, 3) that are moved as little as constraints want, in the metric of the masses.
+
+    Newton's method from the positions that are given; those of bodies without constraints stay.
+
+    Raises
+    ------
+    ValueError
+        If positions are not finite, or the constraints cannot be reached from them.
+    """
+    X = positions[particles]
+    if not np.isfinite(X).all():
+        raise ValueError("positions are not finite: set them before the first step")
+    first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
+    number, lengths = np.arange(len(first)), distances[first, second]
+    gradients = np.zeros((len(X), len(first), len(masses), 3))
+    for _ in range(_NEWTON if len(first) else 0):
+        apart = X[:, first] - X[:, second]
+        gradients[:, number, first], gradients[:, number, second] = apart, -apart
+        pushes = gradients / masses[:, None]
+        inverse = np.linalg.pinv(np.einsum("ncki,ndki->ncd", gradients, pushes), hermitian=True, rcond=1e-12)
+        excess = 0.5 * ((apart**2).sum(axis=2) - lengths**2)
+        X = X - np.einsum("ncd,nd,ncki->nki", inverse, excess, pushes)
+    missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1, initial=0.0)
+    bad = ~(missed <= _REACHED)
+    if bad.any():
+        names = ", ".join(map(str, particles[np.argmax(bad)]))
+        raise ValueError(
+            f"the constraints between particles {names} cannot be reached from these positions: set some whose "
+            "distances are about those of the constraints"
+        )
+    whole = positions.copy()
+    whole[particles] = X
+    return whole
+
+
+def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
     """Return the kinds of bodies of these masses whose shape is that of their positions.
 
     Where all agree with the first one within `RIGIDITY` they have its shape, else each has its own.
     """
     X = positions[particles]
-    if not np.isfinite(X).all():
-        raise ValueError("positions are not finite: set them before the first step")
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import openmm
@@ -33,8 +32,6 @@ class Chosen:
         What is to have steps of its own within drifts.
     bath : str or None
         What bath its steps have.
-    kept : sequence of str
-        Names of the numbers that its steps add up.
 
     Raises
     ------
@@ -59,9 +56,8 @@ class Chosen:
         rotor: Rotor,
         nesting: Nesting | None,
         bath: str | None,
-        kept: Sequence[str],
     ) -> None:
-        self.asked, self._scheme, self._nesting, self._kept = choice.named(asked), scheme, nesting, kept
+        self.asked, self._scheme, self._nesting = choice.named(asked), scheme, nesting
         against = choice.against_program(scheme, rotor, nesting is not None and nesting.certain, bath)
         if self.asked == "device" and against:
             raise ValueError(f"{against}: take engine='host'")
@@ -76,9 +72,9 @@ class Chosen:
         """Write the program into an integrator without a Context."""
         if self._group is None:
             ledger.declare(integrator)
-            account.declare(integrator, self._kept)
+            account.declare(integrator)
         else:
-            emit.declare(integrator, self._scheme, self._group, self._kept)
+            emit.declare(integrator, self._scheme, self._group)
         self.act(integrator, self.groups)
 
     def act(self, integrator: openmm.CustomIntegrator, groups: int) -> None:

@@ -17,8 +17,6 @@ writes positions there are several times as many, so numbers are multiplied by c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import openmm
 
 from openmm_exactrb.context import account
@@ -42,9 +40,7 @@ _PLACE, _DISPLACED_PLACE = "R+d+image", "R+move+d+image"
 _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
-def declare(
-    integrator: openmm.CustomIntegrator, scheme: Scheme, group: int = names.GROUP, kept: Sequence[str] = ()
-) -> None:
+def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, group: int = names.GROUP) -> None:
     """Give an integrator without a Context the variables and the program of a scheme.
 
     Until bodies are loaded, steps make positions nan.
@@ -55,12 +51,10 @@ def declare(
     scheme : Scheme
     group : int, optional
         The force group of the sums over bodies.
-    kept : sequence of str, optional
-        Numbers for an `openmm_exactrb.context.account.Account`.
     """
     program, table = Program(integrator, group), Table.of(scheme)
     program.numbers(0.0, names.LOADED)
-    account.declare(integrator, kept)
+    account.declare(integrator)
     _declare_variables(program, table)
     _step(program, table)
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import astuple
 from typing import Any
+from xml.etree import ElementTree
 
 import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
+from openmm_exactrb.baths.momenta import CanonicalMomenta
 from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.device.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.schemes import CATALOGUE
 from openmm_exactrb.version import version
 
 # What an integrator of all forces says: 32 bits.
@@ -35,6 +39,8 @@ def identity_of(simulation: Any) -> dict[str, str]:
         "System": f"{system.getNumParticles()} particles, {_hash(openmm.XmlSerializer.serialize(system).encode())}",
         "integrator": _settings(integrator),
     }
+    if draws := [reporter.settings() for reporter in simulation.reporters if isinstance(reporter, CanonicalMomenta)]:
+        identity["CanonicalMomenta"] = "; ".join(draws)
     if isinstance(integrator, ExactRigidBodyIntegrator):
         identity["engine"] = integrator.getEngine()
     if isinstance(integrator, ExactRigidBodyIntegrator) and integrator.hasNamedBodies():
@@ -49,15 +55,28 @@ def _settings(integrator: Any) -> str:
     if (groups := integrator.getIntegrationForceGroups()) != _EVERY_GROUP:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
-        text += f", {integrator.getScheme().name}, {integrator.getRotor()}"
+        scheme = integrator.getScheme()
+        text += f", {scheme.name}, {integrator.getRotor()}"
+        if CATALOGUE.get(scheme.name) != scheme:  # of one's own, or with the bath within it
+            text += f", {_hash(repr(astuple(scheme)).encode())}"
         if (nesting := integrator.getNesting()) is None:
             text += ", nothing nested"
         elif nesting.certain:  # else System and step decide
             inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
             text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
+    else:
+        text += f", {_hash(_settings_of_openmm(integrator))}"
     if isinstance(integrator, ThermostattedIntegrator):
         text += "".join(f", {name} {value}" for name, value in integrator.getBathSettings().items())
     return text
+
+
+def _settings_of_openmm(integrator: openmm.Integrator) -> bytes:
+    """Return what an integrator of OpenMM is, without the numbers that its steps change."""
+    tree = ElementTree.fromstring(openmm.XmlSerializer.serialize(integrator))
+    for variables in (*tree.iter("GlobalVariables"), *tree.iter("PerDofVariables")):
+        variables.clear()
+    return ElementTree.tostring(tree)
 
 
 def _hash(content: bytes) -> str:

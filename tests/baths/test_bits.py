@@ -175,3 +175,77 @@ def test_a_step_takes_the_forces_of_its_word():
         assert simulation.context.getStepCount() == 20
         assert integrator.forceEvaluationsPerStep == evaluations // 20
         assert integrator.getScheme().name == scheme
+
+
+@pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
+def test_a_state_that_is_set_again_goes_on_with_other_noise_and_a_checkpoint_with_the_same(maker):
+    run = droplet_of(seeded(maker))
+    run.integrator.step(6)
+    state = run.context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    checkpoint = run.context.createCheckpoint()
+    ends = []
+    for take_back in (
+        lambda: None,
+        lambda: run.context.setState(state),
+        lambda: run.context.setState(state),
+        lambda: run.context.loadCheckpoint(checkpoint),
+        lambda: run.context.loadCheckpoint(checkpoint),
+    ):
+        take_back()
+        run.integrator.step(20)
+        ends.append(snapshot(run))
+    assert len(set(ends)) == 3
+    assert ends[0] == ends[3] == ends[4]
+
+
+def test_noise_of_a_step_count_that_was_set_back_is_new_and_repeats_itself_in_a_new_run():
+    ends = []
+    for _ in range(2):
+        run = droplet_of(seeded(langevin))
+        start = run.context.getState(positions=True, velocities=True)
+        for _ in range(2):
+            run.context.setPositions(start.getPositions())
+            run.context.setVelocities(start.getVelocities())
+            run.context.setStepCount(0)
+            run.integrator.step(20)
+            ends.append(snapshot(run))
+    assert ends[0] != ends[1]
+    assert ends[:2] == ends[2:]
+
+
+def test_runs_with_seeds_of_their_own_differ_though_they_begin_with_one_state():
+    first = droplet_of(langevin())
+    first.integrator.step(5)
+    state = first.context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    ends = []
+    for seed in (11, 22):
+        run = droplet_of(seeded(langevin, seed))
+        run.context.setState(state)
+        run.integrator.step(20)
+        assert run.integrator.getSeedInUse() == seed
+        ends.append(snapshot(run))
+    assert ends[0] != ends[1]
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "State"])
+@pytest.mark.parametrize("before", MAKERS)
+def test_integrators_of_other_kinds_go_on_from_it(before, kind):
+    """Constant temperature hands over to constant energy, and none takes numbers of another one for its own."""
+    run = droplet_of(seeded(MAKERS[before]))
+    run.integrator.step(7)
+    if kind == "checkpoint":
+        saved = run.context.createCheckpoint()
+    else:
+        everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+        saved = openmm.XmlSerializer.serialize(run.context.getState(**everything))
+    alone = rb.ExactRigidBodyIntegrator(H, scheme="S2_2")
+    for integrator in (alone, MAKERS["rescaling"](), MAKERS["hybrid"](), langevin()):
+        other = droplet_of(integrator)
+        load(other, kind, saved)
+        assert snapshot(other) == snapshot(run)
+        if before != "hybrid" and isinstance(integrator, rb.ExactRigidBodyHybridIntegrator):
+            assert integrator.tally().proposed == 0
+        if before != "rescaling" and isinstance(integrator, rb.ExactRigidBodyRescalingIntegrator):
+            assert integrator.heat()._value == 0.0
+        other.integrator.step(2)
+        assert other.context.getStepCount() == 9

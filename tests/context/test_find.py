@@ -89,3 +89,44 @@ def test_drude_particles_are_refused_by_name():
     system.addForce(drude)
     with pytest.raises(ValueError, match=r"Drude particles \(4"):
         find_bodies(system, positions._value)
+
+
+OCTAHEDRON = 0.2 / np.sqrt(2.0) * np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def octahedron(scale, integrator):
+    """Return a Context of six particles, whose twelve edges of 0.2 nm are constrained: rigid, but not all distances."""
+    system = openmm.System()
+    for _ in range(6):
+        system.addParticle(10.0)
+    for i in range(6):
+        for j in range(i):
+            if i - j != 3:
+                system.addConstraint(i, j, 0.2)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(scale * OCTAHEDRON)
+    return context
+
+
+def edges(context):
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value
+    return [np.linalg.norm(x[i] - x[j]) for i in range(6) for j in range(i) if i - j != 3]
+
+
+def test_constraints_that_do_not_name_every_pair_give_the_shape():
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
+    context = octahedron(1.1, integrator)
+    with pytest.warns(rb.ShapeWarning, match="were put on them"):
+        integrator.step(2)
+    np.testing.assert_allclose(edges(context), 0.2, rtol=0.0, atol=1e-14)
+    context.setPositions(OCTAHEDRON)  # those of the constraints: nothing is warned of
+    integrator.step(2)
+    np.testing.assert_allclose(edges(context), 0.2, rtol=0.0, atol=1e-14)
+
+
+def test_positions_far_from_constraints_that_do_not_name_every_pair_are_refused():
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
+    context = octahedron(1.5, integrator)
+    with pytest.raises(ValueError, match=r"nm away from its shape, more than 0\.02 nm"):
+        integrator.step(2)
+    assert context.getStepCount() == 0

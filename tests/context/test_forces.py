@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
+from scipy.integrate import solve_ivp
 
 import openmm_exactrb as rb
 from few_dipoles import REFERENCE, simulation_of
@@ -109,3 +110,39 @@ def test_twins_of_forces_forget_nothing_of_each_other_and_groups_add_up():
     assert min(np.abs(part).max() for part in parts) > 1e-3
     np.testing.assert_allclose(sum(parts), here[0], rtol=0.0, atol=1e-12 * np.abs(here[0]).max())
     assert not forces.of(0b100)(state)[0].any()
+
+
+def strength_at(t):
+    return 300.0 * (1.0 + 0.5 * np.cos(40.0 * t))
+
+
+def end_under_a_force_of_time(scheme, n):
+    """Return where a particle is after n steps in 0.2 ps, whose force is a function of place and time."""
+
+    def force(state):
+        x, strength = state.getPositions(asNumpy=True)._value, strength_at(state.getTime()._value)
+        return 0.5 * strength * float((x**2).sum()), -strength * x
+
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addForce(openmm.PythonForce(force))
+    integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions([[0.1, 0.2, -0.1]])
+    integrator.step(n)
+    state = context.getState(positions=True)
+    assert context.getStepCount() == n
+    assert state.getTime()._value == pytest.approx(0.2, rel=1e-12)
+    return state.getPositions(asNumpy=True)._value[0]
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("V2", 2), ("V2_drift", 2), ("SRKN4_6b", 4), ("S6_10", 6)])
+def test_forces_that_depend_on_time_keep_the_order(scheme, order):
+    """Within a call of `step` too time goes on, with the drifts."""
+    start = [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]
+    equations = lambda t, y: [*y[3:], *(-strength_at(t) * y[:3])]  # noqa: E731
+    exact = solve_ivp(equations, (0.0, 0.2), start, method="DOP853", rtol=1e-13, atol=1e-15).y[:3, -1]
+    steps = {2: (64, 128), 4: (24, 48), 6: (12, 18)}[order]
+    errors = [np.abs(end_under_a_force_of_time(scheme, n) - exact).max() for n in steps]
+    measured = np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0])
+    assert measured == pytest.approx(order, abs=0.3), errors

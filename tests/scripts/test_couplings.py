@@ -135,3 +135,36 @@ def test_bodies_named_by_hand_are_minimised_as_rigid_ones():
     assert simulation.context.getState(energy=True).getPotentialEnergy()._value < before - 10.0
     after = np.linalg.norm(np.diff(coordinates(simulation).reshape(-1, 3, 3), axis=1), axis=2)
     np.testing.assert_allclose(after, lengths, atol=2e-4)
+
+
+@pytest.mark.parametrize("fast", [None, "bonded"])
+def test_a_barostat_moves_particles_without_mass_as_openmm_does(fast):
+    """A molecule of a frozen and a moving atom keeps its bond, and the Context the energy that was decided on."""
+    system = openmm.System()
+    system.setDefaultPeriodicBoxVectors(*(3.0 * np.eye(3)))
+    for mass in (0.0, 12.0, 40.0, 40.0):
+        system.addParticle(mass)
+    bond = openmm.HarmonicBondForce()
+    bond.addBond(0, 1, 0.15, 2e5)
+    system.addForce(bond)
+    pairs = openmm.NonbondedForce()
+    pairs.setNonbondedMethod(pairs.CutoffPeriodic)
+    pairs.setCutoffDistance(0.5)
+    for _ in range(4):
+        pairs.addParticle(0.0, 0.3, 0.1)
+    pairs.addException(0, 1, 0.0, 1.0, 0.0)
+    system.addForce(pairs)
+    barostat = openmm.MonteCarloBarostat(5 * BAR, 300 * KELVIN, 1)
+    barostat.setRandomNumberSeed(2)
+    system.addForce(barostat)
+    integrator = rb.ExactRigidBodyIntegrator(1e-7, scheme="V2", fast=fast)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions([[2.5, 2.5, 2.5], [2.65, 2.5, 2.5], [1.0, 1.0, 1.0], [1.0, 2.0, 1.5]])
+    frozen = set()
+    for _ in range(40):
+        integrator.step(1)
+        state = context.getState(positions=True, energy=True)
+        x = state.getPositions(asNumpy=True)._value
+        assert abs(x[1, 0] - x[0, 0] - 0.15) < 1e-9
+        frozen.add(float(x[0, 0]))
+    assert len(frozen) > 3

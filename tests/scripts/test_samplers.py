@@ -84,3 +84,15 @@ def test_replica_exchange():
     assert sorted(sampler.replicaStateIndex) == [0, 1, 2]
     assert misfit(simulation) < 1e-6
     assert np.isfinite(simulation.integrator.totalEnergy()._value)
+
+
+@pytest.mark.skipif(not hasattr(app, "ReplicaExchangeSampler"), reason="this OpenMM has no ReplicaExchangeSampler")
+def test_replicas_have_noise_of_their_own():
+    """They begin at the same step with the same State, as many trajectories of one process may."""
+    simulation = water(rb.ExactRigidBodyLangevinIntegrator(300 * unit.kelvin, 5 / unit.picosecond, 4 * FEMTOSECONDS))
+    quietly(simulation.step, 5)
+    sampler = app.ReplicaExchangeSampler([{"temperature": t * unit.kelvin} for t in (300, 300, 300)], simulation, 10)
+    sampler.simulate(1)
+    x = [state.getPositions(asNumpy=True)._value for state in sampler.replicaConformation]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert np.abs(x[i] - x[j]).max() > 1e-3
