@@ -13,7 +13,7 @@ from openmm_exactrb.files import written_whole
 #: Name of the file.
 CHECKPOINT = "checkpoint"
 #: What a file begins with: another format is refused.
-FORMAT = b"2"
+FORMAT = b"3"
 
 _MAGIC = b"openmm-exactrb checkpoint"
 
