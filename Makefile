@@ -12,10 +12,10 @@ run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest -n auto $(ARGS)
 
 lowest: $(LOWEST)/.test
-	$(LOWEST)/bin/python -m pytest -n auto --dist loadgroup -W ignore::DeprecationWarning $(ARGS)
+	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check
@@ -36,7 +36,7 @@ linkcheck: $(VENV)/.docs
 	$(BIN)/python -m sphinx --quiet -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
 
 validate: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto --dist loadgroup --validate $(ARGS)
+	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
 	$(BIN)/python benchmarks/rotor_cost.py
