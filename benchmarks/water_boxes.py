@@ -121,11 +121,12 @@ def write(rows: list[list], file: Path) -> None:
         table = csv.writer(out)
         table.writerow(["model", "forces_per_ps", "method", "starts", "failed", *names])
         table.writerows([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows)
-    verlet = {tuple(row[:2]): row[-2] for row in rows if row[2] == VERLET}
-    for row in rows:
-        model, rate, method, starts, failed, *numbers = row
-        shown = ", ".join(f"{std:.2e} in {w:g} ps" for std, w in zip(numbers[::2], WINDOWS, strict=True))
-        times = verlet[model, rate] / numbers[-2]
+    verlet = {tuple(row[:2]): row[5::2] for row in rows if row[2] == VERLET}
+    for model, rate, method, starts, failed, *numbers in rows:
+        measured = [(std, theirs, w) for std, theirs, w in zip(numbers[::2], verlet[model, rate], WINDOWS, strict=True)]
+        measured = [one for one in measured if np.isfinite(one[0])]
+        shown = ", ".join(f"{std:.2e} in {w:g} ps" for std, _, w in measured)
+        times = measured[-1][1] / measured[-1][0] if measured else np.nan
         print(f"{model} {rate:g} per ps {method}: {shown}, {times:.1f} times less ({starts} starts, {failed} failed)")
 
 
