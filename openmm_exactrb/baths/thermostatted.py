@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import secrets
+import weakref
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import openmm
 from openmm import unit
@@ -16,7 +16,7 @@ from openmm_exactrb.baths import words
 from openmm_exactrb.checks import whole
 from openmm_exactrb.context import account
 from openmm_exactrb.context.couplings import refuse_other_baths
-from openmm_exactrb.context.host import Plan
+from openmm_exactrb.context.host import Host, Plan
 from openmm_exactrb.context.letters import Maker, Parts
 from openmm_exactrb.context.units import gas_constant_times, kelvin
 from openmm_exactrb.device.choice import Engine
@@ -31,26 +31,6 @@ from openmm_exactrb.schemes.word import BATH
 
 _SEEDS = 2**31  # those of OpenMM that are not negative
 _STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
-
-
-class Moment(NamedTuple):
-    """Where a call of `step` has left the noise.
-
-    Attributes
-    ----------
-    session : object
-        Of the Context.
-    loads : int
-        How many checkpoints were loaded there.
-    key : int
-        What the noise is looked up by, beside the step.
-    step : int
-    """
-
-    session: object
-    loads: int
-    key: int
-    step: int
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
@@ -92,7 +72,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self.setTemperature(temperature)
         self._around: tuple[State, State] | None = None  # before and after the last bath letter
         self._left: State | None = None  # what the last call of `step` ended with
-        self._last: Moment | None = None  # where in the noise it did
+        self._drew, self._streams = False, 0  # whether there was noise, and the last of its streams
 
     def getTemperature(self) -> unit.Quantity:
         """Return the temperature of the bath."""
@@ -120,6 +100,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             raise ValueError(f"the seed must be below 2^31, not {seed}")
         super().setRandomNumberSeed(int(seed))
         account.write(self, account.SEED, int(seed))
+        account.write(self, account.STREAM, 0)
+        self._streams = 0
 
     def getSeedInUse(self) -> int:
         """Return the seed that the noise has: the one that was asked for, else that of a checkpoint or the drawn one.
@@ -135,10 +117,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def step(self, steps: int) -> None:
         """Advance the bodies by this many steps; see `ExactRigidBodyIntegrator.step`."""
         self._around = self._left = None  # so that no steps, or one that fails, leave none
-        try:
-            super().step(steps)
-        finally:
-            self._last = self._moment()
+        super().step(steps)
         self._left = None if self._engine.on_device else self._present().session.state
 
     def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
@@ -181,7 +160,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def _plan(self, context: openmm.Context) -> Plan:
         refuse_other_baths(context, self._temperature)
         account.write(self, account.SEED, self.getSeedInUse() or 1 + secrets.randbelow(_SEEDS - 1))
-        self._part_streams()
+        self._drew = True
         makers = {**self._makers, **self._own_makers()}
         kT, tallies = gas_constant_times(self._temperature), account.Account(self, self.tallies)
         return Plan(self._steps(), makers, kT, tallies, self._numbers(), self._key(), self.getScheme())
@@ -190,25 +169,24 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """Return what the noise is looked up by beside the step: the seed, and which of its streams."""
         return self.getSeedInUse() + _SEEDS * int(account.read(self, account.STREAM))
 
-    def _moment(self) -> Moment | None:
-        """Return where in the noise the Context is, None where there is none yet."""
-        if self._host is None or self._host.session.outdated:
-            return None
-        session = self._host.session
-        return Moment(session, session.loads, self._key(), session.context.getStepCount())
-
     def _part_streams(self) -> None:
-        """Take a stream of noise that nothing had before, if the Context was taken elsewhere since the last call.
+        """Have noise that nothing had before, where a State or a step count takes a run elsewhere that had some.
 
-        A checkpoint is what a run goes on from, so that its noise is wanted again. A State may be one of many that
-        begin at the same step.
+        A checkpoint is what a run goes on from: it has the number of its stream, and brings the noise back.
         """
-        last, now = self._last, self._moment()
-        if last is None or now is None or last == now or last[:2] != now[:2] or (last.key - now.key) % _SEEDS:
-            return
-        address = f"{last.key} {last.step} {now.key} {now.step}".encode()
-        stream = int.from_bytes(hashlib.sha256(address).digest()[:8], "little")
-        account.write(self, account.STREAM, 1 + stream % (_STREAMS - 1))
+        if self._drew:
+            self._streams = 1 + max(self._streams, int(account.read(self, account.STREAM)))
+            account.write(self, account.STREAM, self._streams % _STREAMS)
+
+    def _present(self) -> Host:
+        present, reference = super()._present(), weakref.WeakMethod(self._part_streams)
+
+        def part_streams() -> None:
+            if (part := reference()) is not None:
+                part()
+
+        present.session.taken_elsewhere = part_streams
+        return present
 
     def _numbers(self) -> Mapping[str, float]:
         """Return what a program on a device is told of the bath."""

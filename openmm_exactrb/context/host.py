@@ -100,8 +100,7 @@ class Host:
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
-        kinetic, slow, follow = self._split(plan, forces, guard, h)
-        kinetic = replace(kinetic, drift=clock.along(kinetic.drift))
+        kinetic, slow, follow = self._split(plan, forces, guard, clock, h)
         parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
@@ -124,12 +123,15 @@ class Host:
             account.close()
             session.publish()
 
-    def _split(self, plan: Plan, forces: Forces, guard: Guard, h: float) -> tuple[Kinetic, Kicks, Callable[[], None]]:
+    def _split(
+        self, plan: Plan, forces: Forces, guard: Guard, clock: Clock, h: float
+    ) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts and kicks, with what is nested in the drifts, and what keeps up with the Context."""
         splitting = plan.splitting or plan.scheme
         if self.inner is None or not self.inner.nested.acts(splitting, h, LETTERS.items() <= plan.makers.items()):
-            return self.kinetic, forces, lambda: None
-        return self.inner.split(self.session, self.kinetic, forces, guard, splitting, h / plan.splits)
+            return replace(self.kinetic, drift=clock.along(self.kinetic.drift)), forces, lambda: None
+        options = forces, guard, splitting, h / plan.splits, clock.along
+        return self.inner.split(self.session, self.kinetic, *options)
 
     def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
         """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""

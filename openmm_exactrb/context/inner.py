@@ -53,7 +53,14 @@ class Inner:
         self._free = rigid(bodies.mass, timings.of_rotor(rotor_of_sums(rotor, bodies.inertia)), rotor.order)
 
     def split(
-        self, session: Session, kinetic: Kinetic, forces: Forces, guard: Guard, splitting: Scheme, h: float
+        self,
+        session: Session,
+        kinetic: Kinetic,
+        forces: Forces,
+        guard: Guard,
+        splitting: Scheme,
+        h: float,
+        along: Callable[[Flow[State]], Flow[State]],
     ) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts with the nested forces in them, what is left for kicks, and what keeps up with the Context.
 
@@ -69,17 +76,20 @@ class Inner:
             Whose drifts they are.
         h : float
             Its step in ps.
+        along : callable
+            along(drift) -> a drift with which the time of the Context goes on.
         """
+        in_context = self._own is None  # whether nested forces are those of the Context, which may look at its time
         fast, slow, follow = self._sides(session, forces)
         drift = nested_drift(
             self._others(kinetic),
             self._portion,
-            self._kinetic.drift,
+            along(self._kinetic.drift) if in_context else self._kinetic.drift,
             guard.bearable(self._portion.bodies, kick(fast)),
             self.nested.inner(splitting).word,
             self.nested.repetitions(splitting, h),
         )
-        return replace(kinetic, drift=drift), slow, follow
+        return replace(kinetic, drift=drift if in_context else along(drift)), slow, follow
 
     def _others(self, kinetic: Kinetic) -> Flow[State] | None:
         """Return a drift of all bodies that is right for the others: mostly none of them is of a cluster."""

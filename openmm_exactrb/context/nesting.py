@@ -153,7 +153,7 @@ class Nested:
                 f"scheme {outer.name} kicks force groups by themselves ({', '.join(groups)}), which may have bonded "
                 "forces in them: name what is nested by a group that no letter kicks, such as fast=(7,)"
             )
-        twice = [letter for letter in groups if self.bits >> int(letter[1:]) & 1]
+        twice = [letter for letter in groups if letter[1:].isdecimal() and self.bits >> int(letter[1:]) & 1]
         if twice:
             raise ValueError(
                 f"scheme {outer.name} kicks by itself what is nested in its drifts ({', '.join(twice)}), which would "

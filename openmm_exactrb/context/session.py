@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,12 @@ class Session:
         self._x, self._v = x.copy(), v.copy()  # what is handed to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
-        self._outdated, self._loaded = _watched(context, "reinitialize"), _watched(context, "loadCheckpoint")
+        self._outdated = False
+        #: Called when a user has set a State or a step count.
+        self.taken_elsewhere: Callable[[], None] = lambda: None
+        _watch(context, "reinitialize", self._outlive)
+        for name in ("setState", "setStepCount"):
+            _watch(context, name, lambda: self.taken_elsewhere())
 
     @property
     def context(self) -> Any:
@@ -66,12 +71,10 @@ class Session:
     @property
     def outdated(self) -> bool:
         """Whether the Context is gone, or was reinitialised since: masses, constraints and forces may be others."""
-        return self.context is None or bool(self._outdated)
+        return self.context is None or self._outdated
 
-    @property
-    def loads(self) -> int:
-        """How many checkpoints were loaded into the Context."""
-        return len(self._loaded)
+    def _outlive(self) -> None:
+        self._outdated = True
 
     @property
     def particles(self) -> Array:
@@ -169,16 +172,16 @@ def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:
     return np.flatnonzero(different)
 
 
-def _watched(context: openmm.Context, name: str) -> list[bool]:
-    """Return a list that gets an entry when a method of the Context is called, since OpenMM does not tell."""
-    noticed: list[bool] = []
+def _watch(context: openmm.Context, name: str, notice: Callable[[], None]) -> None:
+    """Have it noticed when a method of the Context was called, since OpenMM does not tell."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 
     @functools.wraps(method)
     def noticing(*arguments: Any, **options: Any) -> None:
-        noticed.append(True)
-        method(reference(), *arguments, **options)
+        try:
+            method(reference(), *arguments, **options)
+        finally:
+            notice()
 
     setattr(context, name, noticing)
-    return noticed

@@ -17,8 +17,10 @@ Indices = NDArray[np.intp]
 
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10
-# Iterations for positions on constraints, and how much these may be missed by (nm).
-_NEWTON, _REACHED = 30, 1e-11
+# How much the distances of a body may be missed by, as a part of the largest: files round them.
+_MISFIT = 1e-5
+# Iterations for positions on constraints, and the move at which they end, as a part of the longest constraint.
+_NEWTON, _AT_REST = 50, 1e-15
 
 
 def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
@@ -38,7 +40,8 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
 def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
     """Return positions (n_particles, 3) that are moved as little as constraints want, in the metric of the masses.
 
-    Newton's method from the positions that are given; those of bodies without constraints stay.
+    Newton's method from the positions that are given; those of bodies without constraints stay. Where constraints
+    follow from each other but for their rounding, they are missed by as little as can be, as least squares.
 
     Raises
     ------
@@ -57,9 +60,12 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
         pushes = gradients / masses[:, None]
         inverse = np.linalg.pinv(np.einsum("ncki,ndki->ncd", gradients, pushes), hermitian=True, rcond=1e-12)
         excess = 0.5 * ((apart**2).sum(axis=2) - lengths**2)
-        X = X - np.einsum("ncd,nd,ncki->nki", inverse, excess, pushes)
+        move = np.einsum("ncd,nd,ncki->nki", inverse, excess, pushes)
+        X = X - move
+        if np.abs(move).max() <= _AT_REST * lengths.max():
+            break
     missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1, initial=0.0)
-    bad = ~(missed <= _REACHED)
+    bad = ~(missed <= _MISFIT * lengths.max(initial=0.0))
     if bad.any():
         names = ", ".join(map(str, particles[np.argmax(bad)]))
         raise ValueError(
@@ -146,7 +152,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     spread[spread < _FLAT * spread[0]] = 0.0
     sites = axes * np.sqrt(spread) / root[:, None]
     misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
-    if misfit > 1e-5 * distances.max() or not spread[0] > 0.0:
+    if misfit > _MISFIT * distances.max() or not spread[0] > 0.0:
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
             f"a distance is missed by {misfit:.2g} nm"

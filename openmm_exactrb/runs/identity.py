@@ -51,7 +51,9 @@ def identity_of(simulation: Any) -> dict[str, str]:
 
 
 def _settings(integrator: Any) -> str:
-    text = f"{type(integrator).__name__}, step {integrator.getStepSize().value_in_unit(unit.picosecond)!r} ps"
+    text = type(integrator).__name__
+    if not text.startswith("Variable"):  # whose steps change the size of steps
+        text += f", step {integrator.getStepSize().value_in_unit(unit.picosecond)!r} ps"
     if (groups := integrator.getIntegrationForceGroups()) != _EVERY_GROUP:
         text += f", force groups {groups & 0xFFFFFFFF:#b}"
     if isinstance(integrator, ExactRigidBodyIntegrator):
@@ -74,7 +76,11 @@ def _settings(integrator: Any) -> str:
 def _settings_of_openmm(integrator: openmm.Integrator) -> bytes:
     """Return what an integrator of OpenMM is, without the numbers that its steps change."""
     tree = ElementTree.fromstring(openmm.XmlSerializer.serialize(integrator))
-    for variables in (*tree.iter("GlobalVariables"), *tree.iter("PerDofVariables")):
+    tree.attrib.pop("stepSize", None)
+    computed = {computation.get("computationVariable") for computation in tree.iter("Computation")}
+    for variables in tree.iter("GlobalVariables"):
+        variables[:] = [variable for variable in variables if variable.get("name") not in computed]
+    for variables in tree.iter("PerDofVariables"):
         variables.clear()
     return ElementTree.tostring(tree)
 

@@ -12,6 +12,7 @@ import pytest
 
 import openmm_exactrb as rb
 from bathed import droplet_of, molecules, simulation_of, snapshot
+from openmm_exactrb.context import account
 
 H = 0.01
 
@@ -249,3 +250,58 @@ def test_integrators_of_other_kinds_go_on_from_it(before, kind):
             assert integrator.heat()._value == 0.0
         other.integrator.step(2)
         assert other.context.getStepCount() == 9
+
+
+def test_noise_is_another_one_after_each_of_many_states():
+    run = droplet_of(seeded(langevin))
+    run.integrator.step(1)
+    streams = {account.read(run.integrator, account.STREAM)}
+    for _ in range(5000):
+        run.context.setStepCount(1)
+        streams.add(account.read(run.integrator, account.STREAM))
+    assert len(streams) == 5001
+
+
+def test_a_checkpoint_before_the_first_step_has_the_noise_that_follows():
+    """A run that a script sets back to step 0 after its equilibration, killed before its second checkpoint."""
+    run = droplet_of(seeded(langevin))
+    run.integrator.step(20)
+    run.context.setStepCount(0)
+    checkpoint = run.context.createCheckpoint()
+    ends = []
+    for _ in range(2):
+        run.integrator.step(20)
+        ends.append(snapshot(run))
+        run.context.loadCheckpoint(checkpoint)
+    assert ends[0] == ends[1]
+    run.integrator.temperatures()
+    run.context.reinitialize(preserveState=True)
+    run.integrator.step(20)
+    assert snapshot(run) == ends[0]
+
+
+def test_a_run_that_begins_anew_after_equilibration_is_resumed_with_the_same_bits(tmp_path):
+    ends = []
+    for folder, stops in (("whole", [30]), ("parts", [0, 10, 30])):
+        for until in stops:
+            run = rb.Run(tmp_path / folder, resume=True)
+            run.add_reporter(rb.EnergyReporter, "energies.csv", 10)
+            simulation = droplet_of(seeded(langevin))
+            if not run.resuming:
+                simulation.step(20)
+                simulation.currentStep = 0
+            run.advance(simulation, until)
+        ends.append(snapshot(simulation))
+    assert ends[0] == ends[1]
+
+
+def test_a_seed_that_is_set_begins_its_noise_anew():
+    run = droplet_of(langevin())
+    state = run.context.getState(positions=True, velocities=True)
+    ends = []
+    for seed in (7, 7, 8, 7):
+        run.context.setState(state)
+        run.integrator.setRandomNumberSeed(seed)
+        run.integrator.step(4)
+        ends.append(snapshot(run))
+    assert ends[0] == ends[1] == ends[3] != ends[2]

@@ -130,3 +130,25 @@ def test_positions_far_from_constraints_that_do_not_name_every_pair_are_refused(
     with pytest.raises(ValueError, match=r"nm away from its shape, more than 0\.02 nm"):
         integrator.step(2)
     assert context.getStepCount() == 0
+
+
+@pytest.mark.parametrize("digits", [7, 9, 17])
+def test_redundant_constraints_may_be_rounded(digits):
+    """A distorted cube held by 24 of its 28 distances, four of which follow from the others but for rounding."""
+    x = 0.2 * np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
+    x += 0.01 * np.random.default_rng(3).normal(size=x.shape)
+    system = openmm.System()
+    for _ in range(8):
+        system.addParticle(12.0)
+    for i in range(8):
+        for j in range(i):
+            if i + j != 7:
+                system.addConstraint(i, j, round(float(np.linalg.norm(x[i] - x[j])), digits))
+    bodies = find_bodies(system, x)
+    assert (len(bodies), bodies.n_turning) == (1, 1)
+    sites = bodies.kinds[0].sites[0]
+    for i in range(8):
+        for j in range(i):
+            assert np.linalg.norm(sites[i] - sites[j]) == pytest.approx(
+                np.linalg.norm(x[i] - x[j]), abs=10.0**-digits + 1e-13
+            )

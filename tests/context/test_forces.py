@@ -116,8 +116,11 @@ def strength_at(t):
     return 300.0 * (1.0 + 0.5 * np.cos(40.0 * t))
 
 
-def end_under_a_force_of_time(scheme, n):
-    """Return where a particle is after n steps in 0.2 ps, whose force is a function of place and time."""
+def end_under_a_force_of_time(scheme, n, **nested):
+    """Return where a particle is after n steps in 0.2 ps, whose force is a function of place and time.
+
+    Beside it, in a group of its own, is a constant force of a trap.
+    """
 
     def force(state):
         x, strength = state.getPositions(asNumpy=True)._value, strength_at(state.getTime()._value)
@@ -125,8 +128,12 @@ def end_under_a_force_of_time(scheme, n):
 
     system = openmm.System()
     system.addParticle(1.0)
-    system.addForce(openmm.PythonForce(force))
-    integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme)
+    of_time, trap = openmm.PythonForce(force), openmm.CustomExternalForce("100*(x^2+y^2+z^2)")
+    of_time.setForceGroup(1)
+    trap.addParticle(0)
+    system.addForce(of_time)
+    system.addForce(trap)
+    integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme, **nested)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions([[0.1, 0.2, -0.1]])
     integrator.step(n)
@@ -136,13 +143,14 @@ def end_under_a_force_of_time(scheme, n):
     return state.getPositions(asNumpy=True)._value[0]
 
 
+@pytest.mark.parametrize("nested", [{}, {"fast": (1,), "inner": "S6_10", "innerSteps": 4}], ids=["plain", "nested"])
 @pytest.mark.parametrize(("scheme", "order"), [("V2", 2), ("V2_drift", 2), ("SRKN4_6b", 4), ("S6_10", 6)])
-def test_forces_that_depend_on_time_keep_the_order(scheme, order):
+def test_forces_that_depend_on_time_keep_the_order(scheme, order, nested):
     """Within a call of `step` too time goes on, with the drifts."""
     start = [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]
-    equations = lambda t, y: [*y[3:], *(-strength_at(t) * y[:3])]  # noqa: E731
+    equations = lambda t, y: [*y[3:], *(-(strength_at(t) + 200.0) * y[:3])]  # noqa: E731
     exact = solve_ivp(equations, (0.0, 0.2), start, method="DOP853", rtol=1e-13, atol=1e-15).y[:3, -1]
     steps = {2: (64, 128), 4: (24, 48), 6: (12, 18)}[order]
-    errors = [np.abs(end_under_a_force_of_time(scheme, n) - exact).max() for n in steps]
+    errors = [np.abs(end_under_a_force_of_time(scheme, n, **nested) - exact).max() for n in steps]
     measured = np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0])
     assert measured == pytest.approx(order, abs=0.3), errors

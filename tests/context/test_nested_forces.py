@@ -500,3 +500,20 @@ def test_a_group_that_a_letter_kicks_is_not_nested_too():
     integrator, _ = moving(system, places, 0.001, groups, fast=(1,), innerSteps=2)
     with pytest.raises(ValueError, match=r"kicks by itself what is nested in its drifts \(B1\).*act twice"):
         integrator.step(1)
+
+
+def test_letters_of_ones_own_may_have_any_name():
+    system = openmm.System()
+    system.addParticle(1.0)
+    force = openmm.CustomExternalForce("50*x^2")
+    force.addParticle(0)
+    system.addForce(force)
+    bond = openmm.HarmonicBondForce()
+    system.addParticle(1.0)
+    bond.addBond(0, 1, 0.1, 1e4)
+    system.addForce(bond)
+    scheme = rb.schemes.Scheme("own", 2, (("Bx", 0.5), ("A", 1.0), ("Bx", 0.5)))
+    integrator, context = moving(system, [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]], 0.001, scheme)
+    integrator.addLetter("B", lambda parts, letters: {letter: lambda state, tau: state for letter in letters})
+    integrator.step(1)
+    assert context.getStepCount() == 1

@@ -122,6 +122,7 @@ def own_scheme(weight):
     ("make_integrator", "values"),
     [
         (lambda T: openmm.LangevinMiddleIntegrator(T, 1.0, 0.005), (30, 60)),
+        (lambda T: openmm.MTSLangevinIntegrator(T, 1.0, 0.005, [(0, 1)]), (30, 60)),
         (lambda w: rb.ExactRigidBodyIntegrator(0.005, scheme=own_scheme(w)), (0.19, 0.3)),
     ],
 )
