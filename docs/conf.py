@@ -127,8 +127,9 @@ def equipartition_tables() -> dict[str, str]:
             ("densities", "density", "NPT"),
         )
     }
-    frictions = {f"{model}_frictions": over_frictions(record, model, 6.0) for model in models}
-    return tables | frictions | {"equipartition_goals": over_goals(record), "equipartition_models": over_models(record)}
+    tables |= {f"{model}_frictions": over_frictions(record, model, 6.0) for model in models}
+    tables |= {f"{model}_goals": over_goals(record, model) for model in models}
+    return tables | {"equipartition_models": over_models(record)}
 
 
 myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()

@@ -42,7 +42,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         translation and rotation of rigid water were within a kelvin of each other (SPC/E, TIP4P/2005; friction 5/ps).
         "W2_4g" takes four, up to 4 fs per force, and has the potential energy right too. "BAOA", the splitting of
         LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one; with a friction of 30/ps BAOA had temperatures and
-        potential energy of SPC/E right at 6 fs per force.
+        potential energy of both right at 6 fs per force.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
