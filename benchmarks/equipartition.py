@@ -30,7 +30,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from equipartition_record import FRICTION, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
+from equipartition_record import FRICTION, GOALS, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
 from openmm_exactrb import ensemble
 from openmm_exactrb.baths.words import splitting
 from openmm_exactrb.ensemble.store import Store
@@ -48,7 +48,6 @@ BURN = 5.0  # ps at the start of each run that are not counted
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g", "BAOA:30")  # with a friction of its own, in 1/ps, behind a colon
-GOALS = {"T_rot - T_tr": 1.0, "U": 0.03, "density": 1.0}  # K, kJ/mol per molecule, kg/m³ (0.1 %)
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {
@@ -302,7 +301,7 @@ def shade_goal(axes: plt.Axes, quantity: str, drawn: list[Point]) -> None:
     reference = [point.found[quantity][0] for point in drawn if point[2:5] == (LFM, 0.5, FRICTION)]
     middles = [0.0] if quantity.startswith("T_rot") else reference
     for middle in middles:
-        reach = GOALS[quantity]
+        reach = GOALS[quantity] * (middle / 100.0 if quantity == "density" else 1.0)
         axes.axhspan(middle - reach, middle + reach, color="0.87", lw=0.0, label=f"goal, about 0 or {LFM} at 0.5 fs")
 
 
