@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from openmm_exactrb.files import written_whole
 #: Name of the file.
 CHECKPOINT = "checkpoint"
 #: What a file begins with: another format is refused.
-FORMAT = b"3"
+FORMAT = b"4"
 
 _MAGIC = b"openmm-exactrb checkpoint"
 
@@ -23,45 +23,87 @@ class Checkpoint(NamedTuple):
 
     Attributes
     ----------
-    step : int
+    step, first : int
+        Where it was written, and where the run began.
     wall : float
         Seconds that the run took up to here.
     timings : dict
         Of the integrator, by name.
     files : dict
         Length and first bytes, in hexadecimal, of each output file.
-    identity : dict
-        What must be the same for the run to be resumed, by name.
+    chapters : list of dict
+        What tells the run apart, by name: of each stretch of it that had other settings than the one before.
     state : bytes
         OpenMM's checkpoint.
     """
 
     step: int
+    first: int
     wall: float
     timings: dict[str, float]
     files: dict[str, tuple[int, str]]
-    identity: dict[str, str]
+    chapters: list[dict[str, str]]
     state: bytes
 
-    def refuse_others(self, identity: Mapping[str, str], file: Path) -> None:
-        """Raise ValueError if a run is not the one of this checkpoint, or files of it were cut since.
+    @property
+    def identity(self) -> dict[str, str]:
+        """What tells the last chapter apart, which is the one to go on with."""
+        return self.chapters[-1]
+
+    def chapter_of(self, identity: Mapping[str, str], after: int, file: Path) -> int:
+        """Return which chapter a run is in: the one that it was in before, or the next one.
 
         Parameters
         ----------
         identity : mapping
-            Of the run that is to go on.
+            Of the run.
+        after : int
+            The chapter that it was in.
         file : path
-            Of this checkpoint; the other files lie beside it.
+            Of this checkpoint, for the message.
+
+        Raises
+        ------
+        ValueError
+            If it is neither.
         """
-        for name in {**self.identity, **identity}:
-            there, here = self.identity.get(name, "not there"), identity.get(name, "not there")
-            if there != here:
-                raise ValueError(f"{file} is of another run: {name} is {there} in it, but {here} now")
+        possible = self.chapters[after : after + 2]
+        if identity not in possible:
+            nearest = min(possible, key=lambda there: len(_differing(there, identity)))
+            refuse_others(nearest, identity, file)
+        return after + possible.index(dict(identity))
+
+    def refuse_cut_files(self, folder: Path) -> None:
+        """Raise ValueError if an output file is shorter than it was."""
         for name, (length, _) in self.files.items():
-            other = file.with_name(name)
+            other = folder / name
             found = other.stat().st_size if other.exists() else 0
             if found < length:
                 raise ValueError(f"{other} has {found} bytes, but had {length} at the checkpoint: it was changed since")
+
+
+def refuse_others(
+    there: Mapping[str, str], here: Mapping[str, str], file: Path, names: Collection[str] | None = None
+) -> None:
+    """Raise ValueError if a run is not the one of a checkpoint.
+
+    Parameters
+    ----------
+    there, here : mapping
+        What tells the run of the checkpoint apart, and the one that is to go on.
+    file : path
+        Of the checkpoint, for the message.
+    names : collection of str, optional
+        What is looked at; everything unless given.
+    """
+    for name in _differing(there, here):
+        if names is None or name in names:
+            was, now = there.get(name, "not there"), here.get(name, "not there")
+            raise ValueError(f"{file} is of another run: {name} is {was} in it, but {now} now")
+
+
+def _differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
+    return [name for name in {**there, **here} if there.get(name) != here.get(name)]
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:

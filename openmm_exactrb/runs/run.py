@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NoReturn
@@ -25,7 +26,10 @@ from openmm_exactrb.runs.lock import only_process
 from openmm_exactrb.runs.options import IN_SCRIPT, Words
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
+from openmm_exactrb.runs.text import text_of
 
+# What all of a run has in common, whatever changes between two calls of advance().
+_COMMON = ("platform", "System", "bodies")
 # Steps between two looks at signals and the clock: as many as Simulation.step takes at once.
 _CHUNK = 10
 
@@ -57,7 +61,7 @@ class Run:
     FileExistsError
         If the folder holds an earlier run that is neither to be resumed nor to be overwritten.
     ValueError
-        If the checkpoint is damaged or of another version, or `every` is negative or no number.
+        If the checkpoint is damaged or of another version, `every` is negative or no number, or `settings` no mapping.
 
     Attributes
     ----------
@@ -83,9 +87,15 @@ class Run:
         self.folder = Path(folder)
         self._may_replace = overwrite
         self._words = words
-        self._settings = {f"setting {name}": str(value) for name, value in (settings or {}).items()}
+        if settings is not None and not isinstance(settings, Mapping):
+            raise ValueError(f"settings must be a mapping from names to values, not {settings!r}")
+        self._settings = {f"setting {name}": text_of(value) for name, value in (settings or {}).items()}
         self._outputs = Outputs(self.folder)
         self._last = checkpoint.read(self._file, words.overwrite) if resume and self._file.exists() else None
+        self._chapter = 0  # of those that the checkpoint has
+        self._chapters = self._last.chapters if self._last else []
+        self._first = self._last.first if self._last else 0
+        self._held = False
         self.resuming = self._last is not None
         self.wall = self._last.wall if self._last else 0.0
         for name in (CHECKPOINT, TOPOLOGY):
@@ -159,8 +169,11 @@ class Run:
         FileExistsError
             As `path` does.
         ValueError
-            If the interval is no whole number of at least 1, or the reporter takes no ``append=``.
+            If the interval is no whole number of at least 1, the reporter takes no ``append=``, or the file is that of
+            another reporter or of the run itself.
         """
+        if name in (CHECKPOINT, TOPOLOGY):
+            raise ValueError(f"{name} is a file of the run itself: give the reporter another one")
         self.path(name)
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
 
@@ -200,23 +213,24 @@ class Run:
         if not isinstance(simulation, app.Simulation):
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
         until = whole(until, "until, the number of the last step,", least=0)
-        tell, first = progress or (lambda steps: None), None if self.resuming else simulation.currentStep
+        tell = progress or (lambda steps: None)
         self._choose_engine(simulation.integrator)
-        identity = identity_of(simulation) | self._outputs.kinds() | self._settings
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with only_process(self.folder), Signals() as signals:
+        identity = self._identity_of(simulation)
+        with self.alone(), Signals() as signals:
+            begins, first = self._last is None, simulation.currentStep
             try:
-                self._begin(simulation, identity)
+                goes_on = self._begin(simulation, identity, until)
                 tell(simulation.currentStep)
-                self._step(simulation, until, tell, signals)
-                self._save(simulation)
+                if goes_on:
+                    self._step(simulation, until, tell, signals)
+                    self._save(simulation)
             except NonFiniteError as error:
                 self._save(simulation)
                 raise NonFiniteError(f"{error}. All before it is on disk: {self._files()}") from error
             except OSError as error:
                 self._explain(error)
             except Exception:
-                if simulation.currentStep == first:  # refused before the first step: the mended script finds no file
+                if begins and simulation.currentStep == first:  # refused before the first step: no file is left
                     self._forget()
                 raise
             finally:
@@ -224,26 +238,107 @@ class Run:
         if signals.caught:
             self._leave(simulation.currentStep, until, signals.caught)
 
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Keep all other processes out of the folder, for files that a script prepares there; `advance` does so itself.
+
+        Raises
+        ------
+        BlockingIOError
+            If another process is at work in the folder.
+        FileExistsError
+            If there is an earlier run by now that may neither be resumed nor overwritten.
+        ValueError
+            If another process went on with this run since.
+        """
+        if self._held:
+            yield
+            return
+        if self.folder.exists() and not self.folder.is_dir():
+            raise FileExistsError(f"{self.folder} is a file: choose another folder")
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with only_process(self.folder):
+            self._held = True
+            try:
+                self._look_again()
+                yield
+            finally:
+                self._held = False
+
+    def discard(self) -> None:
+        """Delete the files of an earlier run that is to be overwritten; nothing where the run goes on.
+
+        The checkpoint goes first, so that nobody resumes what is half gone.
+        """
+        if self._last is not None or not self._may_replace:
+            return
+        old: Iterable[str] = ()
+        with contextlib.suppress(ValueError, OSError):  # a damaged one is overwritten too
+            old = checkpoint.read(self._file).files
+        self._file.unlink(missing_ok=True)
+        for name in (*old, TOPOLOGY):
+            (self.folder / name).unlink(missing_ok=True)
+
+    @property
+    def settings(self) -> dict[str, str]:
+        """What must be the same for the run to be resumed, beside System, integrator, platform and reporters."""
+        return dict(self._settings)
+
     @property
     def _file(self) -> Path:
         return self.folder / CHECKPOINT
+
+    def _look_again(self) -> None:
+        """Take note of what other processes did in the folder before it was held."""
+        if self.resuming:
+            self._last = checkpoint.read(self._file, self._words.overwrite)
+            self._chapters, self._first, self.wall = self._last.chapters, self._last.first, self._last.wall
+        elif self._last is None:
+            for name in (CHECKPOINT, TOPOLOGY, *self._outputs.names):
+                self.path(name)
+        elif checkpoint.read(self._file).state != self._last.state:
+            raise ValueError(f"another process went on with the run in {self.folder}: go on with {self._again}")
 
     def _choose_engine(self, integrator: Any) -> None:
         """Have a run go on with the engine that it began with."""
         if self.resuming and self._last is not None and isinstance(integrator, ExactRigidBodyIntegrator):
             integrator.preferEngine(self._last.identity.get("engine", "host"))
 
-    def _begin(self, simulation: Any, identity: dict[str, str]) -> None:
-        """Load the checkpoint and cut the files back to it, or save the first one and begin the files."""
+    def _identity_of(self, simulation: Any) -> dict[str, str]:
+        files = {f"file {name}": kind for name, kind in self._outputs.kinds().items()}
+        return identity_of(simulation) | files | self._settings
+
+    def _begin(self, simulation: Any, identity: dict[str, str], until: int) -> bool:
+        """Begin the run or the next chapter of it, or load the checkpoint; return whether there is anything to do.
+
+        A script that calls `advance` more than once, with other settings each time, goes on with those of the chapter
+        that the checkpoint is of: the chapters before it are over.
+        """
         if self._last is None:
-            self._last = Checkpoint(0, 0.0, {}, {}, identity, b"")
+            self.discard()
+            self._first, self._chapters = simulation.currentStep, [identity]
             self._save(simulation)  # before there is a file: what is found beside a checkpoint is of its run
         elif self.resuming:
-            self._last.refuse_others(identity, self._file)
+            self._chapter = self._last.chapter_of(identity, self._chapter, self._file)
+            over = self._chapter < len(self._chapters) - 1
+            if over and until > self._last.step:
+                raise ValueError(
+                    f"{self._file} is of step {self._last.step}, but the run had other settings there than it has now "
+                    f"on its way to step {until}: bring it to the same steps as before"
+                )
+            if not over:
+                self._last.refuse_cut_files(self.folder)
             _load(simulation, self._last.state)
             _set_timings(simulation.integrator, self._last.timings)
+            if over:
+                return False
+        else:
+            checkpoint.refuse_others(self._last.identity, identity, self._file, _COMMON)
+            if identity != self._chapters[-1]:
+                self._chapters = [*self._chapters, identity]
         self.resuming = False
-        self._outputs.open(simulation, self._last.files)
+        self._outputs.open(simulation, self._last.files if self._last else {}, self._first)
+        return True
 
     def _forget(self) -> None:
         """Delete what a run wrote that has not made a step."""
@@ -266,12 +361,13 @@ class Run:
 
     def _save(self, simulation: Any) -> None:
         """Write all files through to the disk, then a checkpoint that knows their lengths."""
-        assert self._last is not None
-        present = self._last._replace(
+        present = Checkpoint(
             step=simulation.currentStep,
+            first=self._first,
             wall=self.wall,
             timings=_timings(simulation.integrator),
             files=self._outputs.secured(),
+            chapters=self._chapters,
             state=simulation.context.createCheckpoint(),
         )
         checkpoint.write(self._file, present)
@@ -287,7 +383,7 @@ class Run:
 
     def _explain(self, error: OSError) -> NoReturn:
         step = self._last.step if self._last else 0
-        self.resuming = True
+        self.resuming = self._last is not None
         raise OSError(
             f"{error.strerror or error} (writing to {self.folder}). The run is safe up to step {step}: "
             f"put it right and go on with {self._again}"

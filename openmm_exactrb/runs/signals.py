@@ -29,7 +29,7 @@ class Signals:
     def __enter__(self) -> Signals:
         if threading.current_thread() is threading.main_thread():  # no other one may set handlers
             for number in ENDING:
-                if signal.getsignal(number) != signal.SIG_IGN:
+                if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: what is not Python has it
                     self._before[number] = signal.signal(number, self._catch)
         return self
 

@@ -1,0 +1,45 @@
+"""What OpenMM's reporters of trajectories do not see to: the step of the first frame, and frames that a disk refused.
+
+Both need what these reporters keep to themselves.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from openmm import app
+
+
+def begin_with_the_start(reporter: Any, simulation: Any, first: int, interval: int, append: bool) -> None:
+    """Have the first frame of a trajectory be of this step: OpenMM's reporters take it for the one after it."""
+    about = simulation.integrator.getStepSize(), first, interval, append
+    if isinstance(reporter, app.DCDReporter):
+        reporter._dcd = app.DCDFile(reporter._out, _topology(reporter, simulation), *about)
+    if isinstance(reporter, app.XTCReporter):
+        reporter._xtc = app.XTCFile(reporter._fileName, _topology(reporter, simulation), *about)
+
+
+def _topology(reporter: Any, simulation: Any) -> app.Topology:
+    """Return a Topology of the atoms that a reporter writes."""
+    if reporter._atomSubset is None:
+        return simulation.topology
+    topology, atoms = app.Topology(), list(simulation.topology.atoms())
+    topology.setPeriodicBoxVectors(simulation.topology.getPeriodicBoxVectors())
+    residue = topology.addResidue("", topology.addChain())
+    for index in reporter._atomSubset:
+        topology.addAtom(atoms[index].name, atoms[index].element, residue)
+    return topology
+
+
+def refuse_lost_frames(reporter: Any, file: Path) -> None:
+    """Raise OSError if an XTC file lacks frames: OpenMM does not look whether the disk took them."""
+    if not isinstance(reporter, app.XTCReporter) or reporter._xtc._modelCount == 0:
+        return
+    written = reporter._xtc._modelCount
+    try:
+        found = reporter._xtc._getNumFrames()
+    except Exception:  # whatever it meets behind a frame that was cut off
+        found = None
+    if found != written:
+        raise OSError(f"{file} does not have all of its {written} frames, as on a disk that is full")
