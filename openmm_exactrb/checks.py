@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import reprlib
-from collections.abc import Iterable
+import sys
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 def number(value: Any, name: str, of: str = "") -> float:
@@ -42,19 +44,49 @@ def not_negative(value: Any, name: str, of: str = "") -> float:
 def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
     """Return a whole number of at least `least`; see `number`."""
     asked = f"a whole number{{}} of at least {least}"
-    return int(_checked(value, name, of, asked, lambda x: x == int(x) and x >= least))
+    _checked(value, name, of, asked, lambda x: x == int(x) and x >= least)
+    return int(value)
+
+
+def array(
+    value: Any, name: str, asked: str = "real numbers in rows of one length, without a unit"
+) -> NDArray[np.float64]:
+    """Return real numbers as an array of floats; they may be nan or infinite.
+
+    Parameters
+    ----------
+    value : array_like
+    name : str
+        What it is, for the message.
+    asked : str, optional
+        What it must be, for the message.
+
+    Raises
+    ------
+    ValueError
+        If it is complex, text, a Quantity, or in rows of different lengths.
+    """
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        given = np.asarray(value)
+        if given.dtype.kind == "O":
+            given = np.frompyfunc(float, 1, 1)(given)  # not None, of which numpy makes nan
+        if given.dtype.kind in "biufO" and not hasattr(value, "unit"):  # which numpy would drop
+            return given.astype(np.float64, copy=False)
+    raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")
 
 
 def lists_of_indices(value: Any, name: str) -> list[list[int]]:
-    """Return lists of numbers of particles as lists of int; see `number`."""
-    if not _iterable(value) or not all(_iterable(row) and all(map(_index, row)) for row in value):
+    """Return lists of numbers of particles as lists of int; iterators are walked once. See `number`."""
+    rows = [list(row) if _iterable(row) else None for row in value] if _iterable(value) else [None]
+    fits = [row for row in rows if row is not None and all(map(_index, row))]
+    if len(fits) < len(rows):
         given = reprlib.repr(value)
         raise ValueError(f"{name} must be lists of numbers of particles, such as [[0, 1, 2], [3, 4, 5]], not {given}")
-    return [list(map(int, row)) for row in value]
+    return [list(map(int, row)) for row in fits]
 
 
 def _iterable(value: Any) -> bool:
-    return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
+    return np.iterable(value) and not isinstance(value, (str, bytes))
 
 
 def _index(value: Any) -> bool:
@@ -63,6 +95,19 @@ def _index(value: Any) -> bool:
 
 def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
-    if not plain or not math.isfinite(value) or not fits(value):
-        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {value!r}")
+    if not plain or not _finite(value) or not fits(value):
+        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {_shown(value)}")
     return float(value)
+
+
+def _finite(value: Any) -> bool:
+    return not _beyond(value) and math.isfinite(value)
+
+
+def _beyond(value: Any) -> bool:
+    """Tell whether a value is an int larger than all floats."""
+    return isinstance(value, int) and abs(value) > sys.float_info.max
+
+
+def _shown(value: Any) -> str:
+    return f"one beyond {sys.float_info.max:.2g}" if _beyond(value) else repr(value)

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.motion.engine import Flow, run
 from openmm_exactrb.motion.kick import exact_gradient_kick, kick
@@ -81,9 +82,12 @@ def integrate(
 
     Raises
     ------
+    ValueError
+        If n is no whole number of at least 0.
     KeyError
         If the scheme has a letter beside "A", "B" and its force-gradient kicks.
     """
+    n = checks.whole(n, "n", 0)
     q, m = (x if x.ndim == 3 else exactly(x) for x in state)
     nowhere = np.zeros((2, 3, 0))
     word = scheme.processor + repeated(scheme.word, n) + scheme.postprocessor if n else ()

@@ -17,7 +17,10 @@ from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 
 Array = NDArray[np.float64]
 
+_MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
+# Of the smallest to the largest moment: of thinner bodies the distances between sites hold too few digits.
+_THINNEST = 1e-6
 #: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
 BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
 
@@ -25,15 +28,15 @@ _TRIANGLE = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]) * 2.
 _TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
 
 
-def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
+def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity) -> Array:
     """Place equal masses so that they have exactly these principal moments of inertia.
 
     Parameters
     ----------
-    mass : float
-        Total mass.
-    inertia : (3,) array_like
-        Principal moments, each at most the sum of the others.
+    mass : float or Quantity
+        Total mass; in amu without a unit.
+    inertia : (3,) array_like or Quantity
+        Principal moments, each at most the sum of the others; in amu nm² without a unit.
 
     Returns
     -------
@@ -44,14 +47,21 @@ def rigid_sites(mass: float, inertia: ArrayLike) -> Array:
     Raises
     ------
     ValueError
-        If no body has these moments, or it is linear.
+        If no body has these moments, or it is linear or all but linear.
     """
-    moments = np.asarray(inertia, dtype=np.float64)
+    each = stripped(inertia, _MOMENT)
+    each = [stripped(moment, _MOMENT) for moment in each] if np.iterable(each) else each
+    moments = checks.array(each, "inertia", "three positive moments in amu nm²")
     if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
         raise ValueError(
             f"inertia must be three positive moments, not {inertia!r}: a linear body cannot carry this dipole"
         )
-    mass = checks.positive(mass, "mass", "amu")
+    mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
+    if moments.min() < _THINNEST * moments.max():
+        raise ValueError(
+            f"a body with the moments of inertia {moments.tolist()} is all but linear: the smallest must be at least "
+            f"{_THINNEST:g} of the largest"
+        )
     spread = 0.5 * moments.sum() - moments
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
@@ -95,7 +105,7 @@ def dipole_fluid(
     mass : float
         In amu.
     inertia : (3,) array_like
-        Principal moments in amu nm².
+        Principal moments in amu nm², the smallest at least 1e-6 of the largest.
     dipole : (3,) array_like or Quantity
         Dipole moment in the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
     sigma, epsilon : float
@@ -137,8 +147,7 @@ def dipole_fluid(
     """
     sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
     mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
-    inertia, trap = stripped(inertia, unit.dalton * unit.nanometer**2), stripped(trap, _STIFFNESS)
-    density = stripped(density, unit.nanometer**-3)
+    trap, density = stripped(trap, _STIFFNESS), stripped(density, unit.nanometer**-3)
     vector = _dipole_vector(dipole)
     n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
     checks.positive(epsilon, "epsilon", "kJ/mol")
@@ -307,7 +316,8 @@ def rigid_water(
     Raises
     ------
     ValueError
-        If the model is unknown or a number is out of its range.
+        If the model is unknown, a number is out of its range, or molecules of TIP4P/2005 are to bend: it has no
+        strength of bonds and angles.
     """
     if model not in _WATER_MODELS:
         raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
@@ -330,5 +340,9 @@ def rigid_water(
     modeller = app.Modeller(topology, positions)
     modeller.addExtraParticles(force_field)
     system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
+    if model == "tip4p2005" and system.getNumConstraints() < 3 * n:
+        raise ValueError(
+            "tip4p2005 is rigid, its bonds and angles have no strength: leave rigidWater=False away, or take tip4pew"
+        )
     placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
     return modeller.topology, system, unit.Quantity(placed, unit.nanometer)

@@ -62,3 +62,18 @@ def test_random_tops_start_as_the_paper_says(rng, epsilon, power):
     assert (top.inertia[2] < top.inertia[0] + top.inertia[1]).all()
     assert (q == [[1.0], [0.0], [0.0], [0.0]]).all()
     assert (np.abs(top.potential(q)) <= epsilon).all()
+
+
+@pytest.mark.parametrize("n", [-1, 2.5, float("nan"), "3"])
+@pytest.mark.parametrize("name", ["V2", "V2_C17"])
+def test_the_number_of_steps_is_a_whole_number(n, name):
+    satellite, state = Satellite.paper()
+    with pytest.raises(ValueError, match="n must be a whole number of at least 0, not"):
+        integrate(satellite, state, 0.1, n, rb.SCHEMES[name])
+
+
+@pytest.mark.parametrize("name", ["V2", "V2_C17"])
+def test_no_step_leaves_the_state_as_it_is(name):
+    satellite, state = Satellite.paper()
+    for now, then in zip(integrate(satellite, state, 0.1, 0, rb.SCHEMES[name]), state, strict=True):
+        np.testing.assert_array_equal(now, then)

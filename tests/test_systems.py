@@ -171,3 +171,56 @@ def test_tip4p_2005_has_the_charges_and_the_size_that_were_published():
     assert epsilon / unit.MOLAR_GAS_CONSTANT_R / unit.kelvin == pytest.approx(93.2, abs=1e-3)
     assert [e._value for _, _, e in parameters[1:]] == [0.0] * 3
     assert system.getNumConstraints() == 3
+
+
+def test_moments_may_be_quantities_one_by_one():
+    nm, angstrom = unit.dalton * unit.nanometer**2, unit.dalton * unit.angstrom**2
+    moments = np.array([1.0, 1.88, 2.88])
+    expected = rigid_sites(2.0, moments)
+    for inertia in (moments * nm, list(moments) * nm, 100.0 * moments * angstrom, [1.0 * nm, 188.0 * angstrom, 2.88]):
+        np.testing.assert_allclose(rigid_sites(2.0 * unit.dalton, inertia), expected, rtol=1e-14)
+        _, system, _ = rb.dipole_fluid(1, mass=2.0, inertia=inertia)
+        distance = system.getConstraintParameters(0)[2]._value
+        assert distance == pytest.approx(np.linalg.norm(expected[0] - expected[1]), rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "inertia",
+    [
+        [1.0 * unit.kelvin] * 3,
+        [1.0, 1.0, 1.5] * unit.nanometer,
+        "abc",
+        [1.0, 2.0, "x"],
+        np.array([1.0 + 1.0j, 1.0, 1.5]),
+        [[1.0, 2.0], [1.0]],
+        [None, 1.0, 1.0],
+    ],
+)
+def test_moments_of_something_else_get_one_sentence(inertia):
+    for call in (lambda: rigid_sites(1.0, inertia), lambda: rb.dipole_fluid(1, inertia=inertia)):
+        with pytest.raises(ValueError, match=r"^inertia must be three positive moments") as caught:
+            call()
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("thin", [1e-7, 1e-9, 1e-10, 1e-12, 1e-14])
+@pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
+def test_bodies_that_are_all_but_linear_are_refused(thin, part):
+    with pytest.raises(ValueError, match=r"is all but linear: the smallest must be at least 1e-06 of the largest$"):
+        rigid_sites(1.0, [1.0, thin, 1.0 + part * thin])
+
+
+@pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
+def test_the_thinnest_bodies_have_the_wanted_moments(part):
+    inertia = np.array([1.0, 2e-6, 1.0 + part * 2e-6])
+    np.testing.assert_allclose(np.diag(inertia_tensor(rigid_sites(1.0, inertia), 1.0)), inertia, rtol=1e-9)
+
+
+@pytest.mark.parametrize("options", [{"rigidWater": False}, {"rigidWater": False, "constraints": app.HBonds}])
+def test_tip4p_2005_does_not_bend(options):
+    with pytest.raises(
+        ValueError, match=r"^tip4p2005 is rigid, its bonds and angles have no strength: leave rigidWater="
+    ):
+        rb.rigid_water(2, model="tip4p2005", **options)
+    assert rb.rigid_water(2, model="tip4pew", **options)[1].getNumConstraints() < 6
+    assert rb.rigid_water(2, model="tip4p2005", rigidWater=True)[1].getNumConstraints() == 6

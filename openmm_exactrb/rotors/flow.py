@@ -7,11 +7,55 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb import checks
+
 Array = NDArray[np.float64]
 
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
 #: Some take sums high + low too, (2, 4, N) and (2, 3, N).
 Flow = Callable[[Array, Array, Array | float], tuple[Array, Array]]
+_FLOAT = np.dtype(np.float64)
+
+
+def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
+    """Return a flow that refuses arrays which are not of one number of bodies: compiled code would pass their ends.
+
+    Parameters
+    ----------
+    inertia : (3, 1) or (3, N) array
+    flow : callable
+        Is handed q, m and t as floats.
+    sums : bool
+        Whether it takes sums too.
+    """
+    seen = None  # a run hands over arrays of the same shapes at every step
+
+    def fitted(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        nonlocal seen
+        if not isinstance(t, float):
+            t = checks.array(t, "t")
+        shapes = q.shape, m.shape, () if isinstance(t, float) else t.shape
+        if shapes != seen:
+            _check_one_number(inertia.shape, *shapes, sums)
+            seen = shapes
+        if not q.dtype == m.dtype == _FLOAT:
+            q, m = checks.array(q, "q"), checks.array(m, "m")
+        return flow(q, m, t)
+
+    return fitted
+
+
+def _check_one_number(
+    moments: tuple[int, ...], q: tuple[int, ...], m: tuple[int, ...], t: tuple[int, ...], sums: bool
+) -> None:
+    """Refuse shapes that are not of one number of bodies."""
+    n, kinds = m[-1:], ((), (1,), (2,)) if sums else ((),)
+    alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
+    if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):
+        raise ValueError(
+            f"q {q}, m {m}, t {t} and moments {moments} are not of one number N of bodies: "
+            "give q (4, N), m (3, N), and t and moments one for all or one a body"
+        )
 
 
 def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from openmm_exactrb import checks
 from openmm_exactrb.rotors.flow import Array
 from openmm_exactrb.rotors.registry import Rotor, rotor
 
@@ -44,7 +45,8 @@ def free_rotor(
     Raises
     ------
     ValueError
-        If shapes do not fit together, the method is unknown, moments are not positive, or an attitude is zero.
+        If what is given are no real numbers, shapes do not fit together, the method is unknown, moments are not
+        positive, or an attitude is zero.
 
     Examples
     --------
@@ -52,7 +54,7 @@ def free_rotor(
     >>> bool(abs(m @ m - 0.14) < 1e-15)
     True
     """
-    inertia, q, m, t = (np.asarray(a, dtype=np.float64) for a in (inertia, q0, m0, t))
+    inertia, q, m, t = map(checks.array, (inertia, q0, m0, t), ("inertia", "q0", "m0", "t"))
     if q.shape[-1:] != (4,) or m.shape[-1:] != (3,):
         raise ValueError(f"q0 must have the shape (N, 4) and m0 (N, 3), not {q.shape} and {m.shape}")
     try:

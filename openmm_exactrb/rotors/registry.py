@@ -14,10 +14,11 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
 from openmm_exactrb.rotors.euler import ThirdKind
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Array, Flow, fitting
 
 #: Between them a moment and its reciprocal are normal numbers.
 SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
@@ -133,7 +134,7 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are not positive and finite, not of this shape, below
+        If there is no such rotor, or moments are no real numbers, not positive and finite, not of this shape, below
         ``SMALLEST_MOMENT``, above ``LARGEST_MOMENT``, or further apart than ``WIDEST``.
 
     Notes
@@ -141,7 +142,7 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
     """
     entry = look_up(method)
-    moments = np.asarray(inertia, dtype=np.float64)
+    moments = checks.array(inertia, "inertia")
     if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
     if not (np.isfinite(moments).all() and (moments > 0.0).all()):
@@ -152,7 +153,8 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
             f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
             f"factor {WIDEST:g}: use other units, or treat the body as linear"
         )
-    return entry.factory(np.ascontiguousarray(np.atleast_2d(moments).T))
+    columns = np.ascontiguousarray(np.atleast_2d(moments).T)
+    return fitting(columns, entry.factory(columns), entry.sums)
 
 
 def rotor_of_sums(method: str | Rotor, inertia: ArrayLike) -> Flow:

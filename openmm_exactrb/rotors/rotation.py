@@ -51,7 +51,8 @@ def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
 
 def frame(inertia: Array, x: Array) -> tuple[Array, Array, Array]:
     """Return v = xdot/norm(xdot), w = x cross v and x, of unit momenta x (3, N) off the principal axes."""
-    a, b, c = 1.0 / np.roll(inertia, 1, axis=0) - 1.0 / np.roll(inertia, -1, axis=0)
+    J, K = np.roll(inertia, -1, axis=0), np.roll(inertia, 1, axis=0)
+    a, b, c = (J - K) / (J * K)  # 1/K - 1/J, which would cancel
     v = np.stack([a * x[1] * x[2], b * x[2] * x[0], c * x[0] * x[1]])
     v /= np.sqrt(np.einsum("in,in->n", v, v))
     return v, np.cross(x, v, axis=0), x
@@ -65,6 +66,6 @@ def angle(orbit: Orbit, third_kind: ThirdKind) -> Array:
     """
     I1, I2, I3 = orbit.inertia
     circled = np.where(orbit.high, orbit.first, orbit.third)
-    nc = np.abs(orbit.excess) / ((1.0 / I1 - 1.0 / I3) * I2 * circled**2)
+    nc = np.abs(orbit.excess) / ((I3 - I1) / (I1 * I3) * I2 * circled**2)
     psi: Array = orbit.energy * orbit.time + orbit.excess / (I2 * orbit.rate) * third_kind(orbit, nc)
     return psi

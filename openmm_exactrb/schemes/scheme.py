@@ -76,8 +76,8 @@ class Scheme:
 
     @property
     def first(self) -> Outer:
-        """What a step starts and ends with."""
-        return "drift" if self.word[0][0] == DRIFT else "kick"
+        """What a step starts and ends with, but for a bath."""
+        return "drift" if [letter for letter, _ in self._moves()][:1] == [DRIFT] else "kick"
 
     @property
     def a(self) -> tuple[float, ...]:
@@ -98,8 +98,12 @@ class Scheme:
 
     def _kicks(self) -> list[list[tuple[str, float]]]:
         """Return the kicks of each place: those without a drift between them."""
-        moves = (part for part in self.word if part[0] == DRIFT or is_kick(part[0]))
-        return [list(group) for kicked, group in itertools.groupby(moves, lambda part: is_kick(part[0])) if kicked]
+        places = itertools.groupby(self._moves(), lambda part: is_kick(part[0]))
+        return [list(group) for kicked, group in places if kicked]
+
+    def _moves(self) -> Word:
+        """Return the drifts and kicks: forces do not depend on what a bath does between them."""
+        return tuple(part for part in self.word if part[0] == DRIFT or is_kick(part[0]))
 
     @property
     def sequence(self) -> tuple[tuple[str, float], ...]:
@@ -109,7 +113,8 @@ class Scheme:
     @property
     def stages(self) -> int:
         """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
-        return len(self._kicks()) - (is_kick(self.word[0][0]) and is_kick(self.word[-1][0]))
+        moves = self._moves()
+        return len(self._kicks()) - (bool(moves) and is_kick(moves[0][0]) and is_kick(moves[-1][0]))
 
     @property
     def forces(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from openmm_exactrb import checks
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.word import BATH, DRIFT, Word
 
@@ -23,7 +24,18 @@ def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
     float
         The last step before the trace of the matrix of a step leaves [-2, 2]. A touch of the bounds by less than 1e-6,
         where two stable intervals meet, is passed over.
+
+    Raises
+    ------
+    ValueError
+        If the resolution is not a positive number, or the drifts or the kicks of a step do not last for the step.
     """
+    resolution = checks.positive(resolution, "resolution")
+    if not all(math.isclose(math.fsum(parts), 1.0, rel_tol=1e-6) for parts in (scheme.a, scheme.b)):
+        raise ValueError(
+            f"scheme {scheme.name} moves no oscillator by the step: the parts of its drifts, and of its kicks, must "
+            "add up to 1"
+        )
     h = resolution
     while abs(_trace(scheme, h)) <= 2.0 + 1e-6:
         h += resolution
@@ -62,19 +74,20 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     Raises
     ------
     ValueError
-        If steps of this size are unstable.
+        If the step is not a positive number, or steps of this size are unstable.
 
     Notes
     -----
     A step is taken to turn the oscillator once at most.
     """
+    step = checks.positive(step, "step")
     (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, step)
-    if not abs(qq + pp) < 2.0:
+    # 1 - ((qq + pp)/2)², the squared sine of the angle, without its cancellation: the determinant is 1.
+    square = -qp * pq - (0.5 * (qq - pp)) ** 2
+    if not square > 0.0:
         raise ValueError(f"{scheme.name} is not stable at a step of {step:g}/omega: take a smaller one")
-    angle = math.acos(0.5 * (qq + pp))
-    if qp < 0.0:
-        angle = 2.0 * math.pi - angle
-    width = math.sin(angle) * angle / step
+    sine = math.copysign(math.sqrt(square), qp)
+    width = sine * (math.atan2(sine, 0.5 * (qq + pp)) % (2.0 * math.pi)) / step
     return Shadow(-width / pq, width / qp)
 
 

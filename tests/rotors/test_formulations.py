@@ -7,7 +7,7 @@ import pytest
 import openmm_exactrb as rb
 import oracle
 from openmm_exactrb import elliptic, quaternions
-from openmm_exactrb.rotors import euler
+from openmm_exactrb.rotors import euler, rotation
 
 EXACT = ["rotation", "quaternion_a", "quaternion_b", "quaternion_c"]
 GAUSS = [f"{name}_gauss{order}" for name in ("rotation", "quaternion") for order in (6, 8, 10)]
@@ -162,3 +162,52 @@ def legendre(v, kc2, nc):
     rest = v - 2 * turns * mp.ellipk(k2)
     sn, cn = (mp.ellipfun(name, rest, m=k2) for name in ("sn", "cn"))
     return mp.ellippi(n, mp.atan2(sn, cn) + turns * mp.pi, k2) - v
+
+
+@pytest.mark.parametrize("difference", [1e-6, 1e-9, 1e-12])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_frame_of_a_body_that_is_all_but_symmetric(axis, difference):
+    inertia, x = np.roll([0.7, 0.7 * (1.0 + difference), 0.9], axis), np.roll([0.9, 1e-4, 1e-4 * difference], axis)
+    v, _, _ = rotation.frame(inertia[:, None], x[:, None])
+    with mp.workdps(40):
+        momentum, moments = ([mp.mpf(float(number)) for number in numbers] for numbers in (x, inertia))
+        omega = [a / b for a, b in zip(momentum, moments, strict=True)]
+        slope = [momentum[j] * omega[k] - momentum[k] * omega[j] for j, k in ((1, 2), (2, 0), (0, 1))]
+        size = mp.sqrt(sum(s * s for s in slope))
+        for got, s in zip(v[:, 0], slope, strict=True):
+            assert abs(got - s / size) < 2e-15
+
+
+def carlson(x, y, p):
+    """Return R_J(x, y, 1, p) by mpmath."""
+    with mp.workdps(60):
+        return mp.elliprj(mp.mpf(x), mp.mpf(y), 1, mp.mpf(p))
+
+
+def test_carlsons_integral_of_large_p():
+    """At every size of p, about those where asymptotic expansions begin too."""
+    rng = np.random.default_rng(7)
+    p = np.concatenate([10.0 ** np.linspace(0.0, 20.0, 81), elliptic.LARGE_P * (1.0 + np.array([-1e-9, 1e-9]))])
+    x, y = rng.random((2, len(p)))
+    x[::4] = 0.0
+    y[::5] = 1e-30
+    got = elliptic.carlson_rj(x, y, p)
+    for value, *arguments in zip(got, x, y, p, strict=True):
+        assert abs(value / carlson(*arguments) - 1) < 2e-15
+
+
+@pytest.mark.parametrize("p", [1.0, 1.5, 1e10, 1e13])
+def test_carlsons_integral_beside_the_separatrix(p):
+    x = np.array([1e-310, 1e-300, 1e-170, 1e-160, 1e-120, 1e-60, 0.0, 1e-300, 1e-300, 1e-100])
+    y = np.array([1e-310, 1e-300, 1e-170, 1e-160, 1e-120, 1e-60, 1e-300, 1e-50, 0.5, 1e-80])
+    got = elliptic.carlson_rj(x, y, np.full(10, p))
+    for value, *arguments in zip(got, x, y, strict=True):
+        assert abs(value / carlson(*arguments, p) - 1) < 2e-15
+
+
+@pytest.mark.parametrize("method", ["exact_numpy", "exact_compiled"])
+def test_a_body_that_leaves_the_middle_axis_after_hundreds_of_turns(method):
+    body = [1.0, 2.0, 3.5], [1.0, 0.0, 0.0, 0.0], [1e-120, 1.0, 0.7e-120], 900.0
+    q1, m1 = rb.free_rotor(*body, method=method)
+    # Turned by 450 rad about the axis before it goes to the other end.
+    assert error(oracle.free_rotor(*body), body[2], q1, m1) < 1e-12

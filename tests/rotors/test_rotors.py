@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from openmm import unit
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
@@ -199,3 +200,80 @@ def test_quaternion_of_a_matrix_is_the_quaternion(rng):
     np.testing.assert_allclose(
         rotation_matrix(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), rtol=0.0, atol=1e-15
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("inertia", [1.0, 2.0 + 1.0j, 3.0]),
+        ("q0", "attitude"),
+        ("m0", np.array([1.0 + 1.0j, 0.0, 0.0])),
+        ("m0", [[1.0, 0.0, 0.0], [1.0]]),
+        ("m0", ["1", "0", "0"]),
+        ("m0", [None, 1.0, 0.0]),
+        ("t", 1.0j),
+        ("t", 1.0 * unit.picosecond),
+        ("inertia", np.ones(3) * unit.dalton * unit.angstrom**2),
+    ],
+)
+def test_what_are_no_real_numbers_gets_one_sentence(name, value):
+    arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | {name: value}
+    with pytest.raises(ValueError, match=f"^{name} must be real numbers in rows of one length, without a unit, not "):
+        rb.free_rotor(**arguments)
+    if name == "inertia":
+        with pytest.raises(ValueError, match=r"^inertia must be real numbers in rows of one length"):
+            rb.rotors.rotor("exact", value)
+
+
+@pytest.mark.parametrize(
+    ("inertia", "q", "m", "t"),
+    [
+        ((3,), (4, 5), (3, 6), ()),
+        ((3,), (4, 6), (3, 5), ()),
+        ((3,), (4, 5), (3, 5), (4,)),
+        ((3,), (4, 5), (3, 5), (6,)),
+        ((3,), (4, 5), (3, 5), (1, 5)),
+        ((5, 3), (4, 6), (3, 6), ()),
+        ((6, 3), (4, 5), (3, 5), ()),
+        ((6, 3), (4, 1), (3, 1), ()),
+        ((3,), (5, 4), (5, 3), ()),
+        ((3,), (4,), (3,), ()),
+        ((3,), (2, 4, 5), (1, 3, 5), ()),
+        ((3,), (3, 4, 5), (3, 3, 5), ()),
+    ],
+)
+def test_flows_refuse_arrays_that_are_not_of_one_number_of_bodies(method, inertia, q, m, t):
+    """A compiled flow would read and write past their ends."""
+    flow = rb.rotors.rotor(method, np.ones(inertia) * [1.0, 2.0, 2.5])
+    for _ in range(2):
+        with pytest.raises(
+            ValueError, match=r"are not of one number N of bodies: give q \(4, N\), m \(3, N\), and t and"
+        ):
+            flow(np.full(q, 0.5), np.ones(m), np.full(t, 0.1))
+
+
+def test_flows_take_sums_or_say_that_they_do_not(method, rng):
+    q, m = quaternions.random(rng, 5).T, rng.standard_normal((3, 5))
+    flow = rb.rotors.rotor(method, [1.0, 2.0, 2.5])
+    expected = flow(np.ascontiguousarray(q), m, 0.1)
+    if rb.ROTORS[method].sums:
+        for zeros in (0, 1):
+            sums = [np.stack([a, *zeros * [np.zeros_like(a)]]) for a in (q, m)]
+            for got, want in zip(flow(*sums, 0.1), expected, strict=True):
+                assert got.shape == (1 + zeros, *want.shape)
+                np.testing.assert_allclose(got.sum(axis=0), want, rtol=0.0, atol=1e-15)
+    else:
+        with pytest.raises(ValueError, match="are not of one number N of bodies"):
+            flow(np.stack([q, 0.0 * q]), np.stack([m, 0.0 * m]), 0.1)
+
+
+def test_flows_take_the_times_and_numbers_of_any_real_kind(method):
+    flow = rb.rotors.rotor(method, [1.0, 2.0, 2.5])
+    q, m = np.full((4, 3), 0.5), np.ones((3, 3)) * [1.0, 0.5, 0.25]
+    expected = flow(q, m, 0.125)
+    for t in (np.float64(0.125), np.array(0.125), np.full(1, 0.125), np.full(3, 0.125), np.float32(0.125)):
+        for got, want in zip(flow(q.astype(np.float32), m.astype(np.float32), t), expected, strict=True):
+            np.testing.assert_allclose(got, want, rtol=0.0, atol=1e-15)
+    for wrong in ((q, m + 1.0j, 0.125), (q, m, np.full(3, 0.125j))):
+        with pytest.raises(ValueError, match="must be real numbers"):
+            flow(*wrong)

@@ -1,5 +1,7 @@
 """Tables are closed and symmetric, schemes say what is wrong with them, and the catalogue finds them."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -136,3 +138,25 @@ def test_force_gradients_are_built_from_the_letters():
             force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
     with pytest.raises(ValueError, match="give e for each C of the first half of 'BACAB', not 2 numbers"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("word", "stages", "first"),
+    [
+        ("O B A B O", 1, "kick"),
+        ("O A B A O", 1, "drift"),
+        ("O B A B A B O", 2, "kick"),
+        ("B O A O B", 1, "kick"),
+        ("O B A O B A", 2, "kick"),
+        ("B A O A", 1, "kick"),
+        ("A O B O A", 1, "drift"),
+        ("O", 0, "kick"),
+    ],
+)
+def test_a_bath_at_the_ends_of_a_step_needs_no_forces(word, stages, first):
+    """The places are those of the kick before it: counted by those at which a long run is kicked."""
+    scheme = Scheme(word, 2, schemes.word.spelled(word))
+    assert (scheme.stages, scheme.forces, scheme.first) == (stages, stages, first)
+    places = itertools.accumulate(letter == "A" for letter in word.split() * 100)
+    kicked = {place for letter, place in zip(word.split() * 100, places, strict=True) if letter == "B"}
+    assert 100 * stages <= len(kicked) <= 100 * stages + 1

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import mpmath as mp
 import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes import shadow, stability_limit, symmetric
+from openmm_exactrb.schemes import Scheme, shadow, stability_limit, symmetric
+from openmm_exactrb.schemes.stability import oscillated
 from words import advanced
 
 
@@ -100,3 +102,49 @@ def test_w2_4g_keeps_both_halves_of_the_energy_of_fast_modes():
 def test_an_unstable_step_has_no_shadow():
     with pytest.raises(ValueError, match=r"V2 is not stable at a step of 2\.1/omega"):
         shadow(rb.SCHEMES["V2"], 2.1)
+
+
+@pytest.mark.parametrize("step", [1e-8, 1e-6, 1e-4, 1e-2, 0.3, 1.0])
+def test_the_shadow_has_all_its_digits_at_every_step(scheme, step):
+    """The energy that a step keeps is that of the logarithm of its matrix: with forty digits more."""
+    got = shadow(scheme, step)
+    with mp.workdps(60):
+        (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, mp.mpf(step))
+        angle = mp.acos((qq + pp) / 2)
+        angle = 2 * mp.pi - angle if qp < 0 else angle
+        width = mp.sin(angle) * angle / step
+        # Roundoff of the letters, and of the way to the bound of stability.
+        allowed = 1e-15 * len(scheme.word) * (1.0 + max(abs(part) for _, part in scheme.word))
+        assert abs(got.kinetic + width / pq) < allowed
+        assert abs(got.potential - width / qp) < allowed
+
+
+@pytest.mark.parametrize("step", [0.0, -0.1, float("nan"), float("inf"), "0.1"])
+def test_the_shadow_is_that_of_a_positive_step(step):
+    with pytest.raises(ValueError, match="step must be a positive number, not"):
+        shadow(rb.SCHEMES["V2"], step)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1e-4, float("nan"), float("inf")])
+def test_the_limit_is_sought_in_positive_steps(resolution):
+    with pytest.raises(ValueError, match="resolution must be a positive number, not"):
+        stability_limit(rb.SCHEMES["V2"], resolution)
+
+
+@pytest.mark.parametrize(
+    "word",
+    [
+        (("A", 1.0),),
+        (("B", 1.0),),
+        (("A", 1.0), ("O", 1.0)),
+        (("A", 1.0), ("B", -1.0)),
+        (("A", 0.5), ("B", 1.0)),
+        (("A", 1.0), ("B", 1e-9)),
+        (("A", -1.0), ("B", -1.0)),
+    ],
+)
+def test_what_moves_no_oscillator_by_the_step_has_no_limit(word):
+    with pytest.raises(
+        ValueError, match=r"^scheme mine moves no oscillator by the step: the parts of its drifts, and of"
+    ):
+        stability_limit(Scheme("mine", 2, word))
