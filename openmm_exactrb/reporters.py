@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import os
+import reprlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, BinaryIO, TextIO
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
-from openmm_exactrb.checks import whole
+from openmm_exactrb import checks
+from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 
+Array = NDArray[np.float64]
+# What force fields leave of a molecule by the rounding of its charges.
+_NEUTRAL = 1e-3
 _COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
 
 
@@ -27,13 +32,14 @@ class _Lines:
         columns: Sequence[str],
         append: bool,
     ) -> None:
-        self._interval = whole(reportInterval, "reportInterval", of="steps")
+        self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
         if not isinstance(file, (str, os.PathLike)) and not hasattr(file, "write"):
             raise ValueError(f"file must be a path or an open text file, not {file!r}")
         self._owned = isinstance(file, (str, os.PathLike))
-        self._out: TextIO = _open(file, append) if isinstance(file, (str, os.PathLike)) else file
+        head = ",".join(columns)
+        self._out: TextIO = _open(Path(file), head, append) if isinstance(file, (str, os.PathLike)) else file
         if not append or (self._owned and self._out.tell() == 0):
-            self._out.write(",".join(columns) + "\n")
+            self._out.write(f"{head}\n")
 
     def _steps_left(self, simulation: Any) -> int:
         return int(self._interval - simulation.currentStep % self._interval)
@@ -58,7 +64,8 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Write behind the lines that the file has; the names of the columns only where it has none.
+        Write behind the lines that the file has; the names of the columns only where it has none. A last line that was
+        not finished, as by a script that was killed, is taken away from a file that is given by its path.
 
     Notes
     -----
@@ -111,20 +118,42 @@ class MomentReporter(_Lines):
     file : str, path or open text file
     reportInterval : int
         Steps between two lines.
-    charges : (n_particles,) array_like
-        They must add up to zero in every molecule.
+    charges : (n_particles,) array_like or Quantity
+        Those with a unit are taken in elementary charges, so that the moment is in e nm, and plain numbers as they
+        are. They must add up to zero in every molecule, within 0.001.
     append : bool, optional
         As for `EnergyReporter`.
+
+    Raises
+    ------
+    ValueError
+        If charges are no list of finite numbers.
     """
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
+        self._charges = _elementary(charges)
+        self._neutral = False  # unless looked at
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
-        self._charges = np.asarray(charges, dtype=np.float64)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when the next line is due and what it needs."""
+        """Tell OpenMM when the next line is due and what it needs.
+
+        Raises
+        ------
+        ValueError
+            If there is not one charge for each particle, or a molecule is not neutral.
+        """
+        particles = simulation.system.getNumParticles()
+        if len(self._charges) != particles:
+            raise ValueError(
+                f"charges must be one for each of the {particles} particles of the System, and there are "
+                f"{len(self._charges)}: give 0 for those without a charge"
+            )
+        if not self._neutral:
+            _refuse_ions(self._charges, simulation)
+            self._neutral = True
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
@@ -140,5 +169,81 @@ class MomentReporter(_Lines):
         self._write(simulation, state, moment)
 
 
-def _open(file: str | os.PathLike[str], append: bool) -> TextIO:
-    return Path(file).open("a" if append else "w")
+def _elementary(charges: Any) -> Array:
+    """Return charges of a user as an array of their own; those with a unit in elementary charges."""
+    e = unit.elementary_charge
+    given = [stripped(q, e) for q in charges] if isinstance(charges, (list, tuple)) else stripped(charges, e)
+    asked = "a list of numbers or Quantities of charge, one for each particle"
+    values = checks.array(given, "charges", asked).copy()
+    if values.ndim != 1:
+        raise ValueError(f"charges must be {asked}, not {reprlib.repr(charges)}")
+    if not np.isfinite(values).all():
+        first = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise ValueError(f"charges must be finite numbers, and that of particle {first} is {values[first]}")
+    return values
+
+
+def _refuse_ions(charges: Array, simulation: Any) -> None:
+    """Raise a ValueError if a molecule is not neutral: the moment would depend on where its images lie."""
+    molecule = _molecules(simulation)
+    total = np.bincount(molecule, charges)
+    worst = int(np.abs(total).argmax())
+    if abs(total[worst]) > _NEUTRAL:
+        first = int(np.flatnonzero(molecule == worst)[0])
+        raise ValueError(
+            f"charges must add up to 0 in every molecule, and those of the molecule with particle {first} add up to "
+            f"{total[worst]:.6g}: correct them, or give 0 for the particles of an ion"
+        )
+
+
+def _molecules(simulation: Any) -> NDArray[np.integer[Any]]:
+    """Return the number of the molecule of each particle; bodies that are named hold molecules together."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    integrator, n = simulation.integrator, simulation.system.getNumParticles()
+    named = integrator.getNamedBodies() if isinstance(integrator, ExactRigidBodyIntegrator) else None
+    groups = [*simulation.context.getMolecules(), *(named or [])]
+    pairs = np.array([(group[0], member) for group in groups for member in group])
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _open(file: Path, columns: str, append: bool) -> TextIO:
+    """Open a table; one that is appended to ends with a whole line."""
+    if append and file.is_file():
+        _cut_to_lines(file, columns)
+    return file.open("a" if append else "w")
+
+
+def _cut_to_lines(file: Path, columns: str) -> None:
+    """Cut a table back to the end of its last whole line.
+
+    Raises
+    ------
+    ValueError
+        If it would have to be cut, and does not begin with the names of the columns.
+    """
+    with file.open("r+b") as table:
+        end = _end_of_lines(table)
+        if end == table.seek(0, os.SEEK_END):
+            return
+        table.seek(0)
+        if not columns.startswith(table.readline(len(columns)).decode("utf-8", "replace")):
+            raise ValueError(
+                f"{file} ends within a line, and is no table of {columns}: end its last line, or give another file"
+            )
+        table.truncate(end)
+
+
+def _end_of_lines(file: BinaryIO, block: int = 65536) -> int:
+    """Return where the last whole line of a file ends."""
+    end = file.seek(0, os.SEEK_END)
+    while end > 0:
+        start = max(0, end - block)
+        file.seek(start)
+        newline = file.read(end - start).rfind(b"\n")
+        if newline >= 0:
+            return start + newline + 1
+        end = start
+    return 0

@@ -1,8 +1,15 @@
 """The reporter of moments."""
 
+import functools
+import io
+
 import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
 
 import openmm_exactrb as rb
+import three_masses
 from canonical_dipoles import moments_in, simulation_of
 from force_laws import positions_of
 
@@ -20,3 +27,113 @@ def test_a_new_file_gets_the_names_of_its_columns_also_when_appended_to(tmp_path
     rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
     rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
     assert (tmp_path / "moments.csv").read_text() == "step,time (ps),Mx,My,Mz\n"
+
+
+water = functools.cache(rb.rigid_water)
+
+
+def molecules_of_water(charges, model="spce"):
+    """Return a Simulation of two molecules, and the text that moments of the charges go to."""
+    topology, system, positions = water(2, model=model, nonbondedMethod=app.NoCutoff)
+    simulation = app.Simulation(
+        topology, system, rb.ExactRigidBodyIntegrator(0.001), openmm.Platform.getPlatform("Reference")
+    )
+    simulation.context.setPositions(positions)
+    text = io.StringIO()
+    simulation.reporters.append(rb.MomentReporter(text, 1, charges))
+    return simulation, text
+
+
+OF_WATER = np.tile([-0.8476, 0.4238, 0.4238], 2)
+E = unit.elementary_charge
+
+
+@pytest.mark.parametrize(
+    "charges",
+    [
+        OF_WATER * E,
+        [q * E for q in OF_WATER],
+        OF_WATER * E.conversion_factor_to(unit.coulomb) * unit.coulomb,
+        [q if q < 0.0 else q * E for q in OF_WATER],
+    ],
+)
+def test_charges_may_have_a_unit(charges):
+    simulation, text = molecules_of_water(charges)
+    simulation.step(2)
+    x = positions_of(simulation.context).reshape(-1, 3)
+    np.testing.assert_allclose(moments_in(text)[-1], OF_WATER @ x, rtol=1e-12, atol=1e-14)
+
+
+def test_charges_are_those_that_were_handed_over():
+    charges = OF_WATER.copy()
+    simulation, text = molecules_of_water(charges)
+    charges[:] = 0.0
+    simulation.step(1)
+    x = positions_of(simulation.context).reshape(-1, 3)
+    np.testing.assert_allclose(moments_in(text)[-1], OF_WATER @ x, rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("charges", "message"),
+    [
+        ([0.0, np.nan, np.inf], "charges must be finite numbers, and that of particle 1 is nan"),
+        (3.0, "charges must be a list of numbers or Quantities of charge, one for each particle, not 3"),
+        ([[1.0, -1.0]], "charges must be a list of numbers"),
+        ([1.0, 1.0j], "charges must be a list of numbers"),
+        (["1", "-1"], "charges must be a list of numbers"),
+        ([1.0, -1.0] * unit.nanometer, "charges must be a list of numbers"),
+        ([1.0 * E, -1.0 * unit.nanometer], "charges must be a list of numbers"),
+    ],
+)
+def test_what_is_no_charges(tmp_path, charges, message):
+    with pytest.raises(ValueError, match=message):
+        rb.MomentReporter(tmp_path / "moments.csv", 1, charges)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("charges", "message"),
+    [
+        (OF_WATER[:3], "one for each of the 6 particles of the System, and there are 3: give 0 for those without"),
+        (np.tile(OF_WATER, 2), "one for each of the 6 particles of the System, and there are 12"),
+        (
+            np.concatenate([OF_WATER[:3] + 0.1, OF_WATER[3:] - 0.1]),  # neutral as a whole, and an ion beside another
+            "in every molecule, and those of the molecule with particle 0 add up to 0.3: correct them, or give 0 for",
+        ),
+        (OF_WATER + 0.01 * np.eye(6)[4], "those of the molecule with particle 3 add up to 0.01"),
+    ],
+)
+def test_charges_that_do_not_fit_the_molecules_are_refused_before_a_line(charges, message):
+    simulation, text = molecules_of_water(charges)
+    with pytest.raises(ValueError, match=message):
+        simulation.step(1)
+    assert text.getvalue() == "step,time (ps),Mx,My,Mz\n"
+
+
+def test_sites_without_mass_belong_to_their_molecule():
+    simulation, text = molecules_of_water(np.tile([0.0, 0.52422, 0.52422, -1.04844], 2), model="tip4pew")
+    simulation.step(1)
+    assert len(moments_in(text)) == 1
+
+
+@pytest.mark.parametrize("bodies", [[[0, 1, 2]], None])
+def test_bodies_that_are_named_are_molecules(bodies):
+    """Three masses without a bond are three ions, or one body."""
+    system = three_masses.system()
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=bodies)
+    topology = app.Topology()
+    residue = topology.addResidue("X", topology.addChain())
+    for _ in range(3):
+        topology.addAtom("X", None, residue)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(three_masses.POSITIONS)
+    text = io.StringIO()
+    simulation.reporters.append(rb.MomentReporter(text, 1, [1.0, 1.0, -2.0]))
+    if bodies is None:
+        with pytest.raises(ValueError, match="add up to -2: correct them, or give 0 for the particles of an ion"):
+            simulation.step(1)
+    else:
+        simulation.step(1)
+        assert len(moments_in(text)) == 1

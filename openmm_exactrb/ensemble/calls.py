@@ -72,6 +72,11 @@ def as_completed(
     ConnectionError
         If the scheduler does not answer, or goes away. What is finished is kept.
 
+    Warns
+    -----
+    UserWarning
+        If results in the folder were computed with another version of OpenMM; they are handed over as they are.
+
     Notes
     -----
     Each recipe is done by one thread from its arguments alone, so that results do not depend on the number of workers,

@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -28,12 +28,26 @@ def name_of(function: Any) -> str:
     Raises
     ------
     TypeError
-        If it has none.
+        If it has none, or its module has something else there: a method bound to an object, a changed copy.
     """
-    qualified = getattr(function, "__qualname__", None)
-    if not callable(function) or qualified is None or "<" in qualified:
-        raise TypeError(f"a function at the top level of a module is needed, which has a name, not {function!r}")
-    return f"{_module(function.__module__)}.{qualified}"
+    if not callable(function) or not _is_found(function):
+        raise TypeError(
+            f"a function at the top level of a module is needed, which is found there by its name, not {function!r}"
+        )
+    return full_name(function)
+
+
+def _is_found(function: Any) -> bool:
+    """Tell whether a function, or class, is what its module has under its name."""
+    found: Any = sys.modules.get(getattr(function, "__module__", None) or "")
+    for part in getattr(function, "__qualname__", "<none>").split("."):
+        found = getattr(found, part, None)
+    return found is function
+
+
+def full_name(function: Any) -> str:
+    """Return the name of a function, or class, with that of its module."""
+    return f"{_module(function.__module__)}.{function.__qualname__}"
 
 
 def _module(name: str) -> str:
@@ -74,27 +88,80 @@ def canonical(value: Any, where: str) -> Any:
 
 def _tagged(value: Any, where: str) -> tuple[str, Any]:
     """Return what kind of object an argument is, and what stands for it."""
+    if isinstance(value, np.ndarray) and type(value) not in (np.ndarray, np.memmap):  # a mask is not among its bytes
+        raise TypeError(
+            f"argument {where} of a recipe cannot be a {type(value).__name__}: hand over numpy.asarray of it, and a "
+            "mask as an argument of its own"
+        )
     if isinstance(value, np.ndarray) and value.dtype.kind in "biufc":
         digest = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
         return "array", [value.dtype.str, list(value.shape), digest]
     if unit.is_quantity(value):
         return "quantity", [canonical(value._value, where), str(value.unit)]
     if isinstance(value, os.PathLike):
-        return "path", os.fspath(value)
+        return _path(value)
     if isinstance(value, ExactRigidBodyIntegrator):  # OpenMM's XML knows neither scheme nor friction
-        return type(value).__qualname__, canonical(value.getSettings(), where)
+        return _class(value), canonical(value.getSettings(), where)
     if isinstance(value, _SERIALISABLE):
         return "openmm", hashlib.sha256(openmm.XmlSerializer.serialize(value).encode()).hexdigest()
     if isinstance(value, Scheme):
         return "Scheme", canonical(_coefficients(value), where)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        return type(value).__qualname__, canonical(fields, where)
+        return _class(value), canonical(fields, where)
     if isinstance(value, (FunctionType, type)):
         return "function", name_of(value)
     if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # PME, HBonds and the like
         return "option", repr(value)
     raise TypeError(f"argument {where} of a recipe cannot be {value!r}: hand over numbers, texts, or a file's path")
+
+
+def _path(value: os.PathLike[str]) -> tuple[str, Any]:
+    """Return what stands for a path; where a file is, the hash of what is in it too."""
+    text = os.fspath(value)
+    return ("file", [text, _digest(text)]) if Path(text).is_file() else ("path", text)
+
+
+def _digest(file: str) -> str:
+    """Return a hash of what is in a file."""
+    with Path(file).open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def files_in(text: Any) -> Iterator[tuple[str, str]]:
+    """Yield the files in what stands for an argument, each with the hash of what was in it."""
+    if isinstance(text, dict) and "file" in text:
+        name, digest = text["file"]
+        yield name, digest
+    elif isinstance(text, (dict, list)):
+        for part in text.values() if isinstance(text, dict) else text:
+            yield from files_in(part)
+
+
+def refuse_other_files(files: Iterable[tuple[str, str]]) -> None:
+    """Refuse files that have another content here and now.
+
+    Parameters
+    ----------
+    files : iterable of (str, str)
+        Paths, and hashes of what was in them; see `files_in`.
+
+    Raises
+    ------
+    RuntimeError
+        If one is not here, or another one.
+    """
+    for name, digest in files:
+        if not Path(name).is_file() or _digest(name) != digest:
+            raise RuntimeError(
+                f"the file {name} is not here as it was when the recipe was made: put it back, or make the recipe anew"
+            )
+
+
+def _class(value: Any) -> str:
+    """Return the name of an object's class; folders of results know those of this package without a module."""
+    kind = type(value)
+    return kind.__qualname__ if kind.__module__.startswith("openmm_exactrb.") else full_name(kind)
 
 
 def _coefficients(scheme: Scheme) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from openmm_exactrb.ensemble.names import refuse_other_files
 from openmm_exactrb.ensemble.outcomes import Outcome, plain
 from openmm_exactrb.ensemble.recipes import Recipe, package_version
 
@@ -81,6 +82,7 @@ def perform(parcel: bytes, wanted: str) -> dict[str, Any]:
         if package_version() != wanted:
             raise RuntimeError(f"this worker has openmm-exactrb {package_version()}, the recipes come from {wanted}")
         recipe = pickle.loads(parcel)
+        refuse_other_files(recipe.files)
         report = {"result": plain(recipe.function(**recipe.arguments))}
     except (Exception, SystemExit) as error:
         report = {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}

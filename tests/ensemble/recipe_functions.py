@@ -1,5 +1,6 @@
 """Functions of recipes, which worker processes import by name."""
 
+import functools
 import os
 import time
 from pathlib import Path
@@ -35,6 +36,35 @@ def deadly():
 
 def square(x):
     return x * x
+
+
+class Multiple:
+    def __init__(self, factor):
+        self.factor = factor
+
+    def of(self, x):
+        return self.factor * x
+
+    @classmethod
+    def named(cls, x):
+        return f"{cls.__name__} {x}"
+
+    @staticmethod
+    def twice(x):
+        return 2 * x
+
+
+class Other(Multiple):
+    pass
+
+
+@functools.wraps(square)
+def disguised(x):
+    return -x * x
+
+
+def length_of(file):
+    return len(Path(file).read_text())
 
 
 def counted(folder, name):
