@@ -11,6 +11,7 @@ from openmm_exactrb import checks
 
 _PICOSECONDS = {"": 1.0, "fs": 1e-3, "ps": 1.0, "ns": 1e3, "us": 1e6}
 _TIME = re.compile(r"([-+.0-9e]+)\s*([a-z]*)", re.IGNORECASE)
+_LARGEST = 2**31 - 1  # OpenMM keeps a seed in 32 bits
 
 
 class Parser(argparse.ArgumentParser):
@@ -35,20 +36,35 @@ def checked(kind: Callable[[str], Any], check: Callable[..., Any], *details: Any
 
 def time(text: str) -> float:
     """Return a positive time in ps, of text such as 0.004, 4fs or 1ns."""
-    match = _TIME.fullmatch(text.strip())
-    try:
-        if match is None or match[2].lower() not in _PICOSECONDS:
-            raise ValueError("is no time")
-        return checks.positive(float(match[1]) * _PICOSECONDS[match[2].lower()], "it")
-    except ValueError:
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not a positive time: give it in ps, or with a unit, such as 4fs, 100ps or 1ns"
-        ) from None
+    return _time(text, checks.positive, "a positive time")
+
+
+def time_or_zero(text: str) -> float:
+    """Return a time of at least zero in ps."""
+    return _time(text, checks.not_negative, "a time of at least 0")
 
 
 def time_or_auto(text: str) -> float | None:
     """Return a positive time in ps, or None for "auto"."""
     return None if text == "auto" else time(text)
+
+
+def _time(text: str, check: Callable[..., float], asked: str) -> float:
+    match = _TIME.fullmatch(text.strip())
+    try:
+        if match is None or match[2].lower() not in _PICOSECONDS:
+            raise ValueError("is no time")
+        return check(float(match[1]) * _PICOSECONDS[match[2].lower()], "it")
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not {asked}: give it in ps, or with a unit, such as 4fs, 100ps or 1ns"
+        ) from None
+
+
+def _seed(value: int, name: str) -> int:
+    if checks.whole(value, name, 1) > _LARGEST:
+        raise ValueError(f"{name} must be a whole number from 1 to {_LARGEST}, not {value}")
+    return value
 
 
 def _sentence(text: str, error: ValueError) -> str:
@@ -57,6 +73,5 @@ def _sentence(text: str, error: ValueError) -> str:
 
 
 positive = checked(float, checks.positive)
-not_negative = checked(float, checks.not_negative)
 count = checked(int, checks.whole)
-seed = checked(int, checks.whole, 1)
+seed = checked(int, _seed)

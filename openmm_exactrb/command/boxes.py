@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.states import read_xml
+from openmm_exactrb.states import loadState, read_xml
 from openmm_exactrb.systems import rigid_water
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
@@ -42,6 +43,13 @@ class Box:
     system: openmm.System
     positions: unit.Quantity
     state: openmm.State | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether it has velocities."""
+        if self.state is None or not self.state.getDataTypes() & openmm.State.Velocities:
+            return False
+        return bool(np.any(self.state.getVelocities(asNumpy=True)._value))
 
 
 def load(args: argparse.Namespace) -> Box:
@@ -162,6 +170,19 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
         raise
     except Exception as error:
         raise ValueError(f"{what} was not understood: {' '.join(str(error).split())}") from error
+
+
+def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
+    """Put a State into a Simulation whose barostat keeps its own pressure and temperature.
+
+    A State has those of the run that it was saved in.
+    """
+    loadState(simulation, state)
+    for force in simulation.system.getForces():
+        if isinstance(force, openmm.MonteCarloBarostat):
+            pressure, temperature = force.getDefaultPressure(), force.getDefaultTemperature()
+            simulation.context.setParameter(force.Pressure(), pressure.value_in_unit(unit.bar))
+            simulation.context.setParameter(force.Temperature(), temperature.value_in_unit(unit.kelvin))
 
 
 def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -10,11 +11,12 @@ from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
 from openmm_exactrb.tuning.command import ERRORS
 
+_INTERRUPTED = 128 + signal.SIGINT
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Carry out a command line and return its exit status: 0, or 2 with one line on stderr.
+    """Carry out a command line and return its exit status: 0, or 2 with one line on stderr, or 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -27,6 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ERRORS as error:
         print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        again = ": go on with the same command and --resume" if args.command == "run" else ""
+        begin = "\n" if sys.stderr.isatty() else ""  # behind ^C, and a line of progress
+        print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
+        return _INTERRUPTED
 
 
 def _parser() -> Parser:

@@ -16,6 +16,7 @@ from openmm_exactrb.runs import Run
 #: Files in the folder of a run.
 ENERGIES, VOLUME, PICTURE = "energies.csv", "volume.csv", "picture.png"
 
+_FEW = 3  # lines, of which fewer tell nothing of how an energy wanders
 _R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 _BLUE, _ORANGE = "#0072B2", "#D55E00"
 
@@ -38,10 +39,15 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
     yield f"{integrator!r}: {length:.4g} ps{speed}"
     temperatures = _temperatures(table, integrator.degreesOfFreedom())
     yield "temperature: " + ", ".join(f"{name} {T.mean():.1f} K" for name, T in temperatures.items())
-    if ensemble == "nve":
+    if ensemble == "nve" and len(table) >= _FEW:
         yield f"total energy: standard deviation {table[:, -1].std() / len(bodies):.1e} kJ/mol per body"
     if ensemble == "npt":
         yield f"density: {_table(job.folder / VOLUME)[:, -1].mean():.4g} g/mL"
+    if len(table) < _FEW:
+        yield (
+            f"that is of {len(table)} {'line' if len(table) == 1 else 'lines'} of {ENERGIES}, too few for means and "
+            "deviations: take a longer --duration, or a smaller --interval in another folder"
+        )
     yield f"{job.folder}: {', '.join(sorted(file.name for file in job.folder.iterdir()))}"
 
 

@@ -5,29 +5,71 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.command.boxes import Box
+from openmm_exactrb.command.boxes import Box, begin_at
 from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
+from openmm_exactrb.runs.identity import text_of_system
+from openmm_exactrb.runs.text import hash_of
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.states import loadState, read_xml
+from openmm_exactrb.states import read_xml
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 
-#: Files in the folder of a run.
-START, STEP = "start.xml", "step.json"
+#: Files in the folder of a run: what it was asked for, where it begins, and scheme and step that were measured.
+COMMAND, START, STEP = "command.json", "start.xml", "step.json"
 
+# What may change until a step was measured: after a target that nothing reaches, for example.
+_OF_STEP = ("setting step", "setting target", "setting scheme")
 _CHUNK = 50
 _ITERATIONS = 100  # of the minimisation: clashes are gone then, the thermostat does the rest
 _STEP = 1.0 * unit.femtosecond  # of the equilibration: also free hydrogen atoms take it
 _FRICTION = 5.0 / unit.picosecond
+
+
+def claim(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform, files: Iterable[str]) -> None:
+    """Make a folder that of a run, before anything is prepared: delete what is to be overwritten, refuse what is not.
+
+    Parameters
+    ----------
+    job : Run
+        Alone in its folder.
+    args : argparse.Namespace
+    box : Box
+        With its barostat.
+    platform : openmm.Platform
+    files : iterable of str
+        Those that the run may write, beside the ones that are prepared.
+
+    Raises
+    ------
+    FileExistsError
+        If there is a file of an earlier run.
+    ValueError
+        If what was prepared there is that of another command.
+    """
+    if job.resuming:  # the checkpoint tells whose it is
+        return
+    prepared: tuple[str, ...] = COMMAND, START, STEP
+    if args.overwrite:
+        job.discard()
+        for name in (*prepared, *files):
+            (job.folder / name).unlink(missing_ok=True)
+    if args.resume and (job.folder / COMMAND).exists():
+        here = _described(job, box, platform)
+        _refuse_others(job.folder / COMMAND, here, () if (job.folder / STEP).exists() else _OF_STEP)
+        _keep(job, COMMAND, json.dumps(here, indent=1))
+        prepared = ()
+    for name in (*prepared, *files):
+        job.path(name)
 
 
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
@@ -40,6 +82,7 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
     if args.resume and file.exists():
         return read_xml(file, openmm.State)
     state = _equilibrated(args, box, platform)
+    _keep(job, COMMAND, json.dumps(_described(job, box, platform), indent=1))
     _keep(job, START, openmm.XmlSerializer.serialize(state))
     return state
 
@@ -88,10 +131,10 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
     integrator.setRandomNumberSeed(args.seed)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     if box.state is not None:
-        loadState(simulation, box.state)
+        begin_at(simulation, box.state)
     else:
         simulation.context.setPositions(box.positions)
-    if not _moves(simulation.context):
+    if not box.moves:
         if box.state is None:
             simulation.minimizeEnergy(maxIterations=_ITERATIONS)
         simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
@@ -99,10 +142,6 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)
-
-
-def _moves(context: openmm.Context) -> bool:
-    return bool(np.any(context.getState(velocities=True).getVelocities(asNumpy=True)._value))
 
 
 def _advance(simulation: Any, args: argparse.Namespace) -> None:
@@ -115,8 +154,37 @@ def _advance(simulation: Any, args: argparse.Namespace) -> None:
     tell.close()
 
 
+def _described(job: Run, box: Box, platform: openmm.Platform) -> dict[str, str]:
+    """Return what decides start and step, by name."""
+    return {
+        **job.settings,
+        "platform": platform.getName(),
+        "System": text_of_system(box.system),
+        "start": hash_of(_bytes_of_start(box)),
+    }
+
+
+def _bytes_of_start(box: Box) -> bytes:
+    if box.state is not None:
+        return str(openmm.XmlSerializer.serialize(box.state)).encode()
+    return np.array(box.positions.value_in_unit(unit.nanometer)).tobytes()
+
+
+def _refuse_others(file: Path, here: dict[str, str], free: Iterable[str]) -> None:
+    """Raise ValueError if a file does not describe this run, but for what is free."""
+    try:
+        there = dict(json.loads(file.read_text()))
+    except (ValueError, TypeError):
+        raise ValueError(f"{file} is damaged: begin anew in another folder or with --overwrite") from None
+    for name in [name for name in {**there, **here} if name not in free]:
+        was, now = there.get(name, "not there"), here.get(name, "not there")
+        if was != now:
+            raise ValueError(
+                f"{file} is of another command: {name} is {was} in it, but {now} now: give the same again, or begin "
+                "anew in another folder or with --overwrite"
+            )
+
+
 def _keep(job: Run, name: str, text: str) -> None:
-    file = job.path(name)
-    job.folder.mkdir(parents=True, exist_ok=True)
-    with written_whole(file) as out:
+    with written_whole(job.folder / name) as out:
         out.write(text)

@@ -51,6 +51,8 @@ def carry_out(args: argparse.Namespace) -> int:
     ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException
         If a file or an option does not fit: those of `ERRORS`.
     """
+    if args.output is not None:
+        _refuse_picture(args.output)
     result = tune(
         read_xml(args.system, openmm.System),
         read_xml(args.state, openmm.State),
@@ -62,7 +64,25 @@ def carry_out(args: argparse.Namespace) -> int:
         duration=args.duration,
         report=None if args.quiet else progress,
     )
+    print(result.to_json() if args.json else result, flush=True)
     if args.output is not None:
         result.draw(args.output)
-    print(result.to_json() if args.json else result)
     return 0 if args.target is None or result.chosen is not None else 1
+
+
+def _refuse_picture(file: Path) -> None:
+    """Raise ValueError, OSError or ModuleNotFoundError, before all measurements, if no picture can be written there."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(
+            "--output needs matplotlib: python -m pip install matplotlib", name="matplotlib"
+        ) from None
+    kinds = FigureCanvasAgg.get_supported_filetypes()
+    if file.suffix and file.suffix[1:].lower() not in kinds:
+        raise ValueError(f"--output {file} is no picture: let it end with one of {', '.join(sorted(kinds))}")
+    is_new = not file.exists()
+    with file.open("ab"):
+        pass
+    if is_new:
+        file.unlink()

@@ -25,6 +25,26 @@ CASES = [
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
     ([], "there is nothing to run"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
+    (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file: choose another folder"),
+]
+PDB = ["droplet.pdb", "--forcefield", "tip3p.xml"]
+XML = ["system.xml", "state.xml"]
+IDLE = [
+    ([*XML, "--constraints", "HBonds"], "--constraints: a System has its forces and constraints already"),
+    ([*XML, "--cutoff", "0.9"], "--cutoff: a System has its"),
+    ([*XML, "--ewald-tolerance", "1e-5"], "--ewald-tolerance: a System has its"),
+    ([*XML, "--water", "tip3p"], "--water: a System has its"),
+    (
+        [*XML, "--ensemble", "nvt", "--equilibration", "0.001"],
+        "--equilibration: a State with velocities is taken as it",
+    ),
+    ([*XML, "--temperature", "310"], "--temperature: a State with velocities is taken as it is"),
+    ([*PDB, "--cutoff", "0.4"], "--cutoff: there is no cutoff without a periodic box"),
+    ([*PDB, "--ewald-tolerance", "1e-4"], "--ewald-tolerance: there is no cutoff"),
+    ([*PDB, "--water", "tip3p"], "--water: it is the water of --solvate"),
+    ([*PDB, "--ensemble", "nvt", "--pressure", "1"], "--pressure: only --ensemble npt has one"),
+    ([*PDB, "--friction", "1"], "--friction: only --ensemble nvt and npt have one"),
+    ([*PDB, "--target", "1e-3"], "--target: only --step auto has one"),
 ]
 
 
@@ -38,10 +58,20 @@ def files(droplet, serialised, tmp_path, monkeypatch):
 @pytest.mark.parametrize(("arguments", "message"), CASES, ids=[message for _, message in CASES])
 @pytest.mark.usefixtures("files")
 def test_a_wrong_call_is_one_line(tmp_path, capsys, arguments, message):
-    assert main(["run", *arguments, "--out", "out", *([] if arguments else ["--forcefield", "tip3p.xml"])]) == 2
+    assert main(["run", "--out", "out", *arguments, *([] if arguments else ["--forcefield", "tip3p.xml"])]) == 2
     out, errors = capsys.readouterr()
     assert errors.startswith("exactrb run: ")
     assert message in errors
+    assert (errors.count("\n"), out) == (1, "")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("arguments", "message"), IDLE, ids=[message for _, message in IDLE])
+@pytest.mark.usefixtures("files")
+def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, message):
+    assert main(["run", *arguments, "--step", "2fs", "--duration", "2fs", "--out", "out"]) == 2
+    out, errors = capsys.readouterr()
+    assert f"leave out {message}" in errors
     assert (errors.count("\n"), out) == (1, "")
     assert not (tmp_path / "out").exists()
 
@@ -54,6 +84,9 @@ def test_a_wrong_call_is_one_line(tmp_path, capsys, arguments, message):
         (["--temperature", "nan"], "'nan' is not a positive number"),
         (["--solvate", "2.5"], "'2.5' is not a number"),
         (["--seed", "0"], "'0' is not a whole number of at least 1"),
+        (["--seed", "2147483648"], "'2147483648' is not a whole number from 1 to 2147483647"),
+        (["--equilibration=-1ps"], "'-1ps' is not a time of at least 0"),
+        (["--equilibration", "1kg"], "'1kg' is not a time of at least 0"),
         (["--ensemble", "nvp"], "invalid choice: 'nvp'"),
     ],
 )
@@ -87,6 +120,27 @@ def test_a_run_is_not_replaced(serialised, tmp_path):
     assert "add --overwrite" in errors
     assert (errors.count("\n"), "Traceback" in errors) == (1, False)
     assert {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()} == before
+
+
+@pytest.mark.parametrize("name", ["energies.csv", "trajectory.dcd", "picture.png", "start.xml"])
+def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path, capsys, name):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text("something else")
+    steps = "--step", "2fs", "--duration", "2fs", "--equilibration", "0.002", "--platform", "Reference"
+    assert main(["run", str(droplet), "--forcefield", "tip3p.xml", *steps, "--out", str(out)]) == 2
+    errors = capsys.readouterr().err
+    assert f"{name} is of an earlier run" in errors
+    assert errors.count("\n") == 1
+    assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
+
+
+@pytest.mark.parametrize("nothing", [None, 3, b"state.xml"])
+def test_a_state_is_one_or_a_file_of_one(serialised, nothing):
+    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    with pytest.raises(ValueError, match=f"saveState wrote, not a {type(nothing).__name__}"):
+        rb.loadState(context, nothing)
 
 
 def test_molecules_that_are_interleaved_need_a_topology():

@@ -1,10 +1,14 @@
 """``exactrb info`` and ``exactrb tune``, and what entries of the catalogues say of themselves."""
 
+from pathlib import Path
+
 import openmm
 import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.command.main import main
+
+BRIEF = ["--schemes", "V2", "--platform", "Reference", "--duration", "0.05", "--target", "1e-12"]
 
 
 def test_info_names_what_there_is(capsys):
@@ -15,13 +19,41 @@ def test_info_names_what_there_is(capsys):
 
 
 def test_tune_is_that_of_the_module(serialised, capsys):
-    options = ["--schemes", "V2", "--platform", "Reference", "--duration", "0.05", "--target", "1e-12", "--quiet"]
-    assert main(["tune", *map(str, serialised), *options]) == 1
+    assert main(["tune", *map(str, serialised), *BRIEF, "--quiet"]) == 1
     out, errors = capsys.readouterr()
     assert "was not reached" in " ".join(out.split())
     assert errors == ""
     assert main(["tune", *map(str, serialised[::-1])]) == 2
     assert "holds a State, not a System" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("picture", "message"),
+    [
+        ("nowhere/tune.png", "No such file"),
+        ("tune.txt", "tune.txt is no picture: let it end with one of"),
+        (".", "Is a"),
+    ],
+)
+def test_a_picture_that_cannot_be_drawn_is_refused_before_the_measurements(
+    serialised, tmp_path, monkeypatch, capsys, picture, message
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(["tune", *map(str, serialised), *BRIEF, "--output", picture]) == 2
+    out, errors = capsys.readouterr()
+    assert message in errors
+    assert (errors.count("\n"), out) == (1, "")
+    assert set(tmp_path.iterdir()) == set(serialised)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a disk that is always full")
+def test_what_was_measured_is_printed_before_the_picture(serialised, tmp_path, capsys):
+    picture = tmp_path / "tune.png"
+    picture.symlink_to("/dev/full")
+    assert main(["tune", *map(str, serialised), *BRIEF, "--quiet", "--output", str(picture)]) == 2
+    out, errors = capsys.readouterr()
+    assert "was not reached" in " ".join(out.split())
+    assert "No space left on device" in errors
 
 
 @pytest.mark.parametrize("entry", [*rb.SCHEMES.values(), *rb.ROTORS.values()], ids=lambda entry: entry.name)

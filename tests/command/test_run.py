@@ -185,6 +185,52 @@ def test_constant_pressure_moves_the_box(box, tmp_path, capsys):
     assert 1 < len(set(volume)) <= 1 + 100 // 25  # an attempt every 25 steps
 
 
+@pytest.mark.parametrize(("moving", "warmth"), [(True, 280), (False, 280), (True, 400)])
+def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path, capsys, moving, warmth):
+    """It has that of a barostat which is out of the System since, and the temperature of that too."""
+    _, system, state, files = box
+    saved = openmm.XmlSerializer.clone(system)
+    saved.addForce(openmm.MonteCarloBarostat(1e4 * unit.bar, warmth * unit.kelvin))
+    context = openmm.Context(saved, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    rb.loadState(context, state)
+    with_parameters = tmp_path / "with_parameters.xml"
+    for file, parameters in ((files[1], False), (with_parameters, True)):
+        content = context.getState(positions=True, velocities=moving, parameters=parameters)
+        file.write_text(openmm.XmlSerializer.serialize(content))
+    assert "MonteCarloPressure" in with_parameters.read_text()
+    options = "--ensemble", "npt", "--pressure", "500", "--temperature", "280", "--duration", "0.2", "--no-picture"
+    options += () if moving else ("--equilibration", "0.05")
+    volumes = []
+    for file in (files[1], with_parameters):
+        out = tmp_path / file.stem
+        status, _, errors = carry_out(capsys, "run", files[0], file, *SHORT, *options, "--out", out)
+        assert (status, errors) == (0, "")
+        kept = openmm.XmlSerializer.deserialize((out / "start.xml").read_text()).getParameters()
+        assert (kept["MonteCarloPressure"], kept["MonteCarloTemperature"]) == (500.0, 280.0)
+        volumes.append((out / "volume.csv").read_text())
+    assert volumes[0] == volumes[1]
+
+
+@pytest.mark.parametrize(("duration", "lines"), [("2fs", "1 line"), ("4fs", "2 lines")])
+def test_a_few_lines_of_energies_have_no_deviation(serialised, tmp_path, capsys, duration, lines):
+    options = "--duration", duration, "--no-picture", "--out", tmp_path / "out"
+    status, said, _ = carry_out(capsys, "run", *serialised, *SHORT, *options)
+    assert status == 0
+    assert "standard deviation" not in said
+    assert f"that is of {lines} of energies.csv" in said
+
+
+def test_an_equilibration_has_units(droplet, tmp_path, capsys):
+    """The same as its number of ps; without one the start is only minimised."""
+    command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT, "--duration", "0.01", "--no-picture"
+    for name, length in (("unit", "20fs"), ("number", "0.02"), ("zero", "0"), ("none", "0fs")):
+        assert carry_out(capsys, *command, "--equilibration", length, "--out", tmp_path / name)[0] == 0
+    unit_, number, zero, none = (
+        (tmp_path / name / "energies.csv").read_bytes() for name in ("unit", "number", "zero", "none")
+    )
+    assert unit_ == number != zero == none
+
+
 def test_the_barostat_has_the_settings_of_the_options(box):
     _, system, _, _ = box
     couple(system, Namespace(ensemble="npt", pressure=500.0, temperature=280.0, seed=7))
