@@ -12,11 +12,11 @@ from openmm import app, unit
 from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.nesting import AUTO, Nesting, nested_in
-from openmm_exactrb.schemes import CATALOGUE, Scheme
-from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.context.units import stripped
+from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.measurements import Measurements
-from openmm_exactrb.tuning.movers import NestedScheme
+from openmm_exactrb.tuning.movers import NestedScheme, own_scheme, schemes_of
 from openmm_exactrb.tuning.record import Choice
 from openmm_exactrb.tuning.result import Tuning
 from openmm_exactrb.tuning.search import Found, search
@@ -60,7 +60,7 @@ def tune(
     start: Any = None,
     *,
     target: float | None = None,
-    schemes: Sequence[str | Scheme] | None = None,
+    schemes: str | Scheme | Sequence[str | Scheme] | None = None,
     velocities: Any = None,
     temperature: float | unit.Quantity | None = None,
     platform: str | openmm.Platform | None = None,
@@ -86,20 +86,21 @@ def tune(
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation gives its state, platform and bodies named by hand too. Thermostats, barostats and motion removers
-        are left out of the measurements.
+        A Simulation gives its state, box, parameters, platform, force groups that act and bodies named by hand too.
+        Thermostats, barostats and motion removers are left out of the measurements.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, best of an equilibrated run; or positions, in nm if without a unit.
     target : float, optional
         Wanted standard deviation of the total energy in kJ/mol per body. Without one all levels are measured, and the
         result is asked.
     schemes : sequence of str or Scheme, optional
-        `CANDIDATES` unless given. OpenMM's VerletIntegrator is measured beside them where constraints hold all bodies.
+        `CANDIDATES` unless given. One of your own must have a name that is none of the catalogue's. OpenMM's
+        VerletIntegrator is measured beside them where constraints hold all bodies.
     velocities : (n, 3) array or Quantity, optional
         Beside positions, in nm/ps if without a unit.
     temperature : float or Quantity, optional
         In K: minimise positions that come without velocities, draw momenta and let them mix with the positions, 20
-        times within some periods. Needed where all velocities are zero.
+        times or more within some periods, until they have it. Needed where all velocities are zero.
     platform : str or openmm.Platform, optional
         That of OPENMM_DEFAULT_PLATFORM, else the fastest one here, unless given.
     properties : mapping, optional
@@ -129,17 +130,17 @@ def tune(
     Raises
     ------
     ValueError
-        If something is missing or does not fit, all velocities are zero without a temperature, or a scheme is unknown
-        or cannot serve.
+        If something is missing or does not fit, all velocities are zero without a temperature, the temperature is not
+        reached, or a scheme is unknown or cannot serve.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol per body")
-    chosen = _schemes(CANDIDATES if schemes is None else schemes)
+    chosen = schemes_of(CANDIDATES if schemes is None else schemes)
     levels = whole(levels, "levels", least=3)
-    length = None if duration is None else positive(_in(unit.picosecond, duration), "duration", "ps")
-    named = None if horizon is None else positive(_in(unit.picosecond, horizon), "horizon", "ps")
+    length = None if duration is None else positive(stripped(duration, unit.picosecond), "duration", "ps")
+    named = None if horizon is None else positive(stripped(horizon, unit.picosecond), "horizon", "ps")
     begin, notes = start_of(system, start, velocities, platform, properties, bodies)
     if temperature is not None:
-        kelvin = positive(_in(unit.kelvin, temperature), "temperature", "K")
+        kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
         begin = thermalised(begin, kelvin, seed, minimise=not begin.velocities.any())
         notes.append(
             f"the start was brought to {kelvin:g} K in a short run: the State of an equilibrated one is better"
@@ -161,9 +162,13 @@ def tune(
 
 
 def _result(measured: Measurements, found: Found, target: float | None, notes: list[str]) -> Tuning:
-    start = measured.bench.start
-    own = None if start.bodies is None else [list(map(int, body)) for body in start.bodies]
+    start, scales = measured.bench.start, measured.bench.scales
+    own = {name: scheme for name, method in measured.methods.items() if (scheme := own_scheme(method))}
     floor, best = found
+    if scales.time == scales.free:
+        notes.append(
+            "at the start bodies hardly feel each other: what was measured says little about runs in which they meet"
+        )
     if floor is not None and best is not None and best.error < 1.5 * floor:
         notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
     if best is not None and (looks := _looks(measured, best.method)):
@@ -171,19 +176,25 @@ def _result(measured: Measurements, found: Found, target: float | None, notes: l
             f"{best.method} evaluates forces {looks} times more for each call of step, and so for each report: that is "
             "not in its cost, so let reports be some hundred forces apart. Simulation.step calls it every ten steps"
         )
+    chosen = None
+    if best is not None:
+        setting = best.method, best.step, best.error, best.cost
+        chosen = Choice(*setting, True, start.bodies, own.get(best.method), start.groups)
     return Tuning(
         points=tuple(measured.points),
         seconds=measured.seconds,
         stages=measured.stages,
-        n_bodies=measured.bench.scales.n_bodies,
+        n_bodies=scales.n_bodies,
         platform=start.platform,
         duration=measured.duration,
         horizon=measured.horizon,
         target=target,
-        chosen=None if best is None else Choice(best.method, best.step, best.error, best.cost, True, own),
+        chosen=chosen,
         floor=floor,
         notes=tuple(notes),
-        bodies=own,
+        bodies=start.bodies,
+        schemes=own,
+        groups=start.groups,
     )
 
 
@@ -194,24 +205,9 @@ def _looks(measured: Measurements, name: str) -> int:
     return scheme.processing if isinstance(scheme, Scheme) else 0
 
 
-def _nested(start: Start, schemes: Sequence[str | Scheme] | None) -> list[NestedScheme]:
+def _nested(start: Start, schemes: str | Scheme | Sequence[str | Scheme] | None) -> list[NestedScheme]:
     """Return the nested schemes that can be tried."""
     bodies = find_bodies(start.system, start.positions, start.bodies)
     if nested_in(start.system, bodies, Nesting(AUTO)) is None:
         return []
-    return [NestedScheme(scheme) for scheme in _schemes(NESTED_CANDIDATES if schemes is None else schemes)]
-
-
-def _schemes(names: Sequence[str | Scheme]) -> list[Scheme]:
-    if isinstance(names, (str, Scheme)):
-        names = [names]
-    schemes = [look_up(name) for name in names]
-    if not schemes:
-        raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
-    return list({scheme.name: scheme for scheme in schemes}.values())
-
-
-def _in(kind: unit.Unit, value: Any) -> Any:
-    """Return a Quantity as a number in a unit, if that is its kind."""
-    fits = unit.is_quantity(value) and value.unit.is_compatible(kind)
-    return value.value_in_unit(kind) if fits else value
+    return [NestedScheme(scheme) for scheme in schemes_of(NESTED_CANDIDATES if schemes is None else schemes)]

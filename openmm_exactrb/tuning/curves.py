@@ -14,7 +14,7 @@ class Point:
     Attributes
     ----------
     method : str
-        A scheme of the catalogue, or "VerletIntegrator".
+        The name of a scheme, with " nested" behind it where bonded forces are nested, or "VerletIntegrator".
     step : float
         Size of a whole step in ps.
     error : float
@@ -32,10 +32,23 @@ class Point:
     duration: float
 
 
-def stable_curve(points: Sequence[Point]) -> list[Point]:
-    """Return the points of one method with steps below its smallest unstable one, cheapest first."""
+def stable(points: Sequence[Point]) -> list[Point]:
+    """Return the points of one method with steps below its smallest unstable one."""
     limit = min((p.step for p in points if math.isinf(p.error)), default=math.inf)
-    return sorted((p for p in points if p.step < limit), key=lambda p: p.cost)
+    return [p for p in points if p.step < limit]
+
+
+def stable_curve(points: Sequence[Point]) -> list[Point]:
+    """Return the stable points of one method that no other one refutes, cheapest first.
+
+    A point is refuted by a longer run, of a step not above its own, with a larger error: it was too short to show that.
+    """
+    below = stable(points)
+    return sorted((p for p in below if not any(_refutes(q, p) for q in below)), key=lambda p: p.cost)
+
+
+def _refutes(longer: Point, point: Point) -> bool:
+    return longer.duration > point.duration and longer.step <= point.step and longer.error > point.error
 
 
 def cost_between(a: Point, b: Point, error: float) -> float:

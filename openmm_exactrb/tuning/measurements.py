@@ -113,7 +113,7 @@ class Measurements:
         return [name for name in self.methods if name != VERLET and self.curve(name)]
 
     def curve(self, name: str) -> list[Point]:
-        """Return the stable points of a method, cheapest first."""
+        """Return the stable points of a method that no longer run refutes, cheapest first."""
         return stable_curve([p for p in self.points if p.method == name])
 
     def order(self, name: str) -> int:
@@ -126,5 +126,11 @@ class Measurements:
         return slope(self.curve(name), self.order(name))
 
     def is_flat(self, name: str) -> bool:
-        """Tell whether the error of a method no longer falls; see `curves.is_flat`."""
-        return is_flat(self.curve(name), self.order(name))
+        """Tell whether the error of a method no longer falls from level to level; see `curves.is_flat`."""
+        return is_flat([p for p in self.curve(name) if p.duration == self.duration], self.order(name))
+
+    def holds(self, name: str, target: float) -> bool:
+        """Tell whether the finest point of a method has an error of the target or less, and no longer run has more."""
+        curve = self.curve(name)
+        failed = any(p.error > target and p.duration > self.duration for p in curve)
+        return bool(curve) and curve[-1].error <= target and not failed

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,7 +15,9 @@ import openmm
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.motion.fit import fit
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.motion.guard import NonFiniteError
+from openmm_exactrb.schemes import CATALOGUE, Scheme
+from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.start import Start
 
 #: The baseline: OpenMM's own leapfrog with constraints.
@@ -47,16 +51,52 @@ def is_nested(name: str) -> bool:
     return name.endswith(_NESTED)
 
 
-def integrator_of(name: str, step: float, bodies: Sequence[Sequence[int]] | None) -> openmm.Integrator:
-    """Return a new integrator for the name of a method, with a step in ps."""
-    if name == VERLET:
-        return openmm.VerletIntegrator(step)
-    return ExactRigidBodyIntegrator(step, bodies=bodies, **options_of(name))
+def schemes_of(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
+    """Return the schemes that a user names, each once.
+
+    Raises
+    ------
+    ValueError
+        If there are none, one is unknown, or one of the user's own has the name of another method.
+    """
+    schemes = [look_up(name) for name in ([names] if isinstance(names, (str, Scheme)) else names)]
+    if not schemes:
+        raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
+    known: dict[str, Scheme] = {}
+    for scheme in schemes:
+        name = scheme.name
+        if is_nested(name) or name == VERLET or known.setdefault(name, _by_name(name) or scheme) != scheme:
+            raise ValueError(f"a scheme of your own has the name {name!r} of another method: give it one of its own")
+    return list(known.values())
 
 
-def options_of(name: str) -> dict[str, Any]:
-    """Return scheme and nested forces of one of our integrators for the name of a method."""
-    return {"scheme": name.removesuffix(_NESTED), "fast": "bonded" if is_nested(name) else None}
+def own_scheme(method: Method) -> Scheme | None:
+    """Return the scheme of a method, unless its name tells it."""
+    scheme = method.scheme if isinstance(method, NestedScheme) else method
+    return scheme if isinstance(scheme, Scheme) and _by_name(scheme.name) != scheme else None
+
+
+def _by_name(name: str) -> Scheme | None:
+    try:
+        return look_up(name)
+    except ValueError:
+        return None
+
+
+def options_of(name: str, own: Scheme | None = None) -> dict[str, Any]:
+    """Return scheme and nested forces of one of our integrators for the name of a method, or for a scheme of a user."""
+    return {"scheme": own or name.removesuffix(_NESTED), "fast": "bonded" if is_nested(name) else None}
+
+
+@contextmanager
+def blow_ups() -> Iterator[None]:
+    """Raise NonFiniteError where OpenMM says that positions are not finite; its other errors are no blow-ups."""
+    try:
+        yield
+    except openmm.OpenMMException as error:
+        if "NaN" not in str(error):
+            raise
+        raise NonFiniteError(str(error)) from error
 
 
 class Mover(Protocol):
@@ -80,23 +120,39 @@ class Mover(Protocol):
         """Go back to the start, and take this step size in ps."""
 
     def move(self, steps: int) -> None:
-        """Make steps."""
+        """Make steps.
+
+        Raises
+        ------
+        NonFiniteError
+            If they blow up.
+        """
 
     def energy(self) -> float:
-        """Return the total energy at a full step in kJ/mol."""
+        """Return the total energy at a full step in kJ/mol; NonFiniteError if there is none any more."""
 
     def seconds_per_evaluation(self, steps: int) -> float:
         """Make steps, and return the wall time that a force evaluation took."""
 
 
 class Ours:
-    """A scheme with the exact rotor."""
+    """A scheme with the exact rotor, on the engine that an integrator without further arguments has there."""
 
     def __init__(self, start: Start, method: Scheme | NestedScheme) -> None:
         scheme, fast = (method.scheme, "bonded") if isinstance(method, NestedScheme) else (method, None)
         self._start, self.stages = start, scheme.forces
-        self._integrator = ExactRigidBodyIntegrator(1e-6, scheme=scheme, bodies=start.bodies, fast=fast, engine="host")
+        options: dict[str, Any] = {"scheme": scheme, "bodies": start.bodies, "fast": fast}
+        self._integrator = ExactRigidBodyIntegrator(1e-6, **options)
         self._context = start.context(self._integrator)
+        if self._integrator.getEngine() == "device":  # by name it keeps its program where the step changes
+            self._integrator = ExactRigidBodyIntegrator(1e-6, **options, engine="device")
+            own = copy.deepcopy(start.system)  # to which the device adds a force that others need not pay for
+            self._context = replace(start, system=own).context(self._integrator)
+
+    @property
+    def engine(self) -> str:
+        """Who carries the steps out, "host" or "device"."""
+        return self._integrator.getEngine()
 
     @property
     def fast_share(self) -> float:
@@ -113,11 +169,13 @@ class Ours:
 
     def move(self, steps: int) -> None:
         """Make steps."""
-        self._integrator.step(steps)
+        with blow_ups():
+            self._integrator.step(steps)
 
     def energy(self) -> float:
         """Return the total energy in kJ/mol."""
-        return float(self._integrator.totalEnergy()._value)
+        with blow_ups():
+            return float(self._integrator.totalEnergy()._value)
 
     def seconds_per_evaluation(self, steps: int) -> float:
         """Make steps, and return the wall time that a force evaluation took."""
@@ -150,13 +208,14 @@ class Verlet:
         self._integrator.setStepSize(h)
         self._context.setPositions(self._x)
         self._context.computeVirtualSites()
-        forces = self._context.getState(forces=True).getForces(asNumpy=True)._value
+        forces = self._state(forces=True).getForces(asNumpy=True)._value
         self._context.setVelocities(self._start.velocities - 0.5 * h * forces * self._inverse_masses)
         self._context.applyVelocityConstraints(1e-10)
 
     def move(self, steps: int) -> None:
         """Make steps."""
-        self._integrator.step(steps)
+        with blow_ups():
+            self._integrator.step(steps)
 
     def energy(self) -> float:
         """Return the total energy at a full step in kJ/mol.
@@ -164,11 +223,18 @@ class Verlet:
         Forces move the velocities on by half a step. Constraint forces within a rigid body change neither its momentum
         nor its angular momentum, so that these give the kinetic energy exactly.
         """
-        state = self._context.getState(positions=True, velocities=True, forces=True, energy=True)
+        with blow_ups():
+            state = self._state(positions=True, velocities=True, forces=True, energy=True)
         forces = state.getForces(asNumpy=True)._value
         v = state.getVelocities(asNumpy=True)._value + 0.5 * self._h * forces * self._inverse_masses
-        fitted = fit(self._bodies, state.getPositions(asNumpy=True)._value, v)
+        try:
+            fitted = fit(self._bodies, state.getPositions(asNumpy=True)._value, v)
+        except ValueError as error:  # not finite, or constraints are no longer met
+            raise NonFiniteError(str(error)) from error
         return float(state.getPotentialEnergy()._value + sum(self._bodies.kinetic_energies(fitted)))
+
+    def _state(self, **what: bool) -> openmm.State:
+        return self._context.getState(groups=self._start.groups, **what)
 
     def seconds_per_evaluation(self, steps: int) -> float:
         """Make steps, and return the wall time that a force evaluation took."""

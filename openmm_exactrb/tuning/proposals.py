@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +15,8 @@ from openmm import app, unit
 from openmm_exactrb.baths import ExactRigidBodyHybridIntegrator
 from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context.units import stripped
-from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.tuning.movers import own_scheme, schemes_of
 from openmm_exactrb.tuning.scales import scales_of
 from openmm_exactrb.tuning.start import Start, start_of
 from openmm_exactrb.tuning.thermal import thermalised
@@ -35,7 +37,7 @@ class Proposal:
     Attributes
     ----------
     method : str
-        A scheme of the catalogue.
+        The name of a scheme.
     step : float
         Time of a proposal in ps.
     acceptance : float
@@ -48,6 +50,10 @@ class Proposal:
         In K and 1/ps.
     bodies : list of lists of int, optional
         For the integrator.
+    scheme : Scheme, optional
+        That of the method, where it is not of the catalogue.
+    groups : int
+        Bits of the force groups that act.
     """
 
     method: str
@@ -58,6 +64,8 @@ class Proposal:
     temperature: float
     friction: float
     bodies: list[list[int]] | None = None
+    scheme: Scheme | None = None
+    groups: int = -1
 
     @property
     def cost(self) -> float:
@@ -66,9 +74,11 @@ class Proposal:
 
     def integrator(self) -> ExactRigidBodyHybridIntegrator:
         """Return a new integrator with this setting."""
-        return ExactRigidBodyHybridIntegrator(
-            self.temperature, self.friction, self.step, scheme=self.method, bodies=self.bodies
+        integrator = ExactRigidBodyHybridIntegrator(
+            self.temperature, self.friction, self.step, scheme=self.scheme or self.method, bodies=self.bodies
         )
+        integrator.setIntegrationForceGroups(self.groups)
+        return integrator
 
     def __str__(self) -> str:
         return (
@@ -110,7 +120,7 @@ def tune_proposals(
     *,
     temperature: float | unit.Quantity,
     friction: float | unit.Quantity,
-    schemes: Sequence[str] = PROPOSERS,
+    schemes: str | Scheme | Sequence[str | Scheme] = PROPOSERS,
     proposals: int = 200,
     velocities: Any = None,
     platform: str | openmm.Platform | None = None,
@@ -134,8 +144,8 @@ def tune_proposals(
         In K if it has no unit.
     friction : float or Quantity
         In 1/ps if it has no unit; above zero, since without friction nothing makes the walk end.
-    schemes : sequence of str, optional
-        Symmetric ones of the catalogue without a processor.
+    schemes : sequence of str or Scheme, optional
+        Symmetric ones without a processor.
     proposals : int, optional
         For each setting.
     seed : int, optional
@@ -167,15 +177,16 @@ def tune_proposals(
     kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
     rate = positive(stripped(friction, unit.picosecond**-1), "friction", "/ps")
     number = whole(proposals, "proposals")
-    names = [look_up(name).name for name in schemes]
+    chosen = schemes_of(schemes)
     begin, _ = start_of(system, start, velocities, platform, properties, bodies)
     if not begin.velocities.any():
         begin = thermalised(begin, kelvin, seed, minimise=True)
     tell = report or (lambda line: None)
+    scale = scales_of(begin).time
     found = [
         tried
-        for name in names
-        for tried in _until_dearer(_measured(begin, name, kelvin, rate, number, seed, tell), scales_of(begin).time)
+        for scheme in chosen
+        for tried in _until_dearer(_measured(begin, scheme, kelvin, rate, number, seed, tell), scale)
     ]
     return sorted(found, key=lambda proposal: proposal.cost)
 
@@ -193,13 +204,19 @@ def _until_dearer(measure: Callable[[float], Proposal], scale: float) -> Iterato
 
 
 def _measured(
-    start: Start, name: str, temperature: float, friction: float, number: int, seed: int, tell: Callable[[str], None]
+    start: Start,
+    scheme: Scheme,
+    temperature: float,
+    friction: float,
+    number: int,
+    seed: int,
+    tell: Callable[[str], None],
 ) -> Callable[[float], Proposal]:
     """Return what measures proposals of a scheme at a time a force evaluation."""
 
     def measure(interval: float) -> Proposal:
-        step = look_up(name).stages * interval
-        integrator = ExactRigidBodyHybridIntegrator(temperature, friction, step, scheme=name, bodies=start.bodies)
+        step = scheme.stages * interval
+        integrator = ExactRigidBodyHybridIntegrator(temperature, friction, step, scheme=scheme, bodies=start.bodies)
         integrator.setRandomNumberSeed(seed)
         context = start.context(integrator)
         integrator.step(max(1, round(_SETTLING * number)))
@@ -209,9 +226,19 @@ def _measured(
         context.getState(positions=True)  # waits for platforms that work in the background
         seconds = (time.perf_counter() - begun) / number
         rate = integrator.acceptanceRate()
-        own = None if start.bodies is None else [list(map(int, body)) for body in start.bodies]
         worth = progress(step, rate, friction)
-        found = Proposal(name, step, rate, seconds, worth, temperature, friction, own)
+        found = Proposal(
+            scheme.name,
+            step,
+            rate,
+            seconds,
+            worth,
+            temperature,
+            friction,
+            copy.deepcopy(start.bodies),
+            own_scheme(scheme),
+            start.groups,
+        )
         tell(str(found))
         return found
 

@@ -8,8 +8,10 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.tuning.curves import Point, stable_curve, step_at
-from openmm_exactrb.tuning.movers import VERLET, integrator_of, options_of
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.tuning.curves import Point, stable, stable_curve, step_at
+from openmm_exactrb.tuning.movers import VERLET, options_of
 
 
 @dataclass(frozen=True)
@@ -19,7 +21,7 @@ class Choice:
     Attributes
     ----------
     method : str
-        A scheme of the catalogue, one with " nested" behind its name, or "VerletIntegrator".
+        The name of a scheme, with " nested" behind it where bonded forces are nested, or "VerletIntegrator".
     step : float
         Size of a whole step in ps.
     error : float
@@ -30,6 +32,10 @@ class Choice:
         Whether this very setting was run; else it lies between two that were.
     bodies : list of lists of int, optional
         For the integrator.
+    scheme : Scheme, optional
+        That of the method, where it is not of the catalogue.
+    groups : int
+        Bits of the force groups that act.
     """
 
     method: str
@@ -38,14 +44,21 @@ class Choice:
     cost: float
     confirmed: bool
     bodies: list[list[int]] | None = None
+    scheme: Scheme | None = None
+    groups: int = -1
 
     def integrator(self) -> openmm.Integrator:
         """Return a new integrator with this scheme and step."""
-        return integrator_of(self.method, self.step, self.bodies)
+        if self.method == VERLET:
+            integrator = openmm.VerletIntegrator(self.step)
+        else:
+            integrator = ExactRigidBodyIntegrator(self.step, bodies=self.bodies, **self.options())
+        integrator.setIntegrationForceGroups(self.groups)
+        return integrator
 
     def options(self) -> dict[str, Any]:
         """Return the arguments `scheme` and `fast` that an integrator of this package has with this setting."""
-        return options_of(self.method)
+        return options_of(self.method, self.scheme)
 
     def __str__(self) -> str:
         return (
@@ -77,6 +90,10 @@ class Record:
         The error below which smaller steps do not bring it, in kJ/mol per body.
     notes : tuple of str
     bodies : list of lists of int, optional
+    schemes : mapping
+        Those that are not of the catalogue, by method.
+    groups : int
+        Bits of the force groups that act.
     """
 
     points: tuple[Point, ...]
@@ -91,6 +108,8 @@ class Record:
     floor: float | None = None
     notes: tuple[str, ...] = ()
     bodies: list[list[int]] | None = field(default=None, repr=False)
+    schemes: Mapping[str, Scheme] = field(default_factory=dict, repr=False)
+    groups: int = -1
 
     def methods(self, method: str | None = None) -> list[str]:
         """Return one method, if it was measured, or all schemes.
@@ -106,8 +125,12 @@ class Record:
             raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.seconds)}")
         return [method]
 
+    def largest_stable(self, method: str) -> float | None:
+        """Return the largest step in ps of a method that was stable; None if none was."""
+        return max((p.step for p in stable([p for p in self.points if p.method == method])), default=None)
+
     def curve(self, method: str) -> list[Point]:
-        """Return the stable points of a method beyond its last unstable one, cheapest first."""
+        """Return the points of a method beyond its last unstable one that no longer run refutes, cheapest first."""
         return stable_curve([p for p in self.points if p.method == method])
 
     def interval(self, point: Point) -> float:
@@ -116,4 +139,5 @@ class Record:
 
     def choice(self, method: str, cost: float, error: float, measured: bool) -> Choice:
         """Return the setting of a method that has a cost."""
-        return Choice(method, step_at(self.curve(method), cost), error, cost, measured, self.bodies)
+        step = step_at(self.curve(method), cost)
+        return Choice(method, step, error, cost, measured, self.bodies, self.schemes.get(method), self.groups)

@@ -18,14 +18,14 @@ class Tuning(Record):
     """What was measured, and the advice that follows; its attributes are those of `Record`."""
 
     def best(self, target: float | None = None) -> Choice:
-        """Return the cheapest scheme of the catalogue and its step for an energy error.
+        """Return the cheapest scheme and its step for an energy error.
 
         Parameters
         ----------
         target : float, optional
             Standard deviation of the total energy in kJ/mol per body within a run as long as the horizon. For the
-            target that was tuned for, and without one, the choice was confirmed by a longer run; others are
-            interpolated with `cheapest`.
+            target that was tuned for, and without one, the choice was confirmed by a run over all of the horizon;
+            others are interpolated with `cheapest`.
 
         Raises
         ------
@@ -35,9 +35,11 @@ class Tuning(Record):
         target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
             raise ValueError("give best() a target: tune() was called without one")
-        if self.chosen is not None and target == self.target:
-            return self.chosen
-        return self.cheapest(target)
+        if target != self.target:
+            return self.cheapest(target)
+        if self.chosen is None:
+            raise answers.UnreachableError(answers.unreachable(self, target))
+        return self.chosen
 
     def cheapest(self, target: float, method: str | None = None) -> Choice:
         """Return the cheapest setting for an energy error, between those measured.
@@ -47,7 +49,7 @@ class Tuning(Record):
         target : float
             As for `best`.
         method : str, optional
-            A scheme, or "VerletIntegrator"; all schemes of the catalogue unless given.
+            A scheme, or "VerletIntegrator"; all schemes unless given.
 
         Raises
         ------
@@ -80,7 +82,8 @@ class Tuning(Record):
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme that kept its energy to a tenth of the kinetic energy.
 
-        Steps were tried up to the first unstable one, 19 % above it or less.
+        Steps were tried up to the first unstable one, 19 % above it or less, or as far as free bodies turn by a radian
+        between two forces.
 
         Raises
         ------
@@ -88,10 +91,10 @@ class Tuning(Record):
             If the method was not measured, or no step of it was stable.
         """
         (name,) = self.methods(method)
-        steps = [p.step for p in self.curve(name)]
-        if not steps:
+        step = self.largest_stable(name)
+        if step is None:
             raise answers.UnreachableError(f"no step of {name} that was tried is stable")
-        return max(steps)
+        return step
 
     def __str__(self) -> str:
         return text.summary(self)
@@ -101,18 +104,20 @@ class Tuning(Record):
         return text.table(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all of it as plain numbers, strings and lists; errors of unstable runs are None."""
+        """Return all of it as plain numbers, strings and lists.
+
+        Errors of unstable runs are None, and costs where nothing was stable, so that nothing was timed.
+        """
         content = asdict(self)
         for point in content["points"]:
-            point["error"] = point["error"] if math.isfinite(point["error"]) else None
-        steps = {name: [p.step for p in self.curve(name)] for name in self.seconds}
-        content["largest_stable_steps"] = {name: max(s, default=None) for name, s in steps.items()}
+            point |= {name: _finite(point[name]) for name in ("error", "cost")}
+        content["largest_stable_steps"] = {name: self.largest_stable(name) for name in self.seconds}
         content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
         return content
 
     def to_json(self) -> str:
         """Return all of it as JSON."""
-        return json.dumps(self.as_dict(), indent=1)
+        return json.dumps(self.as_dict(), indent=1, allow_nan=False)
 
     def draw(self, file: str | os.PathLike[str]) -> None:
         """Draw energy error over cost; needs matplotlib.
@@ -128,3 +133,7 @@ class Tuning(Record):
             Without matplotlib.
         """
         picture.draw(self, file)
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None

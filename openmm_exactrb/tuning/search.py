@@ -53,9 +53,9 @@ def search(measured: Measurements, target: float | None, levels: int) -> Found:
         for name in measured.methods:
             if name in live and level >= first[name]:
                 measured.at(name, _interval(measured, level))
+        chosen = None if target is None else _confirmed(measured, target, chosen)
         live = _survivors(measured, live, target)
         floor = _floor(measured) or floor
-        chosen = None if target is None else _confirmed(measured, target, chosen)
         if chosen is not None or not live - {VERLET}:
             break
     return Found(floor, chosen)
@@ -73,11 +73,16 @@ def _is_stable(measured: Measurements, name: str, level: float) -> bool:
     return math.isfinite(measured.at(name, _interval(measured, level)).error)
 
 
+def _is_bounded(measured: Measurements, level: float) -> bool:
+    """Tell whether free bodies turn by no more than a radian between two forces: beyond, they see nothing of them."""
+    return _interval(measured, level) <= measured.bench.scales.free
+
+
 def _first_stable(measured: Measurements, name: str) -> int | None:
     """Find the first stable level of a method, and try half a level more."""
     level = 0
     if _is_stable(measured, name, level):
-        while level > -_SEARCHED and _is_stable(measured, name, level - 1):
+        while level > -_SEARCHED and _is_bounded(measured, level - 1) and _is_stable(measured, name, level - 1):
             level -= 1
     else:
         while level < _SEARCHED and not _is_stable(measured, name, level + 1):
@@ -85,7 +90,8 @@ def _first_stable(measured: Measurements, name: str) -> int | None:
         level += 1
     if level > _SEARCHED:
         return None
-    _is_stable(measured, name, level - 0.5)
+    if _is_bounded(measured, level - 0.5):
+        _is_stable(measured, name, level - 0.5)
     return level
 
 
@@ -97,7 +103,7 @@ def _survivors(measured: Measurements, live: set[str], target: float | None) -> 
     last = {name: curve[-1] for name in live if len(curve := measured.curve(name)) >= 2}
     least = min((p.error for p in measured.points if p.method != VERLET), default=math.inf)
     flat = {name for name in last if name != VERLET and measured.is_flat(name) and last[name].error < 2.0 * least}
-    done = flat | {name for name in last if target is not None and last[name].error <= target}
+    done = flat | {name for name in last if target is not None and measured.holds(name, target)}
     return live - done - _beaten(measured, {name: last[name] for name in last.keys() - done - {VERLET}})
 
 

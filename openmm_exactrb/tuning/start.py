@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,13 @@ import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
 
+from openmm_exactrb.checks import lists_of_indices
 from openmm_exactrb.context.couplings import COUPLINGS
+from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.platforms import mixed, platform_of
+from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.images import joined
 
 Array = NDArray[np.float64]
 
@@ -35,8 +39,12 @@ class Start:
     platform : str
     properties : mapping
         Of the platform.
-    bodies : sequence of sequences of int, optional
+    bodies : list of lists of int, optional
         As in `ExactRigidBodyIntegrator`.
+    groups : int
+        Bits of the force groups that act.
+    before : tuple of float
+        Root mean square frequencies in 1/ps of instants before this one, where they are known.
     """
 
     system: openmm.System
@@ -46,11 +54,14 @@ class Start:
     parameters: Mapping[str, float] = field(default_factory=dict)
     platform: str = "CPU"
     properties: Mapping[str, str] = field(default_factory=dict)
-    bodies: Sequence[Sequence[int]] | None = None
+    bodies: list[list[int]] | None = None
+    groups: int = -1
+    before: tuple[float, ...] = ()
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
         platform = openmm.Platform.getPlatform(self.platform)
+        integrator.setIntegrationForceGroups(self.groups)
         context = openmm.Context(self.system, integrator, platform, dict(self.properties))
         if self.box is not None:
             context.setPeriodicBoxVectors(*self.box)
@@ -87,19 +98,23 @@ def start_of(
     ValueError
         If something is missing or does not fit.
     """
+    box: Any = None
+    parameters: dict[str, float] = {}
+    groups = -1
     if isinstance(system, app.Simulation):
         context = system.context
         platform = context.getPlatform() if platform is None else platform
-        start = context.getState(positions=True, velocities=True, parameters=True) if start is None else start
+        start = context.getState(positions=True, velocities=True) if start is None else start
+        box, parameters = context.getState().getPeriodicBoxVectors(), dict(context.getParameters())
+        groups = system.integrator.getIntegrationForceGroups()
         if bodies is None and isinstance(system.integrator, ExactRigidBodyIntegrator):
             bodies = system.integrator.getNamedBodies()
         system = system.system
     if not isinstance(system, openmm.System):
         raise ValueError(f"the first argument must be an openmm.System or a Simulation, not {type(system).__name__}")
-    box: Any = None
-    parameters: dict[str, float] = {}
     if isinstance(start, openmm.State):
-        start, velocities, box, parameters = _from_state(start, velocities)
+        start, velocities, box, own = _from_state(start, velocities)
+        parameters |= own
     if start is None:
         raise ValueError("there is no start: give a State or positions, or a Simulation")
     twin, left_out = conservative(system)
@@ -113,7 +128,22 @@ def start_of(
         parameters = {name: value for name, value in parameters.items() if name in known}
     chosen = platform_of(platform)
     wanted = mixed(chosen) if properties is None else dict(properties)
-    return Start(twin, x, v, box, parameters, chosen.getName(), wanted, bodies), notes
+    named = None if bodies is None else lists_of_indices(bodies, "bodies")
+    begin = Start(twin, x, v, box, parameters, chosen.getName(), wanted, named, groups)
+    return (_joined(begin) if twin.usesPeriodicBoundaryConditions() else begin), notes
+
+
+def _joined(start: Start) -> Start:
+    """Return a start with the particles of each body, and of each cluster of constraints, in one image of the box."""
+    vectors = start.system.getDefaultPeriodicBoxVectors() if start.box is None else start.box
+    box = np.array([[*stripped(vector, unit.nanometer)] for vector in vectors], dtype=np.float64)
+    x, bodies = start.positions, find_bodies(start.system, start.positions, start.bodies, box)
+    for kind in bodies.kinds:
+        x = joined(x, kind.particles, box, kind.distances)
+    for cluster in bodies.clusters.kinds:
+        k = cluster.particles.shape[1]
+        x = joined(x, cluster.particles, box, np.full((1, k, k), np.nan))
+    return replace(start, positions=x)
 
 
 def _from_state(state: openmm.State, velocities: Any) -> tuple[Any, Any, Any, dict[str, float]]:

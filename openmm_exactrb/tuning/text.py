@@ -6,6 +6,7 @@ import math
 import textwrap
 
 from openmm_exactrb.tuning.answers import UnreachableError, about_floor, cheapest, unreachable
+from openmm_exactrb.tuning.curves import Point
 from openmm_exactrb.tuning.movers import VERLET, is_nested
 from openmm_exactrb.tuning.record import Choice, Record
 
@@ -29,7 +30,7 @@ def table(record: Record) -> str:
 
 
 def _block(record: Record, methods: list[str]) -> str:
-    stable = {method: max((p.step for p in record.curve(method)), default=math.nan) for method in methods}
+    stable = {method: record.largest_stable(method) or math.nan for method in methods}
     rows = [
         ["fs per evaluation", *methods],
         *_rows_of_errors(record, methods),
@@ -41,18 +42,33 @@ def _block(record: Record, methods: list[str]) -> str:
 
 
 def _rows_of_errors(record: Record, methods: list[str]) -> list[list[str]]:
-    errors = {(p.method, record.interval(p)): p.error for p in record.points}
+    refuted = _refuted(record)
+    errors = {(p.method, record.interval(p)): _cell(p, refuted) for p in record.points}
     rows = []
     for interval in sorted({interval for _, interval in errors}, reverse=True):
-        row = [errors.get((method, interval)) for method in methods]
-        cells = ["" if e is None else "unstable" if math.isinf(e) else f"{e:.1e}" for e in row]
+        cells = [errors.get((method, interval), "") for method in methods]
         if any(cells):
             rows.append([f"{1e3 * interval:.4g}", *cells])
     return rows
 
 
+def _cell(point: Point, refuted: set[Point]) -> str:
+    if math.isinf(point.error):
+        return "unstable"
+    return f"({point.error:.1e})" if point in refuted else f"{point.error:.1e}"
+
+
+def _refuted(record: Record) -> set[Point]:
+    """Return the points whose step was stable, but whose error a longer run showed to be too small."""
+    kept = {p for name in record.seconds for p in record.curve(name)}
+    stable = {name: record.largest_stable(name) or 0.0 for name in record.seconds}
+    return {p for p in record.points if p.step <= stable.get(p.method, 0.0)} - kept
+
+
 def _answers(record: Record) -> list[str]:
     answers = []
+    if _refuted(record):
+        answers.append("In brackets: a longer run of a smaller step had a larger error.")
     if record.floor is not None and (record.target is None or record.chosen is not None):
         answers.append(about_floor(record.floor))
     if record.target is not None:

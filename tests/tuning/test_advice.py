@@ -120,7 +120,7 @@ def test_it_goes_into_json_and_a_picture(tuned, tmp_path):
 
 
 def test_an_error_out_of_reach_is_said_with_the_smallest_found(tuned):
-    smallest = min(p.error for p in tuned.points)
+    smallest = min(p.error for name in FEW for p in tuned.curve(name))
     with pytest.raises(tuning.UnreachableError) as error:
         tuned.best(1e-9)
     assert f"the smallest found is {smallest:.2g}" in str(error.value)
@@ -149,6 +149,47 @@ def test_a_loose_target_gets_the_largest_steps(droplet):
 
 def test_the_default_schemes_are_of_the_catalogue():
     assert set(tuning.CANDIDATES) <= set(rb.SCHEMES)
+
+
+def recorded(**more):
+    """What was measured of V2: a survey of 1 ps, and what longer runs said of some steps."""
+    survey = [(0.008, 0.5, 0.5), (0.004, 5e-4, 1.0), (0.002, 1e-4, 2.0)]
+    points = [tuning.Point("V2", *point, 1.0) for point in survey]
+    points += [tuning.Point("V2", *point, 10.0) for point in [(0.0039, 2e-3, 1.03), (0.0036, 1.5e-3, 1.11)]]
+    plain = {"n_bodies": 8, "platform": "Reference", "duration": 1.0, "horizon": 10.0, "target": 1e-3}
+    return tuning.Tuning(**({"points": tuple(points), "seconds": {"V2": 0.004}, "stages": {"V2": 1}} | plain | more))
+
+
+def test_what_longer_runs_refuted_is_not_promised():
+    result = recorded()
+    with pytest.raises(tuning.UnreachableError, match=r"was not held: runs of 10 ps came down to 0.0015, with V2"):
+        result.best()
+    assert "came down to 0.0015" in " ".join(str(result).split())
+    assert result.error_at(1.05).error >= 1.5e-3
+    between = result.cheapest(1.2e-3)
+    assert 1.11 < between.cost < 2.0
+    assert not between.confirmed
+    assert result.largest_stable_step("V2") == 0.008
+    assert "(5.0e-04)" in result.table()
+    assert "In brackets: a longer run" in str(result)
+
+
+def test_json_has_no_nan_where_nothing_was_stable():
+    point = tuning.Point("V2", 0.01, math.inf, math.nan, 1.0)
+    text = recorded(points=(point,), seconds={}).to_json()
+    (kept,) = json.loads(text, parse_constant=pytest.fail)["points"]
+    assert kept["error"] is None
+    assert kept["cost"] is None
+
+
+def test_a_scheme_of_ones_own_comes_back_as_itself(droplet):
+    own = replace(rb.SCHEMES["S2_2"], name="own")
+    result = rb.tune(*droplet, schemes=[own, "V2"], duration=0.05, levels=3, platform="Reference", report=None)
+    choice = result.error_at(result.curve("own")[0].cost, "own")
+    assert choice.integrator().getScheme() == own
+    assert choice.options() == {"scheme": own, "fast": None}
+    assert result.cheapest(0.5, "V2").options() == {"scheme": "V2", "fast": None}
+    assert json.loads(result.to_json())["schemes"]["own"]["word"] == [list(part) for part in own.word]
 
 
 # -- long ones --------------------------------------------------------------------------------------------------

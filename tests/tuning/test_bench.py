@@ -7,11 +7,25 @@ from equilibrium import arrays
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb import schemes
+from openmm_exactrb.device import trial
 from openmm_exactrb.tuning.bench import Bench
 from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.record import Choice
 from openmm_exactrb.tuning.scales import scales_of
 from openmm_exactrb.tuning.start import Start, conservative, start_of
 from openmm_exactrb.tuning.thermal import thermalised
+
+
+def opencl():
+    """Skip where there is no OpenCL device."""
+    try:
+        platform = openmm.Platform.getPlatform("OpenCL")
+        system = openmm.System()
+        system.addParticle(1.0)
+        openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+    except openmm.OpenMMException as error:
+        pytest.skip(f"no OpenCL device: {error}")
 
 
 def test_verlet_starts_with_the_same_energy_and_is_read_at_full_steps(droplet):
@@ -35,6 +49,58 @@ def test_a_run_that_blows_up_is_unstable(droplet):
         assert not bench.run(method, 0.1, 1.0).stable
 
 
+def test_what_the_cpu_platform_finds_not_finite_is_unstable(droplet):
+    system, state = droplet
+    bench = Bench(Start(system, *arrays(state), platform="CPU"))
+    assert not bench.run(VERLET, 0.1, 1.0).stable
+
+
+def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
+    system, state = droplet
+    bench = Bench(Start(system, *arrays(state), platform="Reference"))
+    strange = schemes.Scheme("strange", 2, (("A", 0.5), ("F", 1.0), ("A", 0.5)))
+    with pytest.raises(ValueError, match="'F'"):
+        bench.run(strange, 0.001, 0.1)
+
+
+@pytest.mark.parametrize(("device", "engine"), [(1.0, "device"), (9.0, "host")])
+def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, device, engine):
+    opencl()
+    monkeypatch.setattr(trial, "timed", lambda context, integrator: (device, 1.0))
+    monkeypatch.setattr(trial, "known", {})
+    system, state = droplet
+    forces = system.getNumForces()
+    start = Start(system, *arrays(state), platform="OpenCL", properties={"Precision": "mixed"})
+    mover = Bench(start).mover(rb.SCHEMES["S2_2"])
+    mover.begin(0.001)
+    before = mover.energy()
+    mover.move(5)
+    assert mover.engine == engine
+    assert system.getNumForces() == forces
+    assert mover.energy() == pytest.approx(before, abs=0.01)
+    assert mover.seconds_per_evaluation(2) > 0.0
+    integrator = Choice("S2_2", 0.001, 1e-3, 1.0, True).integrator()
+    context = start.context(integrator)
+    assert context.getIntegrator().getEngine() == engine
+
+
+def test_bodies_far_apart_have_the_time_in_which_they_turn():
+    """Two waters 3 nm apart: 1/omega from the forces would be some hundred times as long."""
+    _, system, positions = rb.rigid_water(2)
+    x = positions._value.copy()
+    x[3:] += [3.0, 0.0, 0.0]
+    start = thermalised(Start(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
+    scales = scales_of(start)
+    masses = np.array([system.getParticleMass(i)._value for i in range(3)])
+    r = x[:3] - masses @ x[:3] / masses.sum()
+    inertia = np.einsum(
+        "s,sij->ij", masses, np.einsum("si,si->s", r, r)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None]
+    )
+    kT = scales.kinetic / 3.0
+    assert scales.free == pytest.approx(1.0 / np.sqrt(kT * (1.0 / np.linalg.eigvalsh(inertia)).mean()), rel=1e-3)
+    assert scales.time == scales.free
+
+
 def test_what_does_not_conserve_the_energy_is_left_out():
     _, system, _ = rb.rigid_water(2, removeCMMotion=True)
     system.addForce(openmm.AndersenThermostat(300.0, 1.0))
@@ -51,6 +117,34 @@ def test_a_start_is_thermalised():
         scales_of(start).kinetic / 3.0 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
     )
     assert 150.0 < temperature < 600.0
+
+
+def test_bodies_named_by_hand_are_minimised():
+    """Two of four molecules overlap: without a minimum first they fly apart."""
+    _, system, positions = rb.rigid_water(4)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    x = positions._value.copy()
+    x[3:6] = x[:3] + np.array([0.12, 0.0, 0.0])
+    start = Start(
+        system, x, np.zeros_like(x), platform="Reference", bodies=[[3 * i, 3 * i + 1, 3 * i + 2] for i in range(4)]
+    )
+    warm = thermalised(start, 100.0, 1, minimise=True)
+    assert scales_of(warm).kinetic / 3.0 < 5.0 * 0.831
+    assert np.abs(warm.positions).max() < 3.0
+    assert np.linalg.norm(warm.positions[1] - warm.positions[0]) == pytest.approx(0.09572, abs=1e-4)
+
+
+def test_a_temperature_that_is_not_reached_is_told():
+    """Bodies that a potential without a minimum drives outwards become ever faster."""
+    _, system, positions = rb.rigid_water(2)
+    outwards = openmm.CustomExternalForce("-50000*x^2")
+    for i in range(0, 6, 3):
+        outwards.addParticle(i)
+    system.addForce(outwards)
+    x = positions._value + np.array([0.5, 0.0, 0.0])
+    with pytest.raises(ValueError, match="cannot be brought to 300 K"):
+        thermalised(Start(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
 
 
 def test_bodies_named_in_a_simulation_are_those_that_are_measured():

@@ -1,5 +1,7 @@
 """Settings of hybrid Monte Carlo: what a proposal is worth, and what is measured of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import openmm
 import pytest
@@ -71,9 +73,18 @@ def test_the_advice_makes_an_integrator_of_its_setting(found, droplet):
         ({"friction": 0.0}, "friction must be a positive number of /ps"),
         ({"proposals": 0}, "proposals must be a whole number"),
         ({"schemes": ["leapfrog"]}, "unknown scheme 'leapfrog'"),
+        ({"schemes": "leapfrog"}, "unknown scheme 'leapfrog'"),
+        ({"schemes": []}, "schemes is empty: name some of"),
         ({"schemes": ["V2_C17"]}, "V2_C17 prepares the state before a run"),
     ],
 )
 def test_bad_settings_get_a_sentence(droplet, options, match):
     with pytest.raises(ValueError, match=match):
         rb.tune_proposals(*droplet, **({"temperature": 300.0, "friction": 5.0} | options))
+
+
+def test_a_scheme_of_ones_own_is_proposed_with(droplet):
+    own = replace(rb.SCHEMES["S2_2"], name="own")
+    found = rb.tune_proposals(*droplet, temperature=300.0, friction=5.0, schemes=own, proposals=2, platform="Reference")
+    assert {p.method for p in found} == {"own"}
+    assert found[0].integrator().getScheme() == own

@@ -1,6 +1,7 @@
 """What a user has at hand is enough, and what does not fit is one clear sentence."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -9,6 +10,10 @@ from equilibrium import arrays
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.tuning.bench import Bench
+from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.record import Choice
+from openmm_exactrb.tuning.start import start_of
 
 
 def test_a_simulation_is_enough():
@@ -63,6 +68,8 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
+        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name 'V2' of another method"),
+        ({"schemes": replace(rb.SCHEMES["S2_2"], name="VerletIntegrator")}, "give it one of its own"),
         ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
     ],
@@ -81,3 +88,68 @@ def test_a_state_without_positions_is_refused(droplet):
         rb.tune(system, context.getState(energy=True))
     with pytest.raises(ValueError, match="all velocities of the start are zero"):
         rb.tune(system, context.getState(positions=True), platform="Reference")
+
+
+@pytest.fixture(scope="module")
+def periodic():
+    """A Simulation of a periodic box of water, whose Context has another box and parameter than its System."""
+    topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+    lift = openmm.CustomExternalForce("lift*z")
+    lift.addGlobalParameter("lift", 0.0)
+    lift.addParticle(0)
+    lift.setForceGroup(1)
+    system.addForce(lift)
+    integrator = openmm.VerletIntegrator(0.001)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(300.0, 1)
+    simulation.context.setPeriodicBoxVectors(*(1.1 * np.eye(3)))
+    simulation.context.setParameter("lift", 7.0)
+    integrator.setIntegrationForceGroups({0})
+    return simulation, positions
+
+
+def test_positions_beside_a_simulation_have_the_box_parameters_and_forces_of_its_context(periodic):
+    simulation, positions = periodic
+    begin, _ = start_of(simulation, positions, np.ones((81, 3)), None, None, None)
+    bench = Bench(begin)
+    mover = bench.mover(rb.SCHEMES["V2"])
+    mover.begin(0.001)
+    mine = mover.energy() - bench.scales.kinetic * bench.scales.n_bodies
+    state = simulation.context.getState(energy=True, groups={0})
+    assert mine == pytest.approx(state.getPotentialEnergy()._value, abs=1e-6)
+    assert begin.parameters == {"lift": 7.0}
+    verlet = bench.mover(VERLET)
+    verlet.begin(0.001)
+    assert verlet.energy() == pytest.approx(mover.energy(), abs=1e-3)
+
+
+def test_a_choice_has_the_forces_that_act():
+    for method in ("V2", VERLET):
+        integrator = Choice(method, 0.001, 1e-3, 1.0, True, groups=1).integrator()
+        assert integrator.getIntegrationForceGroups() == 1
+
+
+def test_molecules_that_the_box_splits_are_made_whole(periodic):
+    simulation, _ = periodic
+    x, v = arrays(simulation.context.getState(positions=True, velocities=True))
+    energies = []
+    for wrapped in (x, np.mod(x + 0.3, 1.1) - 0.3):
+        begin, _ = start_of(simulation, wrapped, v, None, None, None)
+        bench = Bench(begin)
+        for method in (rb.SCHEMES["V2"], VERLET):
+            mover = bench.mover(method)
+            mover.begin(0.0001)
+            energies.append(mover.energy())
+    assert np.abs(np.mod(x + 0.3, 1.1) - 0.3 - x).max() > 1.0  # some are split
+    np.testing.assert_allclose(energies, energies[0], atol=1e-3)
+
+
+def test_two_molecules_far_apart_get_no_step_in_which_they_turn_round():
+    _, system, positions = rb.rigid_water(2)
+    x = positions._value.copy()
+    x[3:] += [3.0, 0.0, 0.0]
+    options = {"schemes": "S2_2", "duration": 1.0, "levels": 3, "platform": "Reference", "report": None}
+    result = rb.tune(system, x, temperature=300.0, velocities=np.zeros_like(x) + 1e-9, **options)
+    assert result.largest_stable_step("S2_2") / 2.0 < 0.12  # a radian at 300 K takes 0.06 ps
+    assert any("bodies hardly feel each other" in note for note in result.notes)
