@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -30,6 +30,7 @@ from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.schemes.word import OPENMM
 
 Array = NDArray[np.float64]
 
@@ -181,10 +182,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         Raises
         ------
         ValueError
-            If the letter is not one character.
+            If the letter is not one character, is one that the integrator makes itself whatever it is told, or is in
+            the word of a scheme that the device was asked for.
         """
         if not isinstance(letter, str) or len(letter) != 1:
             raise ValueError(f"a letter is one character, such as 'F', not {letter!r}")
+        if letter == OPENMM or letter in self._own_makers():
+            raise ValueError(f"the letter {letter!r} is made by the integrator itself: choose another one")
+        if any(name[0] == letter for name, _ in self._steps().word + self._steps().processor):
+            self._engine.leave_to_host(f"the device cannot carry out the letter {letter!r} of your own")
+            if isinstance(self._host, Device):
+                self._host = None
         self._makers[letter] = maker
 
     def bind(self, context: openmm.Context) -> None:
@@ -249,7 +257,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
-        A linear body has two rotational ones, a particle none. With a CMMotionRemover three translational are missing.
+        A linear body has two rotational ones, a particle none. With a CMMotionRemover three translational are missing,
+        whatever its interval is: between two removals nothing but a bath, or forces from outside, moves the centre of
+        mass.
         """
         parts = self._up_to_date()
         bodies = parts.session.bodies
@@ -356,6 +366,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
 
     def _steps(self) -> Scheme:  # with all letters of a step
         return self._scheme
+
+    def _own_makers(self) -> Mapping[str, Maker]:  # of the letters that nobody else may make
+        return {}
 
     def _plan(self, context: openmm.Context) -> host.Plan:
         return host.Plan(self._steps(), self._makers)

@@ -52,8 +52,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     Raises
     ------
     ValueError
-        As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme is not symmetric or
-        ``stepsPerProposal`` no whole number above zero.
+        As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner one is not
+        symmetric or ``stepsPerProposal`` no whole number above zero.
     """
 
     _bath_in_steps: ClassVar[str | None] = "hybrid Monte Carlo"
@@ -78,6 +78,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         super().__init__(*bath, bodies, fast, inner, innerSteps, engine)
         self._steps_a_proposal = whole(stepsPerProposal, "stepsPerProposal")
         self._proposal = words.proposal(self._scheme, self._steps_a_proposal)
+        words.refuse_lopsided_inner(None if self._nesting is None else self._nesting.scheme)
 
     def setTemperature(self, temperature: float | unit.Quantity) -> None:
         """Set the temperature, in K if it has no unit; it must be above zero."""

@@ -63,5 +63,19 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     return replace(scheme, word=tuple((letter, part / steps) for letter, part in word))
 
 
+def refuse_lopsided_inner(inner: Scheme | None) -> None:
+    """Refuse an inner scheme that makes proposals which are not symmetric in time.
+
+    Raises
+    ------
+    ValueError
+        If it is not symmetric itself.
+    """
+    if inner is not None and not palindromic(inner.word):
+        raise ValueError(
+            f"the inner scheme {inner.name} is not symmetric in time, as proposals must be: choose one that is"
+        )
+
+
 def _between_halves(word: Word) -> Word:
     return (BATH, 0.5), *word, (BATH, 0.5)

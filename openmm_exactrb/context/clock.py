@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import openmm
@@ -47,6 +48,18 @@ class Clock:
             return state
 
         return flow
+
+    def at_time(self, potential: Callable[[State], float]) -> Callable[[State, float], float]:
+        """Return a function of a state and a time (ps) from a potential energy at the present one."""
+
+        def earlier(state: State, time: float) -> float:
+            self._context.setTime(time)
+            try:
+                return potential(state)
+            finally:
+                self._context.setTime(self.time + self._drifted)
+
+        return earlier
 
     def next(self) -> None:
         """Count a step."""

@@ -52,20 +52,26 @@ class Couplings:
         Steps between two removals of the motion of the centre of mass.
     moves, pushes : bool
         Whether a barostat moves bodies, and a thermostat changes their momenta.
-    kT : float
-        The highest temperature of a thermostat, in kJ/mol.
-    warmest : float
-        The highest one of thermostats and barostats.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
-        forces = [(type(force).__name__, force) for force in context.getSystem().getForces()]
-        barostats = [force for name, force in forces if "Barostat" in name]
-        thermostats = [force for name, force in forces if name == _THERMOSTAT]
+        removers = [force for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER]
+        baths = acting_baths(context)
+        thermostats, barostats = ([b for b in baths if (type(b).__name__ == _THERMOSTAT) is t] for t in (True, False))
         _refuse_torn_bodies(context, barostats, named)
-        self.intervals = tuple(force.getFrequency() for name, force in forces if name == _REMOVER)
+        self.intervals = tuple(force.getFrequency() for force in removers)
         self.moves, self.pushes = bool(barostats), bool(thermostats)
-        self.kT, self.warmest = map(_highest, (thermostats, thermostats + barostats))
+        self._of_thermostats, self._of_baths = (
+            {force.Temperature() for force in forces} for forces in (thermostats, baths)
+        )
+
+    def hottest_thermostat(self, context: openmm.Context) -> float:
+        """Return RT (kJ/mol) of the hottest thermostat, as the parameters of the Context have it now."""
+        return _highest(context, self._of_thermostats)
+
+    def hottest(self, context: openmm.Context) -> float:
+        """Return RT (kJ/mol) of the hottest thermostat or barostat, as the parameters of the Context have it now."""
+        return _highest(context, self._of_baths)
 
     @property
     def act(self) -> bool:
@@ -110,8 +116,16 @@ class Couplings:
         return flow
 
 
-def _highest(baths: list[Any]) -> float:
-    return max((gas_constant_times(force.getDefaultTemperature()) for force in baths), default=0.0)
+def _highest(context: openmm.Context, parameters: set[str]) -> float:
+    return max((gas_constant_times(context.getParameter(name)) for name in parameters), default=0.0)
+
+
+def acting_baths(context: openmm.Context) -> list[Any]:
+    """Return the thermostats and barostats that a Context knows: those that joined its System later do nothing."""
+    known = set(context.getParameters())
+    names = (_THERMOSTAT, *_BAROSTATS)
+    baths = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
+    return [force for force in baths if force.Temperature() in known]
 
 
 def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
@@ -122,15 +136,14 @@ def refuse_other_baths(context: openmm.Context, temperature: float) -> None:
     ValueError
         If there is a thermostat in the System, or a barostat of another temperature.
     """
-    forces = {type(force).__name__: force for force in context.getSystem().getForces()}
-    if _THERMOSTAT in forces:
+    baths = [(type(force).__name__, force.Temperature()) for force in acting_baths(context)]
+    if any(name == _THERMOSTAT for name, _ in baths):
         raise ValueError(
             "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
             "System, or take ExactRigidBodyIntegrator"
         )
-    for name in forces.keys() & set(_BAROSTATS):
-        parameter = forces[name].Temperature()
-        own = dict(context.getParameters()).get(parameter, temperature)  # one that joined the System later does nothing
+    for name, parameter in baths:
+        own = context.getParameter(parameter)
         if not math.isclose(own, temperature, rel_tol=1e-9):
             raise ValueError(
                 f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "

@@ -98,14 +98,14 @@ class Host:
         places = Places(session.context, session.bodies, session.particles)
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
-        guard = Guard(session.bodies, forces.potential)
         clock = Clock(session.context, integrator, h)
+        guard = Guard(session.bodies, forces.potential, clock.at_time(forces.potential))
         kinetic, slow, follow = self._split(plan, forces, guard, clock, h)
         parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
         moves[OPENMM] = couplings.flow(session, places, clock)
         between: Word = ((OPENMM, 1.0),) if couplings.act else ()
-        guard.begin(session.state, max(couplings.kT, plan.kT))
+        guard.begin(session.state, max(couplings.hottest_thermostat(session.context), plan.kT), clock.time)
         state, kept = session.state, (clock.number, clock.time)
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
@@ -127,11 +127,21 @@ class Host:
         self, plan: Plan, forces: Forces, guard: Guard, clock: Clock, h: float
     ) -> tuple[Kinetic, Kicks, Callable[[], None]]:
         """Return drifts and kicks, with what is nested in the drifts, and what keeps up with the Context."""
-        splitting = plan.splitting or plan.scheme
+        splitting, kinetic = plan.splitting or plan.scheme, self._guarded(guard)
         if self.inner is None or not self.inner.nested.acts(splitting, h, LETTERS.items() <= plan.makers.items()):
-            return replace(self.kinetic, drift=clock.along(self.kinetic.drift)), forces, lambda: None
+            return replace(kinetic, drift=clock.along(kinetic.drift)), forces, lambda: None
         options = forces, guard, splitting, h / plan.splits, clock.along
-        return self.inner.split(self.session, self.kinetic, *options)
+        return self.inner.split(self.session, kinetic, *options)
+
+    def _guarded(self, guard: Guard) -> Kinetic:
+        """Return drifts and displacements that raise NonFiniteError where a cluster finds no way along its constraints.
+
+        Rigid bodies always do. OpenMM is not asked for forces at places that are no numbers.
+        """
+        if not len(self.session.bodies.clusters):
+            return self.kinetic
+        drift, displaced = guard.finite(self.kinetic.drift), guard.finite(self.kinetic.displaced)
+        return replace(self.kinetic, drift=drift, displaced=displaced)
 
     def minimise(self, groups: int, tolerance: float, iterations: int) -> None:
         """Bring the bodies to a minimum of the potential energy of some force groups (bits)."""

@@ -84,11 +84,13 @@ class Inner:
         drift = nested_drift(
             self._others(kinetic),
             self._portion,
-            along(self._kinetic.drift) if in_context else self._kinetic.drift,
+            along(kinetic.drift) if in_context else self._kinetic.drift,
             guard.bearable(self._portion.bodies, kick(fast)),
             self.nested.inner(splitting).word,
             self.nested.repetitions(splitting, h),
         )
+        if len(self._portion.bodies.clusters):
+            drift = guard.finite(drift)
         return replace(kinetic, drift=drift if in_context else along(drift)), slow, follow
 
     def _others(self, kinetic: Kinetic) -> Flow[State] | None:

@@ -79,4 +79,6 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | No
     columns = [np.array(integrator.getPerDofVariableByName(name), dtype=np.float64)[first].T for name in _NAMES]
     R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
     q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
+    if not q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but no vectors
+        return None
     return State(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))

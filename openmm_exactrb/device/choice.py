@@ -10,9 +10,9 @@ from openmm import unit
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.nesting import Nesting, nested_in
-from openmm_exactrb.device import gather
+from openmm_exactrb.device import gather, names
 from openmm_exactrb.device.rows import foreign
-from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 
 #: Which engine carries the steps out.
@@ -45,8 +45,9 @@ def against_program(scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None
         return f"the device has Langevin's bath only, not {bath}"
     if nested:
         return "the device has no steps for forces within drifts (fast=)"
-    if rotor.name not in _EXACT:
-        return f"the device turns bodies by the exact rotor only, not by {rotor.name}"
+    if rotor not in map(ROTORS.get, _EXACT):
+        own = "" if ROTORS.get(rotor.name) is rotor else "one of your own, "
+        return f"the device turns bodies by the exact rotor only, not by {own}{rotor.name}"
     letters = foreign(scheme, bath is not None)
     if letters:
         return f"the device cannot carry out the letter {letters[0]!r} of scheme {scheme.name}"
@@ -56,6 +57,18 @@ def against_program(scheme: Scheme, rotor: Rotor, nested: bool, bath: str | None
 def against_context(context: Any, named: list[list[int]] | None = None) -> str | None:
     """Say why a Context, where bodies may be named by hand, cannot run a program, or return None."""
     return _against_platform(context) or _against_system(context, named)
+
+
+def against_parameters(context: Any, written: bool) -> str | None:
+    """Say which parameter of a Context has the name of a variable of the program, or return None.
+
+    OpenMM refuses names of variables that are declared, when it makes a Context; where the program is `written` it has
+    done so. In the place of its own ones, such as v, it takes the parameter without a word.
+    """
+    for parameter in context.getParameters():
+        if parameter in names.OPENMM or (names.has(parameter) and not written):
+            return f"the parameter {parameter!r} of a force has the name of a variable of the program: rename it"
+    return None
 
 
 def against_steps(context: Any, integrator: Any, nesting: Nesting | None) -> str | None:

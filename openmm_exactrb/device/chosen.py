@@ -89,6 +89,19 @@ class Chosen:
         """Take an engine without a measurement, where the Context decides and can have it."""
         self._preferred = choice.named(engine)
 
+    def leave_to_host(self, why: str) -> None:
+        """Have the host make the steps, whatever the Context is.
+
+        Raises
+        ------
+        ValueError
+            If the device was asked for.
+        """
+        if self.asked == "device":
+            raise ValueError(f"{why}: take engine='host'")
+        if self.open:
+            self.open, self.on_device, self.note = False, False, why
+
     def overtaken(self, integrator: openmm.CustomIntegrator) -> bool:
         """Tell whether the program is not that of the chosen engine, or has another one's checkpoint in its numbers."""
         program = "host" if self._group is None else "device"
@@ -105,7 +118,9 @@ class Chosen:
             If engine="device" was asked for, and is not right there.
         """
         if self.asked == "device":
-            against = choice.against_context(context, integrator.getNamedBodies())
+            against = choice.against_parameters(context, True) or choice.against_context(
+                context, integrator.getNamedBodies()
+            )
             if against:
                 raise ValueError(f"{against}; engine='host' can do it")
         if self.open:
@@ -132,6 +147,7 @@ class Chosen:
     def _verdict(self, context: Any, integrator: Any) -> tuple[bool, str]:
         against = (
             choice.slower(context)
+            or choice.against_parameters(context, False)
             or choice.against_context(context, integrator.getNamedBodies())
             or choice.against_steps(context, integrator, self._nesting)
         )

@@ -22,15 +22,15 @@ import openmm
 from openmm_exactrb.context import account
 from openmm_exactrb.device import names
 from openmm_exactrb.device.expressions import ALONE, AXES, INVERSE_INERTIA, times, turned, turned_back
-from openmm_exactrb.device.gather import STRENGTH
+from openmm_exactrb.device.gather import MOST, STRENGTH
 from openmm_exactrb.device.noise import exchange
 from openmm_exactrb.device.program import Program
 from openmm_exactrb.device.rotor import rotate
 from openmm_exactrb.device.rows import Table
 from openmm_exactrb.schemes.scheme import Scheme
 
-# By what numbers are multiplied that are to be summed: forces up to 2^33 kJ/mol/nm, moves up to 1000 nm, and changes of
-# momentum up to 1e6 amu nm/ps then are within the reach of the sums.
+# By what numbers are multiplied that are to be summed: forces up to 2^30 kJ/mol/nm, moves up to 1000 nm, and changes of
+# momentum up to 1e6 amu nm/ps then are within the reach of the sums, over the number of particles of the body each.
 _FORCE, _MOVE, _MOMENTUM = 1.0 / STRENGTH, 2.0**-24, 2.0**-34
 # x that differs from that of the body by less than this, in nm, was not moved.
 _STILL = 1e-9
@@ -136,9 +136,9 @@ def _gather_forces(program: Program) -> None:
     """Write F and N: the forces of the particles are in v as torques, or as they are where a particle is alone."""
     program.let("v", f"cross(d,f)+{ALONE}*f")
     program.let("x", f"{_FORCE!r}*f")
-    program.let("F", _summed(program, _FORCE))
+    _take_sum(program, "F", _FORCE)
     program.let("x", f"{_FORCE!r}*v")
-    program.let("N", _summed(program, _FORCE))
+    _take_sum(program, "N", _FORCE)
     program.let("F", f"F+{ALONE}*v")
 
 
@@ -187,15 +187,21 @@ def _displace(program: Program) -> None:
     program.let("x", _DISPLACED_PLACE)
 
 
-def _summed(program: Program, scale: float) -> str:
-    """Return the expression of a sum over the particles of each body, of what was written to x times a scale."""
-    return f"{-1.0 / (scale * STRENGTH)!r}*f{program.group}"
+def _take_sum(program: Program, name: str, scale: float) -> None:
+    """Write a sum over the particles of each body, of what was written to x times a scale.
+
+    It is infinite, or no number, for a particle whose part is too large for sums. The Reference platform knows the
+    force of a group in statements without vectors only.
+    """
+    largest = f"{MOST / STRENGTH!r}*_z(inverse)"
+    program.let(name, f"{-1.0 / (scale * STRENGTH)!r}*f{program.group}")
+    program.let(name, f"{name}/step({largest}*{largest}-(1-{ALONE})*dot(x,x))")
 
 
 def _sum(program: Program, name: str, of: str, scale: float) -> None:
     """Write a sum over the particles of each body, in space; x loses the places."""
     program.let("x", f"{scale!r}*{of}")
-    program.let(name, _summed(program, scale))
+    _take_sum(program, name, scale)
     program.let(name, f"{name}+{ALONE}*{of}")
 
 

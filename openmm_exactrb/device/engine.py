@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.couplings import Couplings
@@ -18,10 +17,12 @@ from openmm_exactrb.context.session import Session
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.device import load, names
 from openmm_exactrb.device.chosen import Chosen
+from openmm_exactrb.device.gather import MOST
+from openmm_exactrb.device.noise import draws
 from openmm_exactrb.device.replicas import Replicas
 from openmm_exactrb.device.rotor import RANGE
 from openmm_exactrb.device.rows import Table
-from openmm_exactrb.device.watch import Watch
+from openmm_exactrb.device.watch import Before, Watch
 from openmm_exactrb.motion.guard import NonFiniteError, advice
 from openmm_exactrb.motion.kinetic import rigid
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
@@ -33,6 +34,8 @@ from openmm_exactrb.schemes.word import DRIFT
 _HASTE = ((1.75, 1), (5.0, 4), (20.0, 16))
 # More rotations of a drift are not tried again: steps are far too long then, not bodies too fast.
 _MOST = 256
+# More are not even tried once: they would take hours.
+_NEVER = 65536
 
 
 @dataclass
@@ -45,10 +48,13 @@ class Device(Host):
         What looks at the energy.
     rate : float or None
         b norm(m) of the fastest body in 1/ps, None where it was not measured.
+    noise : (int, int) or None
+        The seed and the number of steps behind which the generators of a bath stand, None where nobody knows.
     """
 
     watch: Watch = field(kw_only=True)
     rate: float | None = None
+    noise: tuple[int, int] | None = None
 
     @property
     def _replicas(self) -> Replicas:
@@ -63,18 +69,18 @@ class Device(Host):
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, a body turns faster than that too, or energy comes from nowhere.
+            If numbers become infinite, a body turns faster than that too, forces are too large to be summed, or energy
+            comes from nowhere.
         """
         scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
         before = Before(x, v, context.getState().getPeriodicBoxVectors(), context.getTime(), context.getStepCount())
         for name, value in plan.numbers.items():
             integrator.setGlobalVariableByName(name, value)
-        if plan.numbers:
-            load.seed(integrator, self._replicas.bodies, plan.seed, before.step)
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, scheme, haste))
             if number and turns > _MOST:
                 break
+            self._have_noise(integrator, plan, before.step)
             try:
                 finite = self._attempt(integrator, scheme, n, turns)
                 gain = self._gained(integrator, plan.kT, before) if finite else None
@@ -82,22 +88,33 @@ class Device(Host):
                 self._go_back(integrator, before)
                 raise
             if finite and not gain:
+                self.noise = plan.seed, before.step + n
                 return
             self._go_back(integrator, before)
             if gain:
                 raise NonFiniteError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
         raise NonFiniteError(
-            f"within the {n} steps after step {before.step} positions became infinite, or a body turned more than "
-            f"{_HASTE[-1][0]:g} times as fast as the fastest one before. The Context keeps the state before this call: "
-            "take a smaller step size or fewer steps a call, or minimise the energy first"
+            f"within the {n} steps after step {before.step} positions became infinite, a body turned more than "
+            f"{_HASTE[-1][0]:g} times as fast as the fastest one before, or forces on a body were beyond {MOST:.2g} "
+            "kJ/mol/nm. The Context keeps the state before this call: take a smaller step size or fewer steps a call, "
+            "or minimise the energy first"
         )
+
+    def _have_noise(self, integrator: openmm.CustomIntegrator, plan: Plan, step: int) -> None:
+        """Have the generators of a bath stand where the seed and the number of a step say, unless they do."""
+        if not plan.numbers:
+            return
+        stands = self.noise == (plan.seed, step) and integrator.getGlobalVariableByName(names.SEEDED) == plan.seed
+        if not stands:
+            sites = bool(integrator.getGlobalVariableByName(names.SITES))
+            load.seed(integrator, self._replicas.bodies, plan.seed, step * draws(Table.of(plan.scheme), sites))
 
     def _gained(self, integrator: openmm.CustomIntegrator, kT: float, before: Before) -> str | None:
         """Say what is wrong with the energy, or return None."""
-        if not self.watch.suspects(before.v, self._replicas.shown[1], kT):
+        context = self._replicas.context
+        if not self.watch.suspects(before.v, self._replicas.shown[1], max(kT, self.couplings.hottest(context))):
             return None
-        groups = integrator.getIntegrationForceGroups()
-        gain = self.watch.gained(self._replicas.context, groups, before.x, before.v, before.box)
+        gain = self.watch.gained(context, integrator.getIntegrationForceGroups(), before)
         self._replicas.moved_on()  # positions were away for the look
         return gain
 
@@ -116,7 +133,8 @@ class Device(Host):
             self._tell(integrator, scheme, turns, Call(0))
             integrator.setGlobalVariableByName(names.KNOWN, 0.0)
         if finite and n:
-            self.rate = integrator.getGlobalVariableByName(names.FASTEST) ** (1.0 / names.POWER)
+            fastest = integrator.getGlobalVariableByName(names.FASTEST)
+            self.rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # its power may be too large
             self.timings.evaluations += n * scheme.forces + scheme.processing
         return finite
 
@@ -129,13 +147,27 @@ class Device(Host):
             integrator.setGlobalVariableByName(name, float(value))
 
     def _turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> int:
-        """Return how many rotations a drift needs, for bodies that will turn so many times as fast as now."""
+        """Return how many rotations a drift needs, for bodies that will turn so many times as fast as now.
+
+        Raises
+        ------
+        NonFiniteError
+            If they are far too many.
+        """
         session = self._replicas
         if self.rate is None or not session.behind:
-            self.rate = float(np.max(load.rates(session.bodies, session.state.rounded), initial=0.0))
+            if session.behind:
+                session.take_up()
+            self.rate = load.fastest(session.bodies, session.state.rounded)
         h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
         longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        return math.ceil(haste * self.rate * float(abs(h)) * longest / RANGE)
+        needed = haste * self.rate * abs(h) * longest / RANGE
+        if not needed <= _NEVER:
+            raise NonFiniteError(
+                f"the fastest body would need {needed:.2g} rotations in a drift: take a smaller step size, or set "
+                "velocities that bodies can have"
+            )
+        return math.ceil(needed)
 
     def _go_back(self, integrator: openmm.CustomIntegrator, before: Before) -> None:
         """Bring the Context back to what it held."""
@@ -146,6 +178,7 @@ class Device(Host):
         context.setVelocities(before.v)
         context.setTime(before.time)
         openmm.Context.setStepCount(context, before.step)  # not the method that the session watches
+        self.noise = None
         self._replicas.lose()
         self._replicas.take_up()
 
@@ -173,17 +206,7 @@ def device(
     for name, value in ((names.SITES, sites), (names.BAROSTAT, couplings.moves), (names.PUSHED, pushed)):
         integrator.setGlobalVariableByName(name, float(value))
     kinetic = rigid(session.bodies.mass, rotor_of_sums(rotor, session.bodies.inertia), rotor.order)
-    return Device(session, couplings, kinetic, timings, watch=Watch(system, session.bodies, couplings.warmest))
-
-
-class Before(NamedTuple):
-    """What a Context held before a call: positions (nm), velocities (nm/ps), box, time and number of the last step."""
-
-    x: NDArray[np.float64]
-    v: NDArray[np.float64]
-    box: Any
-    time: Any
-    step: int
+    return Device(session, couplings, kinetic, timings, watch=Watch(system, session.bodies))
 
 
 @dataclass(frozen=True)

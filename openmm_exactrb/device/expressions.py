@@ -14,6 +14,9 @@ AXES = "vector(_x(shape),1-_y(shape),1-_y(shape))"
 ALONE = "_y(shape)"
 #: The inverse principal moments of inertia.
 INVERSE_INERTIA = "vector(_x(inverse)+_x(abc),_x(inverse)+_x(abc)*_z(abc),_x(inverse))"
+_ROW = "floor((_x(at)+0.5)*_z(shape))"
+#: 1 in the first turn of a row, else 0.
+BEGINS = f"step(_z(shape)-(_x(at)+0.5)*_z(shape)+{_ROW})"
 
 
 def turned(q: str, w: str, vector: str) -> str:
@@ -44,6 +47,6 @@ def times(program: Program, table: Table, name: str, parts: Sequence[tuple[str, 
         "p",
         f"vector({','.join(entries)});"
         "begins=step(_z(shape)-within);ends=step(within-1+_z(shape));within=(_x(at)+0.5)*_z(shape)-row;"
-        "row=floor((_x(at)+0.5)*_z(shape))",
+        f"row={_ROW}",
     )
     program.let(name, f"dt*({'+'.join(f'{function}(p)' for function in names.TABLES)})")

@@ -23,6 +23,8 @@ from openmm_exactrb.motion.bodies import RigidBodies
 REACH = 1e-6
 #: The force is minus the sum of positions times this, in kJ/mol/nm².
 STRENGTH = 2.0**44
+#: Forces (kJ/mol/nm) that are sure to be summed: devices have them as whole numbers, and lose what is beyond 2^31.
+MOST = 2.0**30
 _NAME = "openmm-exactrb sums"
 
 

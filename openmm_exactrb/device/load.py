@@ -45,11 +45,9 @@ def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
     return name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 
-def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, step: int) -> None:
-    """Have the generators of the bath begin where a seed and the number of the step say, unless they did."""
-    if integrator.getGlobalVariableByName(names.SEEDED) == number:
-        return
-    for name, begin in zip(names.STREAMS, streams(len(bodies), number, step), strict=True):
+def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, drawn: int) -> None:
+    """Have the generators of the bath stand where a seed, and how many numbers were drawn, say."""
+    for name, begin in zip(names.STREAMS, streams(len(bodies), number, drawn), strict=True):
         rows = np.ones((bodies.n_particles, 3))
         for kind in bodies.kinds:
             rows[kind.particles] = begin[kind.bodies][:, None]
@@ -98,11 +96,20 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | No
         for name in ("R", "image", "P", "L", "q", "w")
     )
     attitudes = np.concatenate([w[:1, :k], q[:, :k]])
+    if not attitudes.any(axis=0).all():  # `reinitialize` keeps numbers, but no vectors
+        return None
     return State.of(BodyState(*map(np.ascontiguousarray, (R + image, P, attitudes, L[:, :k]))))
 
 
-def rates(bodies: RigidBodies, state: BodyState) -> Array:
-    """Return b norm(m) of the bodies that turn (K,) in 1/ps: what the rotor's range limits."""
+def fastest(bodies: RigidBodies, state: BodyState) -> float:
+    """Return b norm(m) of the body that turns fastest in 1/ps, which the rotor's range limits: as the program sums it.
+
+    So a run has the same rotations, whether a call goes on from another one or from a State.
+    """
+    if not bodies.n_turning:
+        return 0.0
     b = constants(np.ascontiguousarray(bodies.inertia.T))[0]
-    product: Array = b * np.sqrt(np.einsum("in,in->n", state.m, state.m))
-    return product
+    rates = b * np.sqrt(np.einsum("in,in->n", state.m, state.m))
+    numbers = np.concatenate([np.full(len(k.particles), 3 * k.particles.shape[1]) for k in bodies.kinds if k.turns])
+    most = float(rates.max())
+    return most * float(numbers @ (rates / most) ** names.POWER) ** (1.0 / names.POWER) if most else 0.0

@@ -34,7 +34,7 @@ SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", 
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
 #: device does not know these numbers yet, or those of a bath.
 TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
-#: kT (kJ/mol) and the frictions (1/ps) of a bath, and the seed that its generators got.
+#: kT (kJ/mol) and the frictions (1/ps) of a bath, and the seed that its generators have.
 KT, FRICTION, TURNING_FRICTION, SEEDED = (
     f"{_PREFIX}{name}" for name in ("kT", "friction", "rotational_friction", "seeded")
 )
@@ -53,3 +53,11 @@ TABLES = tuple(f"{_PREFIX}word{i}" for i in range(3))
 GROUP = 31
 #: b norm(L) of the fastest body comes from a sum of powers, which is never below it.
 POWER = 64
+#: Variables of OpenMM's own in a program.
+OPENMM = ("x", "v", "f", "m", "dt", *(f"f{group}" for group in range(32)))
+
+
+def has(name: str) -> bool:
+    """Tell whether the program of some scheme has a variable of this name."""
+    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, BATH, *STREAMS)
+    return name in vectors or name.startswith(_PREFIX)

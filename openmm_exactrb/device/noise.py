@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.device import names
-from openmm_exactrb.device.expressions import AXES, INVERSE_INERTIA, times
+from openmm_exactrb.device.expressions import AXES, BEGINS, INVERSE_INERTIA, times
 from openmm_exactrb.device.program import Program
 from openmm_exactrb.device.rows import Table
 
@@ -20,20 +20,28 @@ from openmm_exactrb.device.rows import Table
 GENERATORS = ((11600, 2147483579), (47003, 2147483543), (23000, 2147483423), (33000, 2147483123))
 
 
-def streams(n_bodies: int, seed: int, step: int = 0) -> NDArray[np.float64]:
-    """Return where the generators of a number of bodies begin in front of a step, (4, n_bodies, 3)."""
-    rng = np.random.default_rng([seed, step] if step else seed)
+def streams(n_bodies: int, seed: int, drawn: int = 0) -> NDArray[np.float64]:
+    """Return where the generators of a number of bodies stand when each has drawn so many numbers, (4, n_bodies, 3)."""
+    rng = np.random.default_rng(seed)
     begin = [rng.integers(1, modulus, (n_bodies, 3)) for _, modulus in GENERATORS]
-    return np.array(begin, dtype=np.float64)
+    factors = [pow(multiplier, drawn, modulus) for multiplier, modulus in GENERATORS]
+    stand = [r * k % modulus for r, k, (_, modulus) in zip(begin, factors, GENERATORS, strict=True)]
+    return np.array(stand, dtype=np.float64)
+
+
+def draws(table: Table, sites: bool) -> int:
+    """Return how many numbers each generator draws in a step: two for each bath column of each row that is made."""
+    return 2 * (table.has("before") + table.has("after")) * (table.step + sites)
 
 
 def exchange(program: Program, table: Table, part: str) -> None:
     """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
 
-    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn in every row. The variables
-    a, g, n, p and y change.
+    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn once in every row, however
+    many turns it has. The variables a, g, n, p and y change.
     """
     times(program, table, "n", ((part, "begins"),) * 3)
+    program.let("p", BEGINS)
     program.let("a", _uniform(program))
     program.let("y", _uniform(program))
     program.let("g", "sqrt(-2*log(1-a))")
@@ -45,8 +53,11 @@ def exchange(program: Program, table: Table, part: str) -> None:
 
 
 def _uniform(program: Program) -> str:
-    """Write the next state of the generators, and return the expression of a number from 0 to 1, without 1."""
+    """Write the next state of the generators where p is 1, and return the expression of a number from 0 to 1.
+
+    Without 1. Where p is 0 nothing is drawn.
+    """
     for name, (multiplier, modulus) in zip(names.STREAMS, GENERATORS, strict=True):
-        program.let(name, f"{multiplier}*{name}-{modulus}*floor({multiplier}*{name}/{modulus})")
+        program.let(name, f"{name}+p*({multiplier}*{name}-{modulus}*floor({multiplier}*{name}/{modulus})-{name})")
     total = "+".join(f"{name}/{modulus}" for name, (_, modulus) in zip(names.STREAMS, GENERATORS, strict=True))
     return f"total-floor(total);total={total}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.engine import Flow
 from openmm_exactrb.motion.state import BodyState, State
+
+T = TypeVar("T")
 
 #: The speed of light in nm/ps. A body above it is not finite in any useful sense.
 LIGHT = 299_792.458
@@ -22,6 +25,8 @@ _GAINED = 0.5
 _HOTTEST = 2500.0
 # What single precision may leave of an energy, and kJ/mol per body that say nothing: a start at rest has less.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
+# What sums in another order may leave of the energy of the same places.
+_STEADY = 1e-5
 
 
 class NonFiniteError(ArithmeticError):
@@ -36,41 +41,50 @@ class Guard:
     bodies : RigidBodies
     potential : callable
         potential(state) -> float, the potential energy in kJ/mol. It is called only when momenta have grown much.
+    at_time : callable, optional
+        at_time(state, time) -> the same at another time (ps) than the present one, for forces that look at it.
     """
 
-    def __init__(self, bodies: RigidBodies, potential: Callable[[State], float]) -> None:
-        self._bodies, self._potential = bodies, potential
+    def __init__(
+        self,
+        bodies: RigidBodies,
+        potential: Callable[[State], float],
+        at_time: Callable[[State, float], float] | None = None,
+    ) -> None:
+        self._bodies, self._potential, self._at_time = bodies, potential, at_time
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
         self._good = (0.0, 0.0)
         self._at = (0, 0.0)
         self._before: State | None = None
         self._since: State | None = None
+        self._since_time = 0.0
 
-    def begin(self, state: State, kT: float = 0.0) -> None:
-        """Take a state for good, from which the energy is kept; a bath of kT (kJ/mol) may bring momenta up to its own.
+    def begin(self, state: State, kT: float = 0.0, time: float = 0.0) -> None:
+        """Take a state at a time (ps) for good, from which the energy is kept.
 
-        Those are of the canonical distribution up to `canonical_most`.
+        A bath of kT (kJ/mol) may bring momenta up to its own: those of the canonical distribution up to
+        `canonical_most`.
         """
         bodies = self._bodies
         most = canonical_most(kT, 3.0 * len(bodies))
         _, P, _, m = _squares(state)
         self._good = max(P, most * float(bodies.mass.max())), max(m, most * float(bodies.inertia.max()))
-        self._since = state
+        self._since, self._since_time = state, time
 
     def enter(self, step: int, time: float, state: State, *, anew: bool = False) -> None:
         """Note the number of a step, the time (ps) and the state before it; `anew` if others changed its energy."""
         self._at, self._before = (step, time), state
         if anew:
-            self._since = state
+            self._since, self._since_time = state, time
 
-    def finite(self, flow: Flow[State]) -> Flow[State]:
+    def finite(self, flow: Callable[[State, T], State]) -> Callable[[State, T], State]:
         """Return a flow that raises NonFiniteError where its result is not fit for OpenMM.
 
         Squares are looked at, because finite numbers of 1e200 are as useless; places too, because the forces between
         infinite ones may vanish; and speeds, because bodies that were thrown apart may never meet again.
         """
 
-        def guarded(state: State, tau: float) -> State:
+        def guarded(state: State, tau: T) -> State:
             after = flow(state, tau)
             self._measured(after)
             return after
@@ -99,6 +113,7 @@ class Guard:
 
         def allowed(state: State, tau: float) -> State:
             self._before = self._since = flow(self.leave(state), tau)
+            self._since_time = self._at[1]
             return self._since
 
         return allowed
@@ -109,11 +124,24 @@ class Guard:
         if not grown((P, m), self._good):
             return state
         assert self._since is not None
-        gain = gained(len(self._bodies), self._energies(self._since), self._energies(state))
+        gain = self._gain(self._since, state)
+        if gain and self._look_at_time((self._since, state)):  # then energy is kept within a step alone
+            assert self._before is not None
+            gain = self._gain(self._before, state)
         if gain:
             raise NonFiniteError(self._complaint(gain, state))
         self._good = max(P, self._good[0]), max(m, self._good[1])
         return state
+
+    def _gain(self, then: State, now: State) -> str | None:
+        return gained(len(self._bodies), self._energies(then), self._energies(now))
+
+    def _look_at_time(self, states: Sequence[State]) -> bool:
+        """Tell whether places of states have had other potential energies since the energy is kept."""
+        if self._at_time is None:
+            return False
+        times, n = instants(self._since_time, self._at[1]), len(self._bodies)
+        return any(differ([self._potential(s), *(self._at_time(s, t) for t in times)], n) for s in states)
 
     def _energies(self, state: State) -> tuple[float, float]:
         """Return the kinetic and the total energy."""
@@ -166,6 +194,20 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
         f"the kinetic energy rose from {kinetic_then:.3g} to {kinetic:.3g} kJ/mol, and the total energy by "
         f"{gain:.3g} kJ/mol, which no force did"
     )
+
+
+def instants(since: float, now: float) -> tuple[float, ...]:
+    """Return times (ps) before the present one, at which forces that look at the time have other energies.
+
+    A period that has them all at one phase is far shorter than they are apart.
+    """
+    return tuple(since + part * (now - since) for part in (0.0, 0.381966, 0.723607))
+
+
+def differ(energies: Sequence[float], n_bodies: int) -> bool:
+    """Tell whether energies (kJ/mol) of the same places differ by more than their rounding."""
+    least, most = min(energies), max(energies)
+    return not most - least <= _STEADY * (abs(least) + abs(most)) + _NOTHING * n_bodies
 
 
 def advice(unit: str) -> str:

@@ -238,3 +238,40 @@ def test_populations_of_torsions_are_those_of_small_steps():
     for state in (theirs.mean(axis=0), ours.mean(axis=0)):
         assert (state > 0.05).all()  # all of them are states that are visited
         assert (state < 0.95).all()
+
+
+def bent(platform, integrator, kelvin):
+    """Return a Context of four bent molecules with two constraints each, in a box, with momenta of a temperature."""
+    system, places, pairs = openmm.System(), [], openmm.NonbondedForce()
+    pairs.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    pairs.setCutoffDistance(0.9)
+    for k in range(4):
+        a, b, c = (system.addParticle(mass) for mass in (12.0, 1.0, 1.0))
+        for i, j in ((a, b), (a, c), (b, c)):
+            pairs.addParticle(0.0, 0.3, 0.5)
+            pairs.addException(i, j, 0.0, 1.0, 0.0)
+        system.addConstraint(a, b, 0.1)
+        system.addConstraint(a, c, 0.1)
+        places += [(0.5 * k, 0.0, 0.0), (0.5 * k, 0.1, 0.0), (0.5 * k, 0.0, 0.1)]
+    system.addForce(pairs)
+    system.setDefaultPeriodicBoxVectors(*(2.0 * np.eye(3)))
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(places)
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    return context
+
+
+@pytest.mark.parametrize("platform", ["CPU", "Reference"])
+def test_a_cluster_that_finds_no_way_along_its_constraints_is_a_refusal_on_any_platform(platform):
+    """OpenMM is not asked for forces at places that are no numbers: its CPU platform answers with its own error."""
+    far_too_long = 1e6
+    hybrid = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, far_too_long, "V2_drift", fast=None)
+    context = bent(platform, hybrid, 1e4)
+    hybrid.step(2)
+    assert hybrid.tally() == (0, 2)
+    plain = rb.ExactRigidBodyIntegrator(far_too_long, "V2_drift", fast=None)
+    context = bent(platform, plain, 1e4)
+    with pytest.raises(rb.NonFiniteError, match="not finite or faster than light: the cluster of particles 0, 1, 2"):
+        plain.step(3)
+    assert np.isfinite(positions_of(context)).all()

@@ -11,6 +11,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from bathed import R, droplet_of, molecules, simulation_of
+from openmm_exactrb.context import couplings
 
 RATE = unit.picosecond**-1
 
@@ -84,6 +85,8 @@ def test_other_bad_settings_get_a_sentence_too():
     lopsided = rb.SCHEMES["V2"].__class__("Euler", 1, (("A", 1.0), ("B", 1.0)))
     with pytest.raises(ValueError, match="Euler is not symmetric in time"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme=lopsided)
+    with pytest.raises(ValueError, match="the inner scheme Euler is not symmetric in time, as proposals must be"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, fast="bonded", inner=lopsided, innerSteps=3)
 
 
 def test_a_temperature_that_is_refused_leaves_the_one_there_was():
@@ -131,6 +134,38 @@ def test_a_second_thermostat_is_refused():
     simulation.context.reinitialize(preserveState=True)
     with pytest.raises(ValueError, match="AndersenThermostat, but this integrator is a thermostat itself"):
         simulation.integrator.step(1)
+
+
+def test_baths_that_joined_the_system_later_do_nothing_and_are_not_refused():
+    """OpenMM does not know them either, until the Context is reinitialised."""
+    simulation = droplet_of(langevin(30.0, 1.0, 0.002))
+    hotter = openmm.AndersenThermostat(300.0, 1.0)
+    simulation.system.addForce(hotter)
+    simulation.integrator.step(1)
+    assert couplings.acting_baths(simulation.context) == []
+    assert not couplings.Couplings(simulation.context, []).pushes
+
+
+def test_the_temperature_of_a_thermostat_is_the_one_that_the_context_has():
+    simulation = droplet_of(rb.ExactRigidBodyIntegrator(0.002))
+    simulation.system.addForce(openmm.AndersenThermostat(30.0, 1.0))
+    simulation.context.reinitialize(preserveState=True)
+    found = couplings.Couplings(simulation.context, [])
+    assert found.hottest_thermostat(simulation.context) == pytest.approx(30.0 * R, rel=1e-12)
+    simulation.context.setParameter(openmm.AndersenThermostat.Temperature(), 310.0)
+    assert found.hottest(simulation.context) == pytest.approx(310.0 * R, rel=1e-12)
+
+
+def test_letters_of_the_integrator_itself_cannot_be_told():
+    for integrator, letters in (
+        (rb.ExactRigidBodyIntegrator(0.002), "M"),
+        (langevin(), "OM"),
+        (rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.002), "O"),
+        (rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002), "OXM"),
+    ):
+        for letter in letters:
+            with pytest.raises(ValueError, match=f"the letter '{letter}' is made by the integrator itself"):
+                integrator.addLetter(letter, lambda parts, letters: {})
 
 
 BAROSTATS = [

@@ -10,6 +10,7 @@ from devices import REFERENCE, opencl, shown, stepped
 from openmm import app
 
 import openmm_exactrb as rb
+from openmm_exactrb.context.letters import LETTERS
 from openmm_exactrb.device import trial
 from peptides import peptide
 
@@ -108,7 +109,7 @@ def test_a_checkpoint_goes_on_with_its_engine(bath, first, second, settled, time
     assert f"the run began with engine='{engine}'" in again.integrator.engineNote()
     if engine == "host" and not settled:
         np.testing.assert_array_equal(x, after)
-    elif not bath or engine == "host":
+    else:
         np.testing.assert_allclose(x, after, rtol=0.0, atol=1e-8)  # of OpenCL's forces
     if bath:
         assert again.integrator.getSeedInUse() == 7
@@ -152,6 +153,37 @@ def test_single_precision_is_the_hosts(platform, water):
     integrator = simulation.integrator
     assert integrator.getEngine() == "host"
     assert "set Precision to mixed or double" in integrator.engineNote()
+
+
+@pytest.mark.parametrize("name", ["c", "exactrb_turns", "v"])
+def test_parameters_with_the_names_of_the_program_are_the_hosts(name, times, platform, water):
+    times(1.0, 2.0)
+    topology, system, positions = copy.deepcopy(water)
+    force = openmm.CustomExternalForce(f"{name}*x")
+    force.addGlobalParameter(name, 1.0)
+    force.addParticle(0)
+    system.addForce(force)
+    simulation = auto((topology, system, positions), platform)
+    assert simulation.integrator.getEngine() == "host"
+    assert f"the parameter '{name}' of a force has the name of a variable" in simulation.integrator.engineNote()
+    simulation.step(1)
+
+
+def test_letters_of_ones_own_are_the_hosts(times, platform, water):
+    times(1.0, 2.0)
+    simulation = auto(water, platform)
+    integrator, asked = simulation.integrator, []
+
+    def kicks(parts, letters):
+        asked.extend(letters)
+        return LETTERS["B"](parts, letters)
+
+    assert integrator.getEngine() == "device"
+    integrator.addLetter("B", kicks)
+    assert integrator.getEngine() == "host"
+    assert "the letter 'B' of your own" in integrator.engineNote()
+    simulation.step(1)
+    assert asked == ["B"]
 
 
 def test_copies_choose_anew(times, platform, water):

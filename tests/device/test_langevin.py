@@ -8,7 +8,8 @@ import pytest
 from devices import REFERENCE, all_kinds, opencl, shown, stepped
 
 import openmm_exactrb as rb
-from openmm_exactrb.device.noise import GENERATORS, streams
+from openmm_exactrb.device.noise import GENERATORS, draws, streams
+from openmm_exactrb.device.rows import Table
 
 KT = 0.00831446261815324 * 300.0
 
@@ -127,6 +128,98 @@ def test_seed_and_calls():
     x = stepped(one, 3)
     one.loadCheckpoint(checkpoint)
     np.testing.assert_array_equal(stepped(one, 3), x)
+
+
+@pytest.mark.parametrize("preserve", [True, False])
+def test_noise_goes_on_or_begins_again_where_a_context_is_made_anew(preserve):
+    system, positions = free_water(2)
+    context, twin = (langevin(system, positions, 1e3) for _ in range(2))
+    context.getIntegrator().step(2)
+    context.reinitialize(preserveState=preserve)
+    if not preserve:
+        context.setPositions(positions)
+    twin.getIntegrator().step(2 * preserve)
+    momenta = []
+    for each in (context, twin):
+        each.getIntegrator().step(2)
+        momenta.append(each.getIntegrator().bodyState()[1].P)
+    np.testing.assert_allclose(*momenta, rtol=1e-9)
+    assert np.abs(momenta[0]).min() > 0.0
+
+
+def hot(context):
+    """Give bodies momenta so large that a drift is made of several rotations."""
+    context.getIntegrator().setVelocitiesToTemperature(5000.0, 3)
+    return context
+
+
+def test_noise_does_not_depend_on_calls_and_rotations():
+    system, positions = free_water(3)
+    contexts = [hot(langevin(system, positions, 5.0, h=0.05, scheme="BAOAB")) for _ in range(3)]
+    turns = []
+    for context, calls in zip(contexts, ([8], [1] * 8, [3, 5]), strict=True):
+        integrator = context.getIntegrator()
+        for n in calls:
+            integrator.step(n)
+            turns.append(integrator.getGlobalVariableByName("exactrb_turns"))
+    assert len(set(turns)) > 1
+    P, *others = (context.getIntegrator().bodyState()[1].P for context in contexts)
+    for other in others:
+        np.testing.assert_allclose(other, P, rtol=1e-9)
+
+
+def test_noise_is_put_back_for_steps_that_are_made_again():
+    """Bodies at rest get momenta at once for which a drift needs more rotations than were expected."""
+    system, positions = free_water(3)
+    context = langevin(system, positions, 1e5, h=0.05, scheme="BAOAB")
+    integrator = context.getIntegrator()
+    integrator.step(1)
+    assert integrator.getGlobalVariableByName("exactrb_turns") > 1.0
+    bodies, after = integrator.bodyState()
+    *_, state = gaussians(streams(3, 7))
+    normal, *_ = gaussians(state)
+    np.testing.assert_allclose(after.P.T, np.sqrt(KT * bodies.mass[:, None]) * normal, rtol=1e-11)
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_a_seed_that_is_set_again_brings_its_noise_back(engine):
+    system, positions = free_water(2)
+    context = langevin(system, positions, 1e5, engine=engine)  # a step forgets the momenta before it
+    integrator = context.getIntegrator()
+    integrator.step(1)
+    momenta = []
+    for _ in range(2):
+        context.setStepCount(1)
+        integrator.setRandomNumberSeed(7)
+        integrator.step(2)
+        momenta.append(integrator.bodyState()[1].P)
+    np.testing.assert_allclose(*momenta, rtol=1e-12)
+
+
+def test_generators_jump_ahead_as_they_go():
+    seed, n = 11, 5
+    state = streams(2, seed)
+    for _ in range(n):
+        *_, state = gaussians(state)
+    np.testing.assert_array_equal(streams(2, seed, 2 * n), state)
+
+
+def test_virtual_sites_draw_once_more():
+    """What the number of draws in a step says is what the generators do."""
+    for sites in (False, True):
+        table = Table.of(rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, "BAOAB")._steps())  # noqa: SLF001
+        assert draws(table, sites) == 2 * (3 + sites)
+
+
+def test_noise_is_not_that_of_a_checkpoint_from_before_the_first_step():
+    system, positions = free_water(2)
+    context = langevin(system, positions, 1e3)
+    integrator = context.getIntegrator()
+    checkpoint = context.createCheckpoint()
+    integrator.step(0)
+    context.loadCheckpoint(checkpoint)
+    integrator.step(1)
+    assert np.abs(integrator.bodyState()[1].P).min() > 0.0
 
 
 def test_temperature_and_friction_are_taken_up():

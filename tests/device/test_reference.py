@@ -9,6 +9,7 @@ from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.device import load, names
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +205,123 @@ def test_energy_from_nowhere_is_noticed(engine, bath, droplet):
     integrator.step(5)
 
 
+def pushed(push):
+    """Return a System of a body of two particles and a lone one, pushed along x, and positions."""
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(1.0)
+    system.addConstraint(0, 1, 0.1)
+    force = openmm.CustomExternalForce(f"-{push!r}*x")
+    for i in range(3):
+        force.addParticle(i)
+    system.addForce(force)
+    return system, [(0.0, 0.0, 0.0), (0.0, 0.1, 0.0), (1.0, 1.0, 1.0)]
+
+
+def test_forces_too_large_to_be_summed_are_loud():
+    both = pair(*pushed(1e8), h=1e-9, scheme="S2_2", kelvin=0.0)
+    np.testing.assert_allclose(*(stepped(context, 2) for context in both), rtol=1e-12, atol=1e-15)
+    for push in (2e10, 1e12):
+        device = context_of(*pushed(push), "device", h=1e-9, scheme="S2_2", kelvin=0.0)
+        with pytest.raises(rb.NonFiniteError, match=r"forces on a body were beyond 1.1e\+09 kJ/mol/nm"):
+            device.getIntegrator().step(2)
+
+
+def test_a_lone_particle_may_be_pushed_as_hard_as_on_the_host():
+    system, positions = pushed(1e12)
+    (force,) = system.getForces()
+    for i in range(2):
+        force.setParticleParameters(i, 2, [])
+    both = pair(system, positions, h=1e-12, scheme="S2_2", kelvin=0.0)
+    one, other = (stepped(context, 2) for context in both)
+    np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-15)
+    assert one[1][2, 0] > 0.0
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_a_body_in_its_principal_axes_is_found_again_in_a_context_made_anew(engine):
+    """Numbers of an integrator outlive `reinitialize`, its vectors become zero: they are no attitude."""
+    system, positions = pushed(1.0)
+    context = context_of(system, positions, engine, scheme="S2_2")
+    bodies, state = context.getIntegrator().bodyState()
+    x = bodies.positions(state._replace(q=np.array([[1.0], [0.0], [0.0], [0.0]])), np.array(positions))
+    context.getIntegrator().step(1)
+    context.reinitialize()
+    context.setPositions(x)
+    q = context.getIntegrator().bodyState()[1].q
+    np.testing.assert_allclose((q * q).sum(axis=0), 1.0, rtol=1e-12)
+    fresh = context_of(system, x, engine, scheme="S2_2", kelvin=0.0)
+    np.testing.assert_allclose(stepped(context, 3), stepped(fresh, 3), rtol=0.0, atol=1e-12)
+
+
+def test_speeds_whose_powers_have_no_end_are_measured_otherwise(droplet):
+    system = openmm.System()
+    for i in range(3):
+        system.addParticle(droplet[0].getParticleMass(i))
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        system.addConstraint(i, j, np.linalg.norm(droplet[1]._value[i] - droplet[1]._value[j]))
+    both = pair(system, droplet[1][:3], scheme="S2_2", h=1e-7, kelvin=0.0)
+    state = both[0].getIntegrator().bodyState()[1]
+    b = 1.0 / both[0].getIntegrator().bodyState()[0].inertia[0]
+    state.m[:] = [[1.2e5], [3.0], [2.0]] / (b[0] - b[2])
+    for context in both:
+        context.getIntegrator().setBodyState(state)
+        context.getIntegrator().step(1)
+    assert both[1].getIntegrator().getGlobalVariableByName("exactrb_fastest") == np.inf
+    np.testing.assert_allclose(*(stepped(context, 2) for context in both), rtol=1e-9, atol=1e-12)
+
+
+def test_rotations_without_end_are_refused(droplet):
+    device = context_of(*droplet, "device", scheme="S2_2", h=0.001)
+    device.setVelocities(1e7 * shown(device)[1])
+    with pytest.raises(rb.NonFiniteError, match=r"would need .* rotations in a drift: take a smaller step size"):
+        device.getIntegrator().step(1)
+
+
+def test_the_rotations_of_a_drift_are_the_same_from_a_state(droplet):
+    device = context_of(*droplet, "device", scheme="S2_2")
+    integrator = device.getIntegrator()
+    integrator.step(1)
+    bodies, state = integrator.bodyState()
+    measured = integrator.getGlobalVariableByName("exactrb_fastest") ** (1.0 / names.POWER)
+    assert load.fastest(bodies, state) == pytest.approx(measured, rel=1e-12)
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_a_thermostat_that_was_made_hotter_is_no_false_alarm(engine):
+    context = context_of(*liquid(openmm.AndersenThermostat(1.0, 500.0)), engine, scheme="S2_2", kelvin=1.0)
+    context.getIntegrator().minimizeEnergy(maxIterations=20)
+    context.setParameter(openmm.AndersenThermostat.Temperature(), 300.0)
+    context.getIntegrator().step(30)
+    assert context.getIntegrator().temperatures()[0]._value > 50.0
+
+
+def field(state):
+    """Return the energy and the forces of a field along x that swings."""
+    x, strength = state.getPositions(asNumpy=True)._value, 20.0 * np.cos(10.0 * state.getTime()._value)
+    return strength * x[0, 0], np.array([[-strength, 0.0, 0.0]])
+
+
+def driven(engine):
+    """Return a Context of a particle in a trap and a field that swings with the trap's frequency."""
+    system = openmm.System()
+    system.addParticle(1.0)
+    trap = openmm.CustomExternalForce("50*(x^2+y^2+z^2)")
+    trap.addParticle(0)
+    for force in (trap, openmm.PythonForce(field)):
+        system.addForce(force)
+    return context_of(system, [(0.0, 0.0, 0.0)], engine, scheme="S2_2", h=0.01, kelvin=0.0)
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_a_field_that_swings_may_give_energy(engine):
+    """The amplitude at resonance, x = -a t sin(w t)/(2 w m), is that of the equation of motion."""
+    context = driven(engine)
+    context.getIntegrator().step(500)
+    x, v = shown(context)[:, 0, 0]
+    assert np.hypot(x, v / 10.0) == pytest.approx(20.0 * 5.0 / 20.0, rel=0.02)
+
+
 def test_steps_far_too_long_stop(droplet):
     device = context_of(*droplet, "device", h=0.5, scheme="W2_5")
     before = shown(device)
@@ -347,6 +465,14 @@ def test_refusals(droplet):
     own = rb.schemes.Scheme("own", 2, (("A", 0.5), ("B3", 1.0), ("A", 0.5)))
     with pytest.raises(ValueError, match="the letter 'B3' of scheme own: take engine='host'"):
         rb.ExactRigidBodyIntegrator(0.001, own, engine="device")
+    rotor = rb.rotors.Rotor("exact", 2, rb.ROTORS["mclachlan_reich"].factory, "")
+    with pytest.raises(ValueError, match="exact rotor only, not by one of your own, exact: take engine='host'"):
+        rb.ExactRigidBodyIntegrator(0.001, rotor=rotor, engine="device")
+    assert "one of your own" in rb.ExactRigidBodyIntegrator(0.001, rotor=rotor).engineNote()
+    integrator = rb.ExactRigidBodyIntegrator(0.001, engine="device")
+    with pytest.raises(ValueError, match="the letter 'B' of your own: take engine='host'"):
+        integrator.addLetter("B", lambda parts, letters: {})
+    integrator.addLetter("F", lambda parts, letters: {})  # not in its word
     cpu = openmm.Platform.getPlatform("CPU")
     with pytest.raises(ValueError, match="12 times a Verlet step"):
         context_of(system, positions, "device", platform=cpu)
@@ -399,6 +525,19 @@ def test_a_system_without_a_free_force_group_is_refused(droplet):
     system = in_groups(system, list(range(32)))
     with pytest.raises(ValueError, match="has forces in all 32: give two of them the same one; engine='host' can do"):
         context_of(system, positions, "device")
+
+
+@pytest.mark.parametrize("name", ["v", "f", "dt", "f31"])
+def test_parameters_with_names_of_openmms_own_are_refused(name, droplet):
+    """OpenMM's devices take such a parameter for velocities, forces or the step."""
+    system, positions = copy.deepcopy(droplet)
+    force = openmm.CustomExternalForce(f"0*{name}*x")
+    force.addGlobalParameter(name, 0.4)
+    system.addForce(force)
+    with pytest.raises(ValueError, match=f"the parameter '{name}' of a force has the name of a variable"):
+        context_of(system, positions, "device")
+    host = context_of(system, positions, "host")
+    host.getIntegrator().step(1)
 
 
 def test_forces_without_a_group_take_none(droplet):
