@@ -29,7 +29,7 @@ class Recipe:
         Numbers, texts, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`,
         or a System, State, Force or Integrator of OpenMM. The recipe keeps copies: what is changed later does not
         change it. Large ones travel with every recipe: hand over the path of a file, or a function that builds,
-        instead. A `pathlib.Path` to a file stands for what is in it too; name by a text what the function writes.
+        instead. A ``pathlib.Path`` to a file stands for what is in it too; name by a text what the function writes.
 
     Raises
     ------

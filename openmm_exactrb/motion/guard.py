@@ -13,7 +13,7 @@ from openmm_exactrb.motion.bodies import RigidBodies
 from openmm_exactrb.motion.engine import Flow
 from openmm_exactrb.motion.state import BodyState, State
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 #: The speed of light in nm/ps. A body above it is not finite in any useful sense.
 LIGHT = 299_792.458
@@ -77,14 +77,14 @@ class Guard:
         if anew:
             self._since, self._since_time = state, time
 
-    def finite(self, flow: Callable[[State, T], State]) -> Callable[[State, T], State]:
+    def finite(self, flow: Callable[[State, _T], State]) -> Callable[[State, _T], State]:
         """Return a flow that raises NonFiniteError where its result is not fit for OpenMM.
 
         Squares are looked at, because finite numbers of 1e200 are as useless; places too, because the forces between
         infinite ones may vanish; and speeds, because bodies that were thrown apart may never meet again.
         """
 
-        def guarded(state: State, tau: T) -> State:
+        def guarded(state: State, tau: _T) -> State:
             after = flow(state, tau)
             self._measured(after)
             return after
