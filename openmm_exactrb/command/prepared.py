@@ -18,6 +18,7 @@ from openmm_exactrb.command.progress import Progress
 from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
+from openmm_exactrb.runs.checkpoint import differences
 from openmm_exactrb.runs.identity import text_of_system
 from openmm_exactrb.runs.text import hash_of
 from openmm_exactrb.schemes import scheme as look_up
@@ -176,9 +177,8 @@ def _refuse_others(file: Path, here: dict[str, str], free: Iterable[str]) -> Non
         there = dict(json.loads(file.read_text()))
     except (ValueError, TypeError):
         raise ValueError(f"{file} is damaged: begin anew in another folder or with --overwrite") from None
-    for name in [name for name in {**there, **here} if name not in free]:
-        was, now = there.get(name, "not there"), here.get(name, "not there")
-        if was != now:
+    for name, was, now in differences(there, here):
+        if name not in free:
             raise ValueError(
                 f"{file} is of another command: {name} is {was} in it, but {now} now: give the same again, or begin "
                 "anew in another folder or with --overwrite"

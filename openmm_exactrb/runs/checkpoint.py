@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -69,7 +69,7 @@ class Checkpoint(NamedTuple):
         """
         possible = self.chapters[after : after + 2]
         if identity not in possible:
-            nearest = min(possible, key=lambda there: len(_differing(there, identity)))
+            nearest = min(possible, key=lambda there: len(list(differences(there, identity))))
             refuse_others(nearest, identity, file)
         return after + possible.index(dict(identity))
 
@@ -96,14 +96,17 @@ def refuse_others(
     names : collection of str, optional
         What is looked at; everything unless given.
     """
-    for name in _differing(there, here):
+    for name, was, now in differences(there, here):
         if names is None or name in names:
-            was, now = there.get(name, "not there"), here.get(name, "not there")
             raise ValueError(f"{file} is of another run: {name} is {was} in it, but {now} now")
 
 
-def _differing(there: Mapping[str, str], here: Mapping[str, str]) -> list[str]:
-    return [name for name in {**there, **here} if there.get(name) != here.get(name)]
+def differences(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    """Yield the names by which two runs differ, each with what it is there and here."""
+    for name in {**there, **here}:
+        was, now = there.get(name, "not there"), here.get(name, "not there")
+        if was != now:
+            yield name, was, now
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:
