@@ -31,8 +31,8 @@ translation, rotation = integrator.temperatures()
 print(f"after 6 ps: translation {translation._value:.0f} K, rotation {rotation._value:.0f} K")
 
 # %%
-# Of so few molecules a temperature is known to some 20 K at any one time. The difference of the two, as a mean over 80
-# ps, is known to about 2 K. OpenMM's integrator has velocities of atoms: the centres of mass are translation, and all
+# Of so few molecules a temperature is known to some 20 K at any one time. The difference of the two, as a mean over 40
+# ps, is known to about 3 K. OpenMM's integrator has velocities of atoms: the centres of mass are translation, and all
 # that is left is rotation, since the molecules are rigid.
 
 R = 0.00831446  # kJ/mol/K
@@ -48,7 +48,7 @@ def temperatures_of_atoms(context):
     return 2.0 * np.array([translational, kinetic - translational]) / (3 * len(v) * R)
 
 
-def difference(integrator, picoseconds=80.0):
+def difference(integrator, picoseconds=40.0):
     """Return the mean of T_rot - T_tr over a run, and its error from ten blocks."""
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
     context.setState(start)

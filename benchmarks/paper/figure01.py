@@ -58,7 +58,7 @@ def costs(inertia, m, h, rounds):
 
 def compute(quick):
     warnings.simplefilter("ignore", NotConvergedWarning)  # counted as failures
-    numbers = np.unique(np.round(np.geomspace(29, 714, 3 if quick else 20)).astype(int))
+    numbers = np.unique(np.round(np.geomspace(29, *((120, 2) if quick else (714, 20)))).astype(int))
     number_of_draws = 2 if quick else DRAWS
     inertia, m = draws(number_of_draws)
     reference, _ = taylor(inertia, m, T)

@@ -37,7 +37,7 @@ FIGURES = {
 
 def grid(quick):
     """Return x = I1/I3 and y = I2/I3 (rows, columns) inside the triangle 1 - y <= x <= y < 1, and momenta a point."""
-    columns, rows, momenta = (12, 6, 2) if quick else (100, 50, 20)
+    columns, rows, momenta = (12, 3, 2) if quick else (100, 50, 20)
     y = 0.5 + 0.5 * (np.arange(rows)[:, None] + 0.5) / rows
     return (1.0 - y) + (2.0 * y - 1.0) * (np.arange(columns) + 0.5) / columns, y * np.ones(columns), momenta
 

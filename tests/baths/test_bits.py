@@ -71,6 +71,7 @@ def test_another_seed_is_another_trajectory(maker):
 def test_each_bath_letter_has_noise_of_its_own():
     """From rest a step gives T (1 - a⁴) if a half leaves a of momenta; with one noise for both T (1 - a²)(1 + a)²."""
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0 * np.log(2.0) / H, H)  # a = 1/2
+    integrator.setRandomNumberSeed(1)
     simulation = simulation_of(integrator, *molecules(ions=4000))
     simulation.step(1)
     translational, _ = integrator.temperatures()

@@ -227,10 +227,9 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     topology = pdb.topology
     topology.setPeriodicBoxVectors(3.0 * np.eye(3) * unit.nanometer)
     system = FORCE_FIELD.createSystem(topology, nonbondedMethod=app.CutoffPeriodic, constraints=app.HBonds)
-    system.addForce(openmm.MonteCarloBarostat(1.0, 300.0, 1))
-    thermostat = openmm.AndersenThermostat(300.0, 100.0)
-    thermostat.setRandomNumberSeed(1)
-    system.addForce(thermostat)
+    for bath in (openmm.MonteCarloBarostat(1.0, 300.0, 1), openmm.AndersenThermostat(300.0, 100.0)):
+        bath.setRandomNumberSeed(1)
+        system.addForce(bath)
     _, _, x = peptide()
     integrator, context = moving(system, x)
     box = context.getState().getPeriodicBoxVolume()._value

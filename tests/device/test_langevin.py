@@ -281,7 +281,7 @@ def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions(scheme):
     integrator = context.getIntegrator()
     integrator.step(400)
     places, along = [], []
-    for _ in range(120):
+    for _ in range(60):
         integrator.step(40)
         x = shown(context)[0].reshape(-1, 3, 3)
         arms = x[:, 1] + x[:, 2] - 2.0 * x[:, 0]

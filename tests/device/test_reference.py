@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import openmm
 import pytest
-from devices import REFERENCE, all_kinds, context_of, pair, shown, stepped
+from devices import REFERENCE, all_kinds, context_of, pair, seeded, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -289,7 +289,7 @@ def test_the_rotations_of_a_drift_are_the_same_from_a_state(droplet):
 
 @pytest.mark.parametrize("engine", ["host", "device"])
 def test_a_thermostat_that_was_made_hotter_is_no_false_alarm(engine):
-    context = context_of(*liquid(openmm.AndersenThermostat(1.0, 500.0)), engine, scheme="S2_2", kelvin=1.0)
+    context = context_of(*liquid(seeded(openmm.AndersenThermostat(1.0, 500.0))), engine, scheme="S2_2", kelvin=1.0)
     context.getIntegrator().minimizeEnergy(maxIterations=20)
     context.setParameter(openmm.AndersenThermostat.Temperature(), 300.0)
     context.getIntegrator().step(30)
@@ -403,7 +403,7 @@ def test_the_motion_of_the_centre_of_mass_is_removed(scheme):
 def test_a_barostat_moves_whole_bodies():
     system, positions = liquid()
     host = context_of(system, positions, "host", scheme="S2_2")
-    device = context_of(*liquid(openmm.MonteCarloBarostat(5000.0, 300.0, 2)), "device", scheme="S2_2")
+    device = context_of(*liquid(seeded(openmm.MonteCarloBarostat(5000.0, 300.0, 2))), "device", scheme="S2_2")
     boxes = []
     for _ in range(16):
         (x1, v1), (x, v) = one_step_alone(device, host)
@@ -416,7 +416,7 @@ def test_a_barostat_moves_whole_bodies():
 
 
 def test_a_call_that_fails_leaves_the_box_as_it_was():
-    device = context_of(*liquid(openmm.MonteCarloBarostat(5000.0, 300.0, 1)), "device", scheme="V2", h=0.002)
+    device = context_of(*liquid(seeded(openmm.MonteCarloBarostat(5000.0, 300.0, 1))), "device", scheme="V2", h=0.002)
     integrator = device.getIntegrator()
     integrator.step(2)
     box, before = box_of(device), shown(device)
@@ -430,7 +430,7 @@ def test_a_call_that_fails_leaves_the_box_as_it_was():
 def test_a_thermostat_pushes_whole_bodies():
     system, positions = liquid()
     host = context_of(system, positions, "host", scheme="S2_2")
-    device = context_of(*liquid(openmm.AndersenThermostat(300.0, 200.0)), "device", scheme="S2_2")
+    device = context_of(*liquid(seeded(openmm.AndersenThermostat(300.0, 200.0))), "device", scheme="S2_2")
     pushed = 0
     for _ in range(5):
         (x1, v1), (x, v) = one_step_alone(device, host)

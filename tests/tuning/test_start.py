@@ -19,6 +19,7 @@ from openmm_exactrb.tuning.start import start_of
 def test_a_simulation_is_enough():
     topology, system, positions = rb.rigid_water(4, removeCMMotion=True)
     langevin = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
+    langevin.setRandomNumberSeed(1)
     simulation = app.Simulation(topology, system, langevin, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions(positions)
     simulation.minimizeEnergy()
