@@ -70,7 +70,7 @@ def array(
         given = np.asarray(value)
         if given.dtype.kind == "O":
             given = np.frompyfunc(float, 1, 1)(given)  # not None, of which numpy makes nan
-        if given.dtype.kind in "biufO" and not hasattr(value, "unit"):  # which numpy would drop
+        if given.dtype.kind in "biufO" and not _has_unit(value):  # which numpy would drop
             return given.astype(np.float64, copy=False)
     raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")
 
@@ -83,6 +83,11 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
         given = reprlib.repr(value)
         raise ValueError(f"{name} must be lists of numbers of particles, such as [[0, 1, 2], [3, 4, 5]], not {given}")
     return [list(map(int, row)) for row in fits]
+
+
+def _has_unit(value: Any) -> bool:
+    """Tell whether a value, or one in a list of values, is a Quantity."""
+    return hasattr(value, "unit") or (isinstance(value, (list, tuple)) and any(hasattr(x, "unit") for x in value))
 
 
 def _iterable(value: Any) -> bool:

@@ -9,6 +9,12 @@ from openmm_exactrb import checks
 
 Array = NDArray[np.float64]
 
+_ASKED = (
+    "rows of three numbers in sqrt(kJ/mol nm³), without a unit: moments in e nm times "
+    "dipole_strength(1 * elementary_charge * nanometer)"
+)
+_LARGEST = 1e100  # whose squares, and the sums of many, are still numbers
+
 
 def reaction(dielectric: float) -> float:
     """Return the factor 2 (eps - 1)/(2 eps + 1) of the field with which surroundings answer a dipole.
@@ -65,18 +71,18 @@ def dielectric_constant(
     Raises
     ------
     ValueError
-        If there are fewer moments than blocks or fewer than two blocks, they are not finite, or a number is out of its
-        range.
+        If there are fewer moments than blocks or fewer than two blocks, they are not finite or have a unit, or a number
+        is out of its range.
 
     Notes
     -----
     <M> is taken as zero, which it is without a field, and not from the run: the mean square about the mean of a short
     run would be too small.
     """
-    M = np.asarray(moments, dtype=np.float64)
-    if M.ndim != 2 or M.shape[1] != 3 or not np.isfinite(M).all():
-        raise ValueError(f"moments must be rows of three finite numbers, not of shape {M.shape}")
-    if not 2 <= blocks <= len(M):
+    M = checks.array(moments, "moments", _ASKED)
+    if M.ndim != 2 or M.shape[1] != 3 or not (np.abs(M) < _LARGEST).all():
+        raise ValueError(f"moments must be rows of three finite numbers below {_LARGEST:g}, not of shape {M.shape}")
+    if not 2 <= checks.whole(blocks, "blocks", least=0) <= len(M):
         raise ValueError(f"blocks must be at least 2 and at most the number of moments, {len(M)}, not {blocks}")
     volume, kT = checks.positive(volume, "volume", "nm³"), checks.positive(kT, "kT", "kJ/mol")
     Q = reaction(dielectric)

@@ -138,10 +138,23 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         return self._scheme.forces
 
     def setStepSize(self, size: float | unit.Quantity) -> None:
-        """Set the size of a whole step of the scheme, in ps if it has no unit."""
+        """Set the size of a whole step of the scheme, in ps if it has no unit.
+
+        Raises
+        ------
+        ValueError
+            If it is no time, or so long that forces would be nested, and the device was asked for, which does not nest.
+        """
+        before = self.getStepSize()
         super().setStepSize(picoseconds(size))
         if self._engine.open and self._engine.on_device:
             self._host = None  # longer steps may be the host's
+        elif self._host is not None:
+            try:
+                self._engine.bear_steps(self._host.session.context, self)
+            except ValueError:
+                super().setStepSize(before)
+                raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set which force groups act, as a set or by their bits."""
@@ -308,6 +321,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator):
         ------
         ValueError
             If the tolerance is no positive force, or the number of iterations not whole.
+        NonFiniteError
+            If the energy or a force at the start is not finite.
+        ArithmeticError
+            If the constraints of a molecule cannot be followed any longer.
+
+        Warns
+        -----
+        MinimisationWarning
+            If the energy does not fall any more above the tolerance.
         """
         force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
         iterations = checks.whole(maxIterations, "maxIterations", least=0)

@@ -88,11 +88,11 @@ def integrate(
         If the scheme has a letter beside "A", "B" and its force-gradient kicks.
     """
     n = checks.whole(n, "n", 0)
-    q, m = (x if x.ndim == 3 else exactly(x) for x in state)
+    q, m = (np.array(x) if np.ndim(x) == 3 else exactly(np.asarray(x, dtype=np.float64)) for x in state)
     nowhere = np.zeros((2, 3, 0))
     word = scheme.processor + repeated(scheme.word, n) + scheme.postprocessor if n else ()
     end = run(word, flows(problem, scheme, method), State(nowhere, nowhere, q, m), h)
-    return (end.q, end.m) if state[0].ndim == 3 else (end.q[0], end.m[0])
+    return (end.q, end.m) if np.ndim(state[0]) == 3 else (end.q[0], end.m[0])
 
 
 def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[str, Flow[State]]:

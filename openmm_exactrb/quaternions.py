@@ -18,7 +18,7 @@ def multiply(p: Array, q: Array) -> Array:
     """Return the product p q of component-first quaternions (4, N); q may be one for all, (4, 1)."""
     p0, p1, p2, p3 = p
     q0, q1, q2, q3 = q
-    out = np.empty_like(p)
+    out = np.empty((4, *np.broadcast_shapes(p0.shape, q0.shape)), dtype=np.result_type(p0, q0, np.float64))
     out[0] = p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3
     out[1] = p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2
     out[2] = p0 * q2 - p1 * q3 + p2 * q0 + p3 * q1

@@ -15,6 +15,7 @@ from openmm import unit
 from openmm_exactrb import checks
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.motion.images import joined
 
 Array = NDArray[np.float64]
 # What force fields leave of a molecule by the rounding of its charges.
@@ -109,9 +110,9 @@ class EnergyReporter(_Lines):
 class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, every digit of float64.
 
-    The moment is the sum of charge times position over all particles, with molecules whole. For soft dipoles the
-    charge is strength/length at the tip of an arrow and its negative at the centre, as in the example
-    `dielectric_constant.py`.
+    The moment is the sum of charge times position over all particles, with molecules whole; a gap within a molecule
+    must be shorter than half a periodic box. For soft dipoles the charge is strength/length at the tip of an arrow and
+    its negative at the centre, as in the example `dielectric_constant.py`.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ class MomentReporter(_Lines):
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
         self._charges = _elementary(charges)
-        self._neutral = False  # unless looked at
+        self._molecules: list[NDArray[np.intp]] | None = None  # unless looked for
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
@@ -151,9 +152,10 @@ class MomentReporter(_Lines):
                 f"charges must be one for each of the {particles} particles of the System, and there are "
                 f"{len(self._charges)}: give 0 for those without a charge"
             )
-        if not self._neutral:
-            _refuse_ions(self._charges, simulation)
-            self._neutral = True
+        if self._molecules is None:
+            molecule = _molecules(simulation)
+            _refuse_ions(self._charges, molecule)
+            self._molecules = _by_size(molecule)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
@@ -165,8 +167,10 @@ class MomentReporter(_Lines):
         state : openmm.State
             With positions.
         """
-        moment = self._charges @ state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-        self._write(simulation, state, moment)
+        x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        if simulation.system.usesPeriodicBoundaryConditions():
+            x = _whole(x, self._molecules, state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer))
+        self._write(simulation, state, self._charges @ x)
 
 
 def _elementary(charges: Any) -> Array:
@@ -183,9 +187,22 @@ def _elementary(charges: Any) -> Array:
     return values
 
 
-def _refuse_ions(charges: Array, simulation: Any) -> None:
+def _whole(x: Array, molecules: Iterable[NDArray[np.intp]] | None, box: Array) -> Array:
+    """Return positions with molecules whole, wherever a box has split them."""
+    for particles in molecules or ():
+        x = joined(x, particles, box)
+    return x
+
+
+def _by_size(molecule: NDArray[np.integer[Any]]) -> list[NDArray[np.intp]]:
+    """Return the particles (n, k) of the molecules of each size k from 2 on, from the molecule of each particle."""
+    sizes = np.bincount(molecule)
+    order, ends = np.argsort(molecule, kind="stable"), np.cumsum(sizes)
+    return [np.stack([order[end - k : end] for end in ends[sizes == k]]) for k in map(int, np.unique(sizes)) if k > 1]
+
+
+def _refuse_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
     """Raise a ValueError if a molecule is not neutral: the moment would depend on where its images lie."""
-    molecule = _molecules(simulation)
     total = np.bincount(molecule, charges)
     worst = int(np.abs(total).argmax())
     if abs(total[worst]) > _NEUTRAL:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from openmm import unit
 from scipy.signal import lfilter
 from scipy.special import erf
 
@@ -9,6 +10,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.dielectric import reaction
 
 KT, VOLUME = 1.2, 30.0
+E_NM = unit.elementary_charge * unit.nanometer
 
 
 def moments_of(variance, n, rng, memory=0.0):
@@ -77,6 +79,12 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
         ({"dielectric": 0.5}, "dielectric must be at least 1"),
         ({"blocks": 1}, "blocks must be at least 2"),
         ({"blocks": 41}, "blocks must be at least 2"),
+        ({"blocks": 2.9}, "blocks must be a whole number"),
+        ({"moments": np.ones((40, 3)) * E_NM}, "without a unit: moments in e nm times dipole_strength"),
+        ({"moments": [row * E_NM for row in np.ones((40, 3))]}, "without a unit"),
+        ({"moments": np.ones((40, 3)) * 1j}, "moments must be rows of three numbers"),
+        ({"moments": [[1.0, 2.0, 3.0], [1.0, 2.0]]}, "moments must be rows of three numbers"),
+        ({"moments": np.full((40, 3), 1e170)}, "rows of three finite numbers"),
     ],
 )
 def test_wrong_values_get_one_sentence(changes, message):

@@ -137,3 +137,32 @@ def test_bodies_that_are_named_are_molecules(bodies):
     else:
         simulation.step(1)
         assert len(moments_in(text)) == 1
+
+
+@pytest.mark.parametrize("length", [0.1, 1.3])
+def test_a_molecule_that_a_box_has_split_is_whole(length):
+    """A chain of bonds; one that is longer than half the box is followed from atom to atom."""
+    system, bonds, steps = openmm.System(), openmm.HarmonicBondForce(), 4
+    x = np.zeros((steps + 1, 3))
+    x[:, 0] = 1.5 + np.linspace(0.0, length, steps + 1)
+    for _ in x:
+        system.addParticle(12.0)
+    for i in range(steps):
+        bonds.addBond(i, i + 1, length / steps, 1000.0)
+    bonds.setUsesPeriodicBoundaryConditions(True)
+    system.addForce(bonds)
+    system.setDefaultPeriodicBoxVectors(*np.diag([2.0] * 3))
+    charges, found = [1.0, 0.0, 0.0, 0.0, -1.0], []
+    for places in (x, x % 2.0):
+        topology = app.Topology()
+        residue = topology.addResidue("X", topology.addChain())
+        for _ in x:
+            topology.addAtom("X", None, residue)
+        integrator = rb.ExactRigidBodyIntegrator(1e-6)
+        simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+        simulation.context.setPositions(places)
+        text = io.StringIO()
+        simulation.reporters.append(rb.MomentReporter(text, 1, charges))
+        simulation.step(1)
+        found.append(moments_in(text)[-1])
+    np.testing.assert_allclose(found, [[-length, 0.0, 0.0]] * 2, rtol=0.0, atol=1e-6)

@@ -5,6 +5,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb import quaternions
+from openmm_exactrb.compensated import exactly
 from openmm_exactrb.problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
 
 
@@ -77,3 +78,6 @@ def test_no_step_leaves_the_state_as_it_is(name):
     satellite, state = Satellite.paper()
     for now, then in zip(integrate(satellite, state, 0.1, 0, rb.SCHEMES[name]), state, strict=True):
         np.testing.assert_array_equal(now, then)
+    sums = tuple(map(exactly, state))
+    for now, then in zip(integrate(satellite, sums, 0.1, 0, rb.SCHEMES[name]), sums, strict=True):
+        assert not np.shares_memory(now, then)

@@ -50,8 +50,8 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     bodies, fast, inner, innerSteps : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
-        As in `ExactRigidBodyIntegrator`. The device draws other random numbers: from the same seed, but the noise of a
-        step depends on all steps before it. It has no `temperaturesAroundBath`.
+        As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise
+        of a step depends on the seed and the number of the step alone. It has no `temperaturesAroundBath`.
 
     Raises
     ------

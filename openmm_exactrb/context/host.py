@@ -99,7 +99,7 @@ class Host:
         steady = not couplings.act and plan.makers.items() <= LETTERS.items()
         forces = Forces(places, integrator.getIntegrationForceGroups(), self.timings, steady)
         clock = Clock(session.context, integrator, h)
-        guard = Guard(session.bodies, forces.potential, clock.at_time(forces.potential))
+        guard = Guard(session.bodies, forces.potential, clock.at_time(forces.potential), session.box)
         kinetic, slow, follow = self._split(plan, forces, guard, clock, h)
         parts = Parts(session.bodies, kinetic, forces, slow, guard, scheme, clock, account)
         moves = flows(scheme.word + scheme.processor, parts, plan.makers)
@@ -154,6 +154,7 @@ class Host:
                 lambda state: forces.landscape(State.of(state)),
                 tolerance,
                 iterations,
+                session.box(),
             )
         )
 

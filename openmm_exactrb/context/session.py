@@ -15,7 +15,7 @@ from openmm_exactrb.context import arrays, ledger
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.motion.bodies import Indices, RigidBodies
 from openmm_exactrb.motion.fit import fit, refit
-from openmm_exactrb.motion.images import joined
+from openmm_exactrb.motion.images import rejoined
 from openmm_exactrb.motion.state import BodyState, State
 
 Array = NDArray[np.float64]
@@ -102,14 +102,12 @@ class Session:
 
     def _joined(self, x: Array) -> Array:
         """Return positions without what the periodic box split."""
-        box = _box(self.context)
-        if box is not None:
-            for kind in self.bodies.kinds:
-                x = joined(x, kind.particles, box, kind.distances)
-            for cluster in self.bodies.clusters.kinds:
-                k = cluster.particles.shape[1]
-                x = joined(x, cluster.particles, box, np.full((1, k, k), np.nan))
-        return x
+        box = self.box()
+        return x if box is None else rejoined(x, self.bodies, box)
+
+    def box(self) -> Array | None:
+        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
+        return _box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""

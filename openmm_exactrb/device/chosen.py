@@ -123,8 +123,15 @@ class Chosen:
             )
             if against:
                 raise ValueError(f"{against}; engine='host' can do it")
+            self.bear_steps(context, integrator)
         if self.open:
             self.on_device, self.note = self._verdict(context, integrator)
+
+    def bear_steps(self, context: Any, integrator: Any) -> None:
+        """Raise ValueError where the device was asked for, and the host would nest forces at the present step."""
+        against = choice.against_steps(context, integrator, self._nesting) if self.asked == "device" else None
+        if against:
+            raise ValueError(f"{against}: take engine='host', a smaller step, or fast=None, which nests nothing")
 
     def furnish(self, context: Any, integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> None:
         """Give the System of a Context the sums over bodies, and the integrator the program that uses them."""

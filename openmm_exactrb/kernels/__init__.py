@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Literal
 
-#: With this environment variable set to 0 everything runs in numpy.
+#: With this environment variable set to 0 everything that is not asked for by name runs in numpy.
 SWITCH = "OPENMM_EXACTRB_COMPILED"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -43,6 +44,8 @@ class Guard:
         potential(state) -> float, the potential energy in kJ/mol. It is called only when momenta have grown much.
     at_time : callable, optional
         at_time(state, time) -> the same at another time (ps) than the present one, for forces that look at it.
+    box : callable, optional
+        box() -> the vectors (3, 3) of the periodic box in nm, or None: what is close may be so across its sides.
     """
 
     def __init__(
@@ -50,8 +53,9 @@ class Guard:
         bodies: RigidBodies,
         potential: Callable[[State], float],
         at_time: Callable[[State, float], float] | None = None,
+        box: Callable[[], NDArray[np.float64] | None] = lambda: None,
     ) -> None:
-        self._bodies, self._potential, self._at_time = bodies, potential, at_time
+        self._bodies, self._potential, self._at_time, self._box = bodies, potential, at_time, box
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
         self._good = (0.0, 0.0)
         self._at = (0, 0.0)
@@ -161,8 +165,7 @@ class Guard:
         number, time = self._at
         closest = ""
         if self._before is not None and len(self._bodies) > 1:
-            pair, distance = closest_pair(self._before.rounded)
-            closest = f"The closest before it were the bodies {pair[0]} and {pair[1]}, {distance:.3g} nm apart. "
+            closest = f"The closest before it were {closest_pair(self._before.rounded, self._box())}. "
         return f"step {number}, after {time:.6g} ps: {what}. {closest}{advice('step')}"
 
 
@@ -236,10 +239,16 @@ def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
     return found
 
 
-def closest_pair(state: BodyState) -> tuple[tuple[int, int], float]:
-    """Return the two bodies whose centres are closest, and their distance in nm."""
+def closest_pair(state: BodyState, box: NDArray[np.float64] | None = None) -> str:
+    """Name the two bodies whose centres are closest, across the sides of a periodic box (3, 3) too."""
     from scipy.spatial import cKDTree  # here, for a short import of the package
 
-    distances, neighbours = map(np.asarray, cKDTree(state.R.T).query(state.R.T, k=2))
+    R, images = state.R.T, np.zeros((1, 3))
+    if box is not None:
+        R = R - np.floor(R @ np.linalg.inv(box)) @ box
+        images = np.array(list(itertools.product((0.0, 1.0, -1.0), repeat=3))) @ box
+    places = (R + images[:, None]).reshape(-1, 3)
+    distances, neighbours = map(np.asarray, cKDTree(places).query(R, k=2))
     body = int(np.argmin(distances[:, 1]))
-    return (body, int(neighbours[body, 1])), float(distances[body, 1])
+    other = next((int(k) for k in neighbours[body] % len(R) if k != body), body)  # or an image of its own
+    return f"the bodies {min(body, other)} and {max(body, other)}, {distances[body, 1]:.3g} nm apart"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.motion.bodies import RigidBodies
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
@@ -12,7 +14,16 @@ Indices = NDArray[np.intp]
 _NEAR = 0.05
 
 
-def joined(x: Array, particles: Indices, box: Array, distances: Array) -> Array:
+def rejoined(x: Array, bodies: RigidBodies, box: Array) -> Array:
+    """Return positions (n_particles, 3) with the particles of each body, and of each cluster, in one image of a box."""
+    for kind in bodies.kinds:
+        x = joined(x, kind.particles, box, kind.distances)
+    for cluster in bodies.clusters.kinds:
+        x = joined(x, cluster.particles, box)
+    return x
+
+
+def joined(x: Array, particles: Indices, box: Array, distances: Array | None = None) -> Array:
     """Return positions with the particles of each body in one image; the same array where they already are.
 
     Bodies whose particles are at their distances are left alone. In others, from the first particle on, the one that is
@@ -27,15 +38,16 @@ def joined(x: Array, particles: Indices, box: Array, distances: Array) -> Array:
         Of each of the n bodies.
     box : (3, 3) array
         Vectors of the periodic box in nm, one a row.
-    distances : (1, k, k) or (n, k, k) array
-        Of the particles in the bodies, in nm; nan where nobody knows.
+    distances : (1, k, k) or (n, k, k) array, optional
+        Of the particles in the bodies, in nm, if they are known; nan where nobody knows.
     """
     X = x[particles]
-    apart = np.abs((X - X[:, :1]) @ np.linalg.inv(box)).max(axis=(1, 2))
-    wide = np.isfinite(apart) & (apart > 0.5)
+    extent = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1)
+    wide = np.isfinite(extent) & (extent > 0.5)
     if not wide.any():
         return x
-    wide[wide] = ~_at_distances(X[wide], distances if len(distances) == 1 else distances[wide])
+    if distances is not None:
+        wide[wide] = ~_at_distances(X[wide], distances if len(distances) == 1 else distances[wide])
     y = x.copy()
     y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
     return y

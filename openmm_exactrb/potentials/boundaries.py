@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar, TypeAlias
 
 import numpy as np
+from openmm import unit
 
 from openmm_exactrb import checks
 from openmm_exactrb.dielectric import reaction
@@ -177,8 +178,8 @@ def edges_of(box: Sequence[float]) -> Edges:
     ValueError
         If these are no three positive edges.
     """
-    if len(box) != 3:
-        raise ValueError(f"box must be three positive edges, not {box!r}")
+    if unit.is_quantity(box) or np.shape(box) != (3,):
+        raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {box!r}")
     a, b, c = (checks.positive(edge, "each edge of the box", "nm") for edge in box)
     return a, b, c
 

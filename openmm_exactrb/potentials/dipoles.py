@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import openmm
@@ -53,7 +54,8 @@ def soft_dipole_force(
         Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. The second
         derivative has a step there: take a scheme of order 2, none keeps a higher one.
     box : sequence of three float, optional
-        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`.
+        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; those of the System, of which
+        `System.setDefaultPeriodicBoxVectors` has to be told as well.
     boundary : Open, ReactionField or Ewald
         What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
     kernel : {"auto", "openmm", "compiled"}
@@ -70,8 +72,8 @@ def soft_dipole_force(
     Raises
     ------
     ValueError
-        If the kernel is unknown, there is no arrow, a number is out of its range, box and boundary do not fit each
-        other, or an Ewald sum has too many waves, or another kernel than the compiled one.
+        If the kernel is unknown, arrows are no pairs of particles, a number is out of its range, box and boundary do
+        not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one.
     ModuleNotFoundError
         If the compiled kernel is asked for, or an Ewald sum, and numba is not installed.
 
@@ -82,14 +84,16 @@ def soft_dipole_force(
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
-    if not arrows:
-        raise ValueError("soft dipoles need at least one arrow (centre, tip)")
+    arrows = _pairs(arrows)
     edges = None if box is None else edges_of(box)
     truncation = checked(boundary).truncation(edges)
     in_kernel = compiled.chosen(kernel, needed=boundary.needs_kernel)
     parameters = _parameters(strength, length, sigma, epsilon, attraction)
-    if wca and not attraction > 0.0:
-        raise ValueError("without an attraction there is no minimum: wca needs a positive one, 1 for Lennard-Jones")
+    if wca and not (attraction > 0.0 and epsilon > 0.0):
+        raise ValueError(
+            "without an attraction there is no minimum: wca needs a positive one, 1 for Lennard-Jones, and a positive "
+            "epsilon"
+        )
     if in_kernel:
         force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
@@ -99,6 +103,27 @@ def soft_dipole_force(
     force.setUsesPeriodicBoundaryConditions(boundary.periodic)
     force.setName("SoftDipoleForce")
     return force
+
+
+def _pairs(arrows: Any) -> list[tuple[int, int]]:
+    """Return arrows as pairs of particles.
+
+    Raises
+    ------
+    ValueError
+        If there is none, they are no pairs of numbers of at least 0, or a particle is in two of them.
+    """
+    rows = checks.lists_of_indices(arrows, "arrows")
+    if not rows:
+        raise ValueError("soft dipoles need at least one arrow (centre, tip)")
+    for row in rows:
+        if len(row) != 2 or min(row) < 0:
+            raise ValueError(f"an arrow is a pair of particles, centre and tip, such as (0, 1), not {tuple(row)}")
+    particles = list(itertools.chain(*rows))
+    if len({*particles}) < len(particles):
+        twice = next(i for i in particles if particles.count(i) > 1)
+        raise ValueError(f"particle {twice} is in two arrows or twice in one: give each arrow its own")
+    return [(centre, tip) for centre, tip in rows]
 
 
 def _parameters(strength: float, length: float, sigma: float, epsilon: float, attraction: float) -> dict[str, float]:

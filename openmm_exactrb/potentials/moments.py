@@ -6,6 +6,8 @@ from typing import Any
 
 from openmm import unit
 
+from openmm_exactrb import checks
+
 # Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
 _COULOMB = 138.93545764438198
 # 1 D = 1e-21/c C m, over the elementary charge.
@@ -23,7 +25,7 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
     Raises
     ------
     ValueError
-        If the unit is not one of a dipole moment.
+        If the unit is not one of a dipole moment, or it is no finite number.
 
     Examples
     --------
@@ -33,7 +35,7 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
     """
     quantity: Any = dipole
     if not unit.is_quantity(quantity):
-        return float(quantity)
+        return checks.number(quantity, "a dipole moment", "sqrt(kJ/mol nm³)")
     if quantity.unit == unit.debye:
         # OpenMM's own factor, 0.0208227 e nm, is off by 1.6e-4.
         quantity = quantity.value_in_unit(unit.debye) * _DEBYE_IN_E_NM * unit.elementary_charge * unit.nanometer

@@ -18,7 +18,7 @@ from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.motion.images import joined
+from openmm_exactrb.motion.images import rejoined
 
 Array = NDArray[np.float64]
 
@@ -137,13 +137,8 @@ def _joined(start: Start) -> Start:
     """Return a start with the particles of each body, and of each cluster of constraints, in one image of the box."""
     vectors = start.system.getDefaultPeriodicBoxVectors() if start.box is None else start.box
     box = np.array([[*stripped(vector, unit.nanometer)] for vector in vectors], dtype=np.float64)
-    x, bodies = start.positions, find_bodies(start.system, start.positions, start.bodies, box)
-    for kind in bodies.kinds:
-        x = joined(x, kind.particles, box, kind.distances)
-    for cluster in bodies.clusters.kinds:
-        k = cluster.particles.shape[1]
-        x = joined(x, cluster.particles, box, np.full((1, k, k), np.nan))
-    return replace(start, positions=x)
+    bodies = find_bodies(start.system, start.positions, start.bodies, box)
+    return replace(start, positions=rejoined(start.positions, bodies, box))
 
 
 def _from_state(state: openmm.State, velocities: Any) -> tuple[Any, Any, Any, dict[str, float]]:

@@ -249,3 +249,26 @@ def test_the_device_is_refused_for_clusters_and_nesting():
         integrator.step(1)
     with pytest.raises(ValueError, match="fast="):
         rb.ExactRigidBodyIntegrator(0.0005, fast="bonded", engine="device")
+
+
+def test_steps_that_the_host_would_nest_are_not_made_on_the_device_without_a_word():
+    system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
+    for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
+        system.addParticle(mass)
+        charges.addParticle(0.1 * (-1) ** i, 0.3, 0.2)
+    for i in (0, 2):
+        bond.addBond(i, i + 1, 0.109, 284512.0)
+        charges.addException(i, i + 1, 0.0, 1.0, 0.0)
+    for force in (bond, charges):
+        system.addForce(force)
+    x = np.array([[0.0, 0, 0], [0.109, 0, 0], [0, 0.5, 0], [0.109, 0.5, 0]])
+    none, _context = moving(system, x, engine="device", fast=None)
+    none.setStepSize(0.002)  # who nests nothing may have them
+    none.step(1)
+    integrator, _other = moving(system, x, engine="device")
+    with pytest.raises(ValueError, match=r"bonded forces are nested at this step .* or fast=None, which nests nothing"):
+        integrator.setStepSize(0.002)
+    assert integrator.getStepSize()._value == 0.0005
+    integrator.step(1)
+    with pytest.raises(ValueError, match="bonded forces are nested at this step"):
+        moving(system, x, 0.002, engine="device")

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
+from openmm import unit
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
@@ -188,6 +189,7 @@ def test_the_force_is_lawful(kernel, periodic, rng):
         ({"epsilon": -1.0}, "epsilon must be a number of at least 0"),
         ({"attraction": np.nan}, "attraction must be a finite number"),
         ({"wca": True}, "without an attraction there is no minimum"),
+        ({"wca": True, "attraction": 1.0, "epsilon": 0.0}, "and a positive epsilon"),
         ({"kernel": "fortran"}, "unknown kernel"),
         ({"boundary": "ewald"}, "boundary must be one of"),
         ({"boundary": rb.Ewald}, "boundary must be one of"),
@@ -195,12 +197,44 @@ def test_the_force_is_lawful(kernel, periodic, rng):
         ({"boundary": rb.Ewald()}, "needs a periodic box"),
         ({"box": (2.0, 2.0, 2.0)}, "a box needs periodic boundaries"),
         ({"box": (2.0, 2.0), "boundary": rb.ReactionField()}, "three positive edges"),
+        ({"box": 2.0, "boundary": rb.ReactionField()}, "three positive edges"),
+        ({"box": (2.0, 2.0, 2.0) * unit.nanometer, "boundary": rb.ReactionField()}, "without a unit"),
         ({"box": (2.0, 2.0, 0.0), "boundary": rb.ReactionField()}, "each edge of the box must be a positive number"),
     ],
 )
 def test_wrong_options_get_one_sentence(options, message):
     with pytest.raises(ValueError, match=message):
         rb.soft_dipole_force(HEAD_TO_TAIL, **({"strength": 1.0, "length": 0.5} | options))
+
+
+@pytest.mark.parametrize("kernel", ["compiled", "openmm"])
+@pytest.mark.parametrize(
+    ("arrows", "message"),
+    [
+        ([(0, 1, 2), (3, 4, 5)], r"a pair of particles, centre and tip, such as \(0, 1\), not \(0, 1, 2\)"),
+        ([(0,), (1,)], "a pair of particles"),
+        ([(0, 1), (-1, 3)], "a pair of particles"),
+        ([(0, 1), (0, 3)], "particle 0 is in two arrows"),
+        ([(0, 0)], "particle 0 is in two arrows or twice in one"),
+        ([0, 1], "arrows must be lists of numbers of particles"),
+        ([(0.0, 1.0)], "arrows must be lists of numbers of particles"),
+    ],
+)
+def test_arrows_are_pairs_of_particles(arrows, message, kernel):
+    """What the compiled kernel would otherwise read, and write forces to, is memory that is not its own."""
+    with pytest.raises(ValueError, match=message):
+        rb.soft_dipole_force(arrows, strength=1.0, length=0.5, kernel=kernel)
+
+
+@pytest.mark.parametrize("kernel", ["compiled", "openmm"])
+def test_arrows_may_be_an_array_or_an_iterator(kernel):
+    pairs = np.arange(8).reshape(4, 2)
+    asked = {"strength": 1.0, "length": 0.5, "kernel": kernel}
+    texts = {
+        openmm.XmlSerializer.serialize(rb.soft_dipole_force(arrows, **asked))
+        for arrows in (pairs, iter(pairs.tolist()), pairs.tolist())
+    }
+    assert len(texts) == 1
 
 
 def test_no_arrows_are_refused():

@@ -96,7 +96,7 @@ def normals(seed: int, step: int, stream: int, first: int, last: int, out: Array
     Parameters
     ----------
     seed, step : int
-        Of 64 bits each, of any sign.
+        Those of a signed number of 64 bits.
     stream : int
         Below `STREAMS`: what the numbers are for.
     first, last : int

@@ -1,0 +1,69 @@
+"""A minimum is one, and what is none is said."""
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from force_laws import positions_of
+from openmm_exactrb.motion.minimise import MinimisationWarning
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+def spheres(distance, periodic=False):
+    """Return a Context of Lennard-Jones spheres, of which the first two are this far apart (nm)."""
+    system, force = openmm.System(), openmm.NonbondedForce()
+    for _ in range(8):
+        system.addParticle(20.0)
+        force.addParticle(0.0, 0.3, 1.0)
+    x = 0.4 * np.array(list(np.ndindex(2, 2, 2)), dtype=float) + 0.05
+    x[1] = x[0] + [0.0, 0.0, distance]
+    if periodic:
+        system.setDefaultPeriodicBoxVectors(*np.diag([2.0] * 3))
+        force.setNonbondedMethod(force.CutoffPeriodic)
+        force.setCutoffDistance(0.9)
+        x[1, 2] += 2.0
+    system.addForce(force)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    return context, integrator
+
+
+@pytest.mark.parametrize("distance", [0.001, 0.0025, 0.0033, 0.01, 0.3])
+def test_spheres_that_overlap_are_taken_apart(distance):
+    context, integrator = spheres(distance)
+    integrator.minimizeEnergy()
+    state = context.getState(energy=True, forces=True)
+    assert np.abs(state.getForces(asNumpy=True)._value).max() <= 10.0
+    assert state.getPotentialEnergy()._value < 0.0
+
+
+def test_a_start_that_is_not_finite_is_said_with_the_bodies():
+    context, integrator = spheres(0.0)
+    before = positions_of(context)
+    with pytest.raises(rb.NonFiniteError, match="the closest are the bodies 0 and 1, 0 nm apart"):
+        integrator.minimizeEnergy()
+    np.testing.assert_array_equal(positions_of(context), before)
+
+
+def test_a_force_that_cannot_get_smaller_is_said():
+    system, cusp = openmm.System(), openmm.CustomExternalForce("1000*abs(x)")
+    system.addParticle(1.0)
+    cusp.addParticle(0)
+    system.addForce(cusp)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions([[0.3, 0.0, 0.0]])
+    with pytest.warns(MinimisationWarning, match="a force of 1e.03 kJ/mol/nm, above the tolerance of 10"):
+        integrator.minimizeEnergy()
+    assert abs(positions_of(context)[0, 0]) < 1e-3
+
+
+def test_a_blow_up_names_the_closest_bodies_across_the_box():
+    context, integrator = spheres(0.002, periodic=True)
+    integrator.setStepSize(0.002)
+    with pytest.raises(rb.NonFiniteError, match=r"The closest before it were the bodies 0 and 1, 0\.00"):
+        integrator.step(5)
+    assert np.isfinite(positions_of(context)).all()
