@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> None:
     simulation = app.Simulation(modeller.topology, system, integrator, platform)
     simulation.context.setPositions(modeller.positions)
     if not job.resuming:
-        integrator.minimizeEnergy()
+        simulation.minimizeEnergy(maxIterations=200)
         equilibrate(simulation)
     job.advance(simulation, args.steps)
 

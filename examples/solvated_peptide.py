@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> None:
     integrator = simulation.integrator
     simulation.context.setPositions(modeller.positions)
     if not job.resuming:
-        integrator.minimizeEnergy()
+        simulation.minimizeEnergy(maxIterations=200)
         integrator.setVelocitiesToTemperature(300 * kelvin, 1)
     integrator.timings.reset()
     job.advance(simulation, args.steps)
