@@ -55,7 +55,7 @@ def soft_dipole_force(
         derivative has a step there: take a scheme of order 2, none keeps a higher one.
     box : sequence of three float, optional
         Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; those of the System, of which
-        `System.setDefaultPeriodicBoxVectors` has to be told as well.
+        ``System.setDefaultPeriodicBoxVectors`` has to be told as well.
     boundary : Open, ReactionField or Ewald
         What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
     kernel : {"auto", "openmm", "compiled"}
