@@ -146,16 +146,7 @@ class MomentReporter(_Lines):
         ValueError
             If there is not one charge for each particle, or a molecule is not neutral.
         """
-        particles = simulation.system.getNumParticles()
-        if len(self._charges) != particles:
-            raise ValueError(
-                f"charges must be one for each of the {particles} particles of the System, and there are "
-                f"{len(self._charges)}: give 0 for those without a charge"
-            )
-        if self._molecules is None:
-            molecule = _molecules(simulation)
-            _refuse_ions(self._charges, molecule)
-            self._molecules = _by_size(molecule)
+        self._molecules_of(simulation)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
@@ -167,10 +158,24 @@ class MomentReporter(_Lines):
         state : openmm.State
             With positions.
         """
-        x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+        x, molecules = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), self._molecules_of(simulation)
         if simulation.system.usesPeriodicBoundaryConditions():
-            x = _whole(x, self._molecules, state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer))
+            x = _whole(x, molecules, state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer))
         self._write(simulation, state, self._charges @ x)
+
+    def _molecules_of(self, simulation: Any) -> list[NDArray[np.intp]]:
+        """Return the particles (n, k) of the molecules of each size k, once charges were found to fit them."""
+        particles = simulation.system.getNumParticles()
+        if len(self._charges) != particles:
+            raise ValueError(
+                f"charges must be one for each of the {particles} particles of the System, and there are "
+                f"{len(self._charges)}: give 0 for those without a charge"
+            )
+        if self._molecules is None:
+            molecule = _molecules(simulation)
+            _refuse_ions(self._charges, molecule)
+            self._molecules = _by_size(molecule)
+        return self._molecules
 
 
 def _elementary(charges: Any) -> Array:
@@ -187,9 +192,9 @@ def _elementary(charges: Any) -> Array:
     return values
 
 
-def _whole(x: Array, molecules: Iterable[NDArray[np.intp]] | None, box: Array) -> Array:
+def _whole(x: Array, molecules: Iterable[NDArray[np.intp]], box: Array) -> Array:
     """Return positions with molecules whole, wherever a box has split them."""
-    for particles in molecules or ():
+    for particles in molecules:
         x = joined(x, particles, box)
     return x
 
