@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import constrained_clusters
-from openmm_exactrb.motion.clusters import find_clusters
+from openmm_exactrb.mechanics.clusters import sorted_into_kinds
 
 OUT = Path("out/benchmarks")
 #: Clusters of a kind, and how many of them there are.
@@ -37,32 +37,28 @@ def best_time(function, repeats=9, duration=0.03):
     return min(times)
 
 
-def copies_of(name, copies, kernel):
+def copies_of(name, copies):
     """Return clusters of one kind with velocities at 300 K."""
     masses, pairs, x = constrained_clusters.CLUSTERS[name]
-    n = len(masses)
-    all_pairs = (np.array(pairs) + n * np.arange(copies)[:, None, None]).reshape(-1, 2)
-    clusters = find_clusters(
-        np.tile(masses, copies), all_pairs, np.tile(constrained_clusters.lengths_of(pairs, x), copies), kernel
-    )
+    lengths = constrained_clusters.lengths_of(pairs, x)
+    clusters = sorted_into_kinds([constrained_clusters.group_of(masses, pairs, lengths, copies)])
     v = constrained_clusters.velocities(np.tile(masses, copies), np.random.default_rng(1))
-    return clusters, clusters.fit(np.tile(x, (copies, 1)), v)
+    return clusters, constrained_clusters.on_constraints(clusters, np.tile(x, (copies, 1)), v)
 
 
 def main():
     OUT.mkdir(parents=True, exist_ok=True)
     rows = []
     print("microseconds a cluster and drift, on one core")
-    print(f"{'kernel':>7}{'kind':>9}{'clusters':>9}{'projection':>12}" + "".join(f"{h:>8g} fs" for h in STEPS))
-    for kernel in ("numba", "numpy"):
-        for name, copies in ROWS:
-            clusters, state = copies_of(name, copies, kernel)
-            projection = best_time(lambda: clusters.tangent(state)) / copies * 1e6  # noqa: B023
-            drifts = [best_time(lambda: clusters.drift(state, 1e-3 * h)) / copies * 1e6 for h in STEPS]  # noqa: B023
-            print(f"{kernel:>7}{name:>9}{copies:>9}{projection:>12.3f}" + "".join(f"{t:>11.3f}" for t in drifts))
-            rows += [(kernel, name, copies, h, t) for h, t in zip(STEPS, drifts, strict=True)]
+    print(f"{'kind':>9}{'clusters':>9}{'projection':>12}" + "".join(f"{h:>8g} fs" for h in STEPS))
+    for name, copies in ROWS:
+        clusters, state = copies_of(name, copies)
+        projection = best_time(lambda: clusters.tangent(state)) / copies * 1e6  # noqa: B023
+        drifts = [best_time(lambda: clusters.drift(state, 1e-3 * h)) / copies * 1e6 for h in STEPS]  # noqa: B023
+        print(f"{name:>9}{copies:>9}{projection:>12.3f}" + "".join(f"{t:>11.3f}" for t in drifts))
+        rows += [(name, copies, h, t) for h, t in zip(STEPS, drifts, strict=True)]
     with (OUT / "cluster_cost.csv").open("w") as file:
-        file.write("kernel,kind,clusters,step_fs,microseconds\n")
+        file.write("kind,clusters,step_fs,microseconds\n")
         file.writelines(",".join(map(str, row)) + "\n" for row in rows)
 
 

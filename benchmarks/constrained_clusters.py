@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mechanics.clusters import ClusterState, Group
+
 C, N, O, H = 12.011, 14.007, 15.999, 1.008
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
 
@@ -67,6 +70,21 @@ CLUSTERS = {
     "ring": ring(),
     "peptide": peptide(),
 }
+
+
+def group_of(masses, pairs, lengths, copies=1):
+    """Return clusters of one kind; particle a of cluster i is number i n + a."""
+    n = len(masses)
+    particles = np.arange(copies * n).reshape(copies, n)
+    return Group(particles, np.array(masses, dtype=float), np.array(pairs), np.array(lengths, dtype=float))
+
+
+def on_constraints(clusters, x, v):
+    """Return the state of clusters from positions and velocities (n_particles, 3) of all particles near it."""
+    state = ClusterState(exactly(x[clusters.particles].T), exactly(v[clusters.particles].T * clusters.mass))
+    for _ in range(6):  # Newton's steps
+        state = clusters.drift(state, 0.0)
+    return state
 
 
 def lengths_of(pairs, x):

@@ -54,7 +54,7 @@ def ours(scheme, rotor, evaluations):
         for _ in range(steps // every):
             integrator.step(every)
             largest = max(largest, abs(energy() / first - 1.0))
-    except rb.NonFiniteError:
+    except rb.IntegrationError:
         largest = float("inf")
     return largest, steps * stages, first
 

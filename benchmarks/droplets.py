@@ -1,7 +1,7 @@
 """Droplets of rigid water, compiled as a whole: some 20 us a force for 32 molecules, so that searches can afford runs.
 
 The potential is that of the System of `openmm_exactrb.rigid_water` without a cutoff, the drift is the package's exact
-rotor, and a word of letters is carried out here as the integrator does, in plain float64.
+rotor, and a sequence of substeps is carried out here as the integrator does, in plain float64.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numba import njit
 
 import openmm_exactrb as rb
 from openmm_exactrb.kernels.compiled import exact
-from openmm_exactrb.motion.momenta import canonical
-from openmm_exactrb.motion.state import BodyState
+from openmm_exactrb.mechanics.momenta import canonical
+from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors.exact import constants
-from openmm_exactrb.schemes.word import DRIFT, KICK
+from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
 
 COULOMB = 138.93545764438198  # kJ/mol nm e^-2, 1/(4 pi epsilon0) as OpenMM has it
 GAS_CONSTANT = 8.31446261815324e-3  # kJ/mol/K
@@ -128,15 +128,15 @@ def forces(R, q, sites, charges, sigma, epsilon, force, torque, x, f):
 
 
 @njit(error_model="numpy", cache=True)
-def _carry_out(R, P, q, m, known, word, h, body, molecule, work):
-    """Carry out a word of letters in place; `known` says whether the forces in `work` are those of the places."""
-    letters, parts, gradients = word
+def _carry_out(R, P, q, m, known, sequence, h, body, molecule, work):
+    """Carry out a sequence in place; `known` says whether the forces in `work` are those of the places."""
+    kinds, parts, gradients = sequence
     sites, charges, sigma, epsilon, mass, inertia = molecule
     force, torque, force1, torque1, R1, q1, x, f = work
     tau = np.empty(1)
-    for place in range(len(letters)):
+    for place in range(len(kinds)):
         tau[0] = parts[place] * h
-        if letters[place] == 0:
+        if kinds[place] == 0:
             R += P * (tau[0] / mass)
             exact.advance(body, q, m, tau, q, m)
             known = False
@@ -144,7 +144,7 @@ def _carry_out(R, P, q, m, known, word, h, body, molecule, work):
         if not known:
             forces(R, q[0], sites, charges, sigma, epsilon, force, torque, x, f)
             known = True
-        if letters[place] == 1:
+        if kinds[place] == 1:
             P += force * tau[0]
             m[0] += torque * tau[0]
             continue
@@ -219,12 +219,12 @@ def _run(R, P, q, m, molecule, body, enter, step, leave, h, every, samples):
     return energies
 
 
-def table(scheme, word):
-    """Return letters as numbers, parts, and strengths of gradients of a word of a scheme."""
-    strengths = dict(scheme.gradients)
-    letters = [0 if letter == DRIFT else 1 if letter == KICK else 2 for letter, _ in word]
-    numbers = [part for _, part in word], [strengths.get(letter, 0.0) for letter, _ in word]
-    return np.array(letters, dtype=np.int64), *(np.array(row, dtype=float) for row in numbers)
+def table(sequence):
+    """Return substeps as numbers, parts, and strengths of gradients of a sequence."""
+    kinds = [0 if substep == DRIFT else 1 if substep == KICK else 2 for substep, _ in sequence]
+    strengths = [substep.strength if isinstance(substep, GradientKick) else 0.0 for substep, _ in sequence]
+    numbers = [part for _, part in sequence], strengths
+    return np.array(kinds, dtype=np.int64), *(np.array(row, dtype=float) for row in numbers)
 
 
 def run(model, state, scheme, h, duration, interval=0.02):
@@ -234,8 +234,8 @@ def run(model, state, scheme, h, duration, interval=0.02):
     every = max(1, round(interval / h))
     samples = max(1, round(duration / (every * h)))
     body = constants(model.inertia[:, None].copy())
-    words = (table(scheme, word) for word in (scheme.processor, scheme.word, scheme.postprocessor))
-    energies = _run(R, P, q, m, (*model,), body, *words, h, every, samples)
+    tables = map(table, (scheme.processor, scheme.sequence, scheme.postprocessor))
+    energies = _run(R, P, q, m, (*model,), body, *tables, h, every, samples)
     return energies / R.shape[1], BodyState(R, P, q[0], m[0])
 
 

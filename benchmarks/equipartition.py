@@ -9,7 +9,7 @@ T_rot - T_tr, the potential energy and, at constant pressure, the density, each 
 Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
 applyVelocityConstraints, which leaves the linear and angular momentum of each molecule and nothing else.
 
-A point is made of several runs with their own seeds, and each is one recipe of an ensemble: the command goes on where
+A point is made of several runs with their own seeds, and each is one job of an ensemble: the command continues where
 it stopped. What each run gave is a line of a record, docs/equipartition.csv, and what is in the record is not run
 again: so the study goes on from machine to machine. Errors are those of the mean of independent runs. The whole study,
 1 ns a point of 216 molecules, takes 69 million forces; --models, --ensembles, --methods, --intervals and --runs choose
@@ -32,8 +32,8 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from equipartition_record import FRICTION, GOALS, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
 from openmm_exactrb import ensemble
-from openmm_exactrb.baths.words import splitting
-from openmm_exactrb.ensemble.store import Store
+from openmm_exactrb.ensemble.results import read as read_result
+from openmm_exactrb.schemes import splitting
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -205,8 +205,8 @@ def gist(method: str, result: dict) -> dict[str, float]:
     }
 
 
-def recipe_of(run: Run) -> ensemble.Recipe:
-    return ensemble.Recipe(
+def job_of(run: Run) -> ensemble.Job:
+    return ensemble.Job(
         run_of,
         model=run.model,
         method=run.method,
@@ -228,9 +228,9 @@ def main() -> None:
         Run(model, kind, method, interval, args.molecules, friction or args.friction, args.length, seed)
         for model, kind, (method, friction), interval, seed in kinds
     ]
-    missing = {run: recipe_of(run) for run in wanted if run not in record}
+    missing = {run: job_of(run) for run in wanted if run not in record}
     results = finished(list(missing.values()), args)
-    new = {run: gist(run.method, results[recipe.key]) for run, recipe in missing.items() if recipe.key in results}
+    new = {run: gist(run.method, results[job.key]) for run, job in missing.items() if job.key in results}
     record = merge(new, args.record)
     asked = {run._replace(seed=0) for run in wanted}
     found = points({run: means for run, means in record.items() if run._replace(seed=0) in asked})
@@ -244,19 +244,19 @@ def main() -> None:
         draw(whole, args.out / "equipartition.png")
 
 
-def finished(recipes: list[ensemble.Recipe], args: argparse.Namespace) -> dict[str, dict]:
-    """Return the results of recipes by their keys, of all that can be run, or of those that were."""
+def finished(jobs: list[ensemble.Job], args: argparse.Namespace) -> dict[str, dict]:
+    """Return the results of jobs by their keys: of all of them, or only those already finished."""
     folder = args.out / "runs"
-    if not recipes:
+    if not jobs:
         return {}
     if args.finished:
-        outcomes = [outcome for outcome in map(Store(folder).read, recipes) if outcome is not None]
+        results = [result for job in jobs if (result := read_result(job, folder)) is not None]
     else:
-        outcomes = ensemble.run(recipes, folder, workers=args.workers)
-    for outcome in outcomes:
-        if outcome.error is not None:
-            print(f"{outcome.recipe!r} failed: {outcome.error}")
-    return {outcome.recipe.key: outcome.result for outcome in outcomes if outcome.error is None}
+        results = ensemble.run(jobs, folder, workers=args.workers)
+    for result in results:
+        if result.error is not None:
+            print(f"{result.job!r} failed: {result.error}")
+    return {result.job.key: result.value for result in results if result.error is None}
 
 
 def draw(drawn: list[Point], file: Path) -> None:

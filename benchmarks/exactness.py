@@ -19,7 +19,7 @@ ROTORS = ("mclachlan_reich", "exact")
 
 
 def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):
-    """Return the standard deviation of the total energy in kJ/mol per molecule; a recipe.
+    """Return the standard deviation of the total energy in kJ/mol per molecule; a job.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):
         for _ in range(round(duration / (interval * h))):
             integrator.step(interval)
             energies.append(integrator.totalEnergy()._value)
-    except rb.NonFiniteError:
+    except rb.IntegrationError:
         return None
     deviation = float(np.std(energies)) / n
     return deviation if deviation < 1.0 else None
@@ -68,13 +68,13 @@ def main():
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
     axes = {"scheme": SCHEMES, "rotor": ROTORS, "rate": RATES, "seed": range(args.seeds)}
-    outcomes = rb.ensemble.run(
+    results = rb.ensemble.run(
         rb.ensemble.sweep(error, axes, duration=args.picoseconds), args.folder, workers=args.workers
     )
     found = {}
-    for outcome in outcomes:
-        scheme, rotor, rate, _ = (outcome.recipe.arguments[name] for name in axes)
-        found.setdefault((scheme, rotor, rate), []).append(outcome.result)
+    for result in results:
+        scheme, rotor, rate, _ = (result.job.arguments[name] for name in axes)
+        found.setdefault((scheme, rotor, rate), []).append(result.value)
     print("| scheme | rotor | " + " | ".join(f"{rate} per ps" for rate in RATES) + " |")
     print("| --- " * (2 + len(RATES)) + "|")
     for scheme in SCHEMES:

@@ -5,7 +5,7 @@ constrained or, with --constraints None, with none but those of water. Standard 
 windows of 0.5 ps and within whole runs, against evaluations of the nonbonded forces per ps, all from the same starts,
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside. Processed schemes
-evaluate forces at each look too, `Scheme.processing` of them, which are not counted: here that is every 20 fs.
+evaluate forces for output too, `Scheme.output_forces` of them, which are not counted: here that is every 20 fs.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
 those of the survey with --leave. --methods runs what it names instead of a survey and its best: "Verlet", "W2_4",

@@ -29,9 +29,9 @@ from scipy.optimize import least_squares
 import openmm_exactrb as rb
 from openmm_exactrb.schemes.scheme import processed
 from openmm_exactrb.schemes.stability import oscillated
-from openmm_exactrb.schemes.word import DRIFT
+from openmm_exactrb.substeps import DRIFT, GradientKick
 
-DEGREES = 6  # series in two letters that do not commute, up to words of five of them
+DEGREES = 6  # series in two letters that do not commute, drifts and kicks, up to words of five of them
 SIZE = 2**DEGREES - 1
 TAIL = 4  # the swing of the fastest oscillators counts less: few of a liquid's are there
 
@@ -115,34 +115,34 @@ def coordinates(series, degree):
     return np.linalg.lstsq(np.array([row[terms] for row in base]).T, series[terms], rcond=None)[0][:count]
 
 
-def series_of(word, strengths):
-    """Return the product of the exponentials of a word's letters, for h = 1."""
+def series_of(sequence):
+    """Return the product of the exponentials of a sequence's substeps, for h = 1."""
     result = np.eye(SIZE)[0]
-    for letter, part in word:
-        flow = part * A if letter == DRIFT else part * B + 0.5 * strengths.get(letter, 0.0) * part**3 * BAB
+    for substep, part in sequence:
+        strength = substep.strength if isinstance(substep, GradientKick) else 0.0
+        flow = part * A if substep == DRIFT else part * B + 0.5 * strength * part**3 * BAB
         result = product(result, exponential(flow))
     return result
 
 
 def modified(scheme):
     """Return the Lie series of h times the vector field that a scheme with its processor solves, for h = 1."""
-    strengths = dict(scheme.gradients)
-    change = series_of(scheme.processor, strengths)
-    return logarithm(product(product(change, series_of(scheme.word, strengths)), inverse(change)))
+    change = series_of(scheme.processor)
+    return logarithm(product(product(change, series_of(scheme.sequence)), inverse(change)))
 
 
 # -- oscillators ---------------------------------------------------------------------------------------------------
 
 
-def matrices(word, scheme, x):
-    """Return the matrices (len(x), 2, 2) of a word of a scheme for oscillators with x = w h."""
-    return np.moveaxis(np.array(oscillated(word, scheme, x)), 2, 0)
+def matrices(sequence, x):
+    """Return the matrices (len(x), 2, 2) of a sequence for oscillators with x = w h."""
+    return np.moveaxis(np.array(oscillated(sequence, x)), 2, 0)
 
 
 def swing(scheme, x):
     """Return by how much the kept energy is no circle: (2, len(x)); and the relative error of the frequency."""
-    change = matrices(scheme.processor, scheme, x)
-    whole = np.linalg.inv(change) @ matrices(scheme.word, scheme, x) @ change
+    change = matrices(scheme.processor, x)
+    whole = np.linalg.inv(change) @ matrices(scheme.sequence, x) @ change
     angle = np.arccos(np.clip(0.5 * (whole[:, 0, 0] + whole[:, 1, 1]), -1.0, 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         form = 0.5 * np.array([-whole[:, 1, 0] - whole[:, 0, 1], whole[:, 0, 0] - whole[:, 1, 1]]) / np.sin(angle)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -24,10 +25,9 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb import problems
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.context.letters import LETTERS
-from openmm_exactrb.motion.engine import run
-from openmm_exactrb.motion.state import State
-from openmm_exactrb.schemes.word import repeated
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.schemes.sequence import repeated, run
+from openmm_exactrb.substeps import Substep
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -70,11 +70,11 @@ def rounding(flow):
 
 def rounded_tops(problem):
     """Return advance(state, h, n) in which every flow ends in float64."""
-    flows = {letter: rounding(flow) for letter, flow in problems.flows(problem, TOP_SCHEME).items()}
+    flows = {substep: rounding(flow) for substep, flow in problems.flows(problem, TOP_SCHEME).items()}
 
     def advance(state, h, n):
         nowhere = np.zeros((2, 3, 0))
-        end = run(repeated(TOP_SCHEME.word, n), flows, State(nowhere, nowhere, *map(exactly, state)), h)
+        end = run(repeated(TOP_SCHEME.sequence, n), flows, State(nowhere, nowhere, *map(exactly, state)), h)
         return end.rounded.q, end.rounded.m
 
     return advance
@@ -145,13 +145,30 @@ def springs(centres):
     return force
 
 
-def round_everything(integrator):
-    """Drop the low parts of an integrator's sums after every flow."""
-    for letter, maker in LETTERS.items():
-        integrator.addLetter(
-            letter,
-            lambda parts, names, maker=maker: {name: rounding(flow) for name, flow in maker(parts, names).items()},
-        )
+@dataclass(frozen=True)
+class Rounded(Substep):
+    """Another substep, behind which the low parts of the sums that it changes are dropped."""
+
+    substep: Substep
+
+    @property
+    def moves(self):
+        """Whether the other one may change positions."""
+        return self.substep.moves
+
+    @property
+    def kicks(self):
+        """Whether the other one kicks."""
+        return self.substep.kicks
+
+    def bind(self, environment):
+        """Return the flow of the other one, rounded."""
+        return rounding(self.substep.bind(environment))
+
+
+def rounded(scheme):
+    """Return a scheme that drops the low parts of its sums after every substep."""
+    return replace(scheme, sequence=tuple((Rounded(substep), part) for substep, part in scheme.sequence))
 
 
 def in_long_double(context, integrator):
@@ -205,14 +222,12 @@ def dipoles(start, variant, last, h=DIPOLE_STEP):
     integrator = (
         openmm.VerletIntegrator(h * DIPOLE_SCHEME.stages)
         if settle
-        else rb.ExactRigidBodyIntegrator(h, scheme=DIPOLE_SCHEME)
+        else rb.ExactRigidBodyIntegrator(h, scheme=rounded(DIPOLE_SCHEME) if variant == "rounded" else DIPOLE_SCHEME)
     )
     topology, system, positions, velocities = dipoles_of(start)
     context = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference")).context
     context.setPositions(positions)
     context.setVelocities(velocities)
-    if variant == "rounded":
-        round_everything(integrator)
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
     def observe():

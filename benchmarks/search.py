@@ -96,7 +96,7 @@ def spectrum(name="tip3p", n=24, picoseconds=8.0, interval=0.002):
 
 def oscillator(scheme, x):
     """Return alpha and beta of the Hamiltonian that a step x = w h conserves; nan where it is unstable."""
-    (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, x)
+    (qq, qp), (pq, pp) = oscillated(scheme.sequence, x)
     with np.errstate(invalid="ignore", divide="ignore"):
         angle, ratio = np.arccos(0.5 * (qq + pp)), np.sqrt(-qp / pq)
     return ratio * angle / x, angle / (ratio * x)
@@ -144,7 +144,7 @@ def linear_optima(family, rate, tries=40, seed=0):
 
     def objective(free, rate):
         scheme = member(family, free)
-        error, size = linear(scheme, rate, weights), sum(abs(part) for _, part in scheme.word)
+        error, size = linear(scheme, rate, weights), sum(abs(part) for _, part in scheme.sequence)
         # Large coefficients of either sign cost far more with forces that are not linear.
         return np.log(error) + 0.5 * max(size - 3.0, 0.0) ** 2 if np.isfinite(error) else LOST
 
@@ -207,7 +207,7 @@ def gains(scheme, rate, n, seeds, models, window, duration):
 
 
 def screened(family, rate, n, seeds, models, factors=(1.0, 1.3, 1.7, 2.4), tries=12, window=10.0, duration=10.0):
-    """Try the best points for oscillators, found for somewhat more forces per ps too, on droplets; a recipe.
+    """Try the best points for oscillators, found for somewhat more forces per ps too, on droplets; a job.
 
     Forces that are not linear often do better with coefficients of a shorter step.
 
@@ -230,7 +230,7 @@ class _TimeIsUpError(Exception):
 
 
 def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0, order=2):
-    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a recipe.
+    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a job.
 
     Returns
     -------
@@ -242,7 +242,7 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
     def objective(free):
         free = of_order_four(family, free) if order == 4 else free
         scheme, total = member(family, free), 0.0
-        if sum(abs(part) for _, part in scheme.word) > 6.0 or not np.isfinite(linear(scheme, rate)):
+        if sum(abs(part) for _, part in scheme.sequence) > 6.0 or not np.isfinite(linear(scheme, rate)):
             return LOST
         for number, (model, seed) in enumerate(starts, 1):
             ratio = error(scheme, rate, n, model, seed, window, duration)
@@ -267,7 +267,7 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
 
 
 def judge(family, free, rate, model, seed, n, duration=30.0):
-    """Return the errors in windows of 2, 10 and 30 ps of a member, or of a named scheme (free is None); a recipe."""
+    """Return the errors in windows of 2, 10 and 30 ps of a member, or of a named scheme (free is None); a job."""
     scheme = look_up(family) if free is None else member(family, free)
     kind, *_ = droplets.prepared(n, model)
     h = scheme.forces / rate
@@ -280,15 +280,15 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
     """Print how far below Verlet candidates, pairs of a family and its free coefficients, are on the test starts."""
     axes = {"seed": seeds, "model": models}
     wanted = [("V2", None), *candidates]
-    recipes = {
+    jobs = {
         (family, str(free)): rb.ensemble.sweep(judge, axes, family=family, free=free, rate=rate, n=n, duration=duration)
         for family, free in wanted
     }
-    outcomes = rb.ensemble.run(list(itertools.chain(*recipes.values())), folder, workers=workers, progress=False)
-    results = {outcome.recipe.key: outcome.result for outcome in outcomes}
+    results = rb.ensemble.run(list(itertools.chain(*jobs.values())), folder, workers=workers, progress=False)
+    results = {result.job.key: result.value for result in results}
 
     def over_models(key, window):
-        rows = [[results[r.key][window] for r in recipes[key] if r.arguments["model"] == model] for model in models]
+        rows = [[results[r.key][window] for r in jobs[key] if r.arguments["model"] == model] for model in models]
         return np.sqrt(np.mean(np.square(rows), axis=1))
 
     for family, free in wanted:
@@ -303,23 +303,23 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
 def searched(families, rates, best, budget, folder, workers):
     """Carry out stages 1 and 2 and return pairs of a family and coefficients by rate, best first."""
     chosen = {"models": list(MODELS), **TRAINING}
-    recipes = rb.ensemble.sweep(screened, {"rate": rates, "family": families}, **chosen)
+    jobs = rb.ensemble.sweep(screened, {"rate": rates, "family": families}, **chosen)
     points = {rate: [] for rate in rates}
-    for outcome in rb.ensemble.as_completed(recipes, folder, workers=workers, progress=False):
-        family, rate = outcome.recipe.arguments["family"], outcome.recipe.arguments["rate"]
-        print(rate, family, outcome.error or outcome.result[:3], flush=True)
-        points[rate] += [(value, family, free) for value, free in outcome.result or [] if value < LOST]
-    recipes = [
-        rb.ensemble.Recipe(improve, family=family, rate=rate, first=free, budget=budget, **chosen)
+    for result in rb.ensemble.as_completed(jobs, folder, workers=workers, progress=False):
+        family, rate = result.job.arguments["family"], result.job.arguments["rate"]
+        print(rate, family, result.error or result.value[:3], flush=True)
+        points[rate] += [(value, family, free) for value, free in result.value or [] if value < LOST]
+    jobs = [
+        rb.ensemble.Job(improve, family=family, rate=rate, first=free, budget=budget, **chosen)
         for rate in rates
         for _, family, free in sorted(points[rate])[:best]
     ]
     improved = {rate: [] for rate in rates}
-    for outcome in rb.ensemble.as_completed(recipes, folder, workers=workers, progress=False) if budget else ():
-        family, rate = outcome.recipe.arguments["family"], outcome.recipe.arguments["rate"]
-        print(rate, family, outcome.error or (outcome.result["objective"], outcome.result["free"]), flush=True)
-        if outcome.error is None:
-            improved[rate].append((outcome.result["objective"], family, outcome.result["free"]))
+    for result in rb.ensemble.as_completed(jobs, folder, workers=workers, progress=False) if budget else ():
+        family, rate = result.job.arguments["family"], result.job.arguments["rate"]
+        print(rate, family, result.error or (result.value["objective"], result.value["free"]), flush=True)
+        if result.error is None:
+            improved[rate].append((result.value["objective"], family, result.value["free"]))
     return {rate: [(f, free) for _, f, free in sorted(improved[rate] + points[rate])] for rate in rates}
 
 

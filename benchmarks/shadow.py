@@ -3,10 +3,10 @@
 A symmetric splitting keeps an energy beside the true one. Of an oscillator of the frequency w it is that of
 `openmm_exactrb.schemes.shadow`, which tells how hot and how wide the oscillator looks at the ends of steps. Here the
 spectrum of the linear momenta of water and that of its angular momenta, each about one axis of the molecule, take the
-places of oscillators, all of which share one temperature; the bath sets their mean kinetic temperature where it acts.
-What comes out is T_rot - T_tr and the error of the potential energy for each scheme and each time a force evaluation.
-It knows nothing of resonances of long steps with fast motion, which heat, and of friction, which pulls each mode to the
-temperature of the bath.
+places of oscillators, all of which share one temperature; the thermostat sets their mean kinetic temperature where it
+acts. What comes out is T_rot - T_tr and the error of the potential energy for each scheme and each time a force
+evaluation. It knows nothing of resonances of long steps with fast motion, which heat, and of friction, which pulls
+each mode to the temperature of the thermostat.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.baths.words import splitting
-from openmm_exactrb.schemes import Scheme, shadow
-from openmm_exactrb.schemes.word import BATH
+from openmm_exactrb.schemes import Scheme, shadow, splitting
+from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 TEMPERATURE = 298.15
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
@@ -59,11 +58,11 @@ def spectrum(series) -> np.ndarray:
     return power / power.sum()
 
 
-def at_bath(scheme: Scheme) -> Scheme:
-    """Return the scheme whose steps end with the bath: the same where half a bath stands at either end."""
-    letters = [letter for letter, _ in scheme.word]
-    after = letters.index(BATH) + 1 if BATH in letters else 0
-    return replace(scheme, word=scheme.word[after:] + scheme.word[:after])
+def at_thermostat(scheme: Scheme) -> Scheme:
+    """Return the scheme whose steps end with the thermostat: the same where half of it stands at either end."""
+    substeps = [substep for substep, _ in scheme.sequence]
+    after = substeps.index(HEAT_EXCHANGE) + 1 if HEAT_EXCHANGE in substeps else 0
+    return replace(scheme, sequence=scheme.sequence[after:] + scheme.sequence[:after])
 
 
 def shadows(scheme: Scheme, h: float, frequencies) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -91,8 +90,8 @@ def predicted(scheme: Scheme, interval: float, frequencies, translational, rotat
     """
     h, both = scheme.forces * interval, translational + rotational
     kinetic, potential, stable = shadows(scheme, h, frequencies)
-    kinetic_at_bath, _, _ = shadows(at_bath(scheme), h, frequencies)
-    shared = 2.0 * TEMPERATURE / float((both / kinetic_at_bath).sum())
+    kinetic_at_thermostat, _, _ = shadows(at_thermostat(scheme), h, frequencies)
+    shared = 2.0 * TEMPERATURE / float((both / kinetic_at_thermostat).sum())
     return (
         shared * float(((rotational - translational) / kinetic).sum()),
         1.5 * R * (shared * float((both / potential).sum()) - 2.0 * TEMPERATURE),

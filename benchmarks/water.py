@@ -90,7 +90,7 @@ def energy_noise(system, integrator, starts, duration, platform):
         for _ in range(round(duration / (interval * h))):
             try:
                 integrator.step(interval)
-            except rb.NonFiniteError:
+            except rb.IntegrationError:
                 return (np.inf,) * len(windows(duration))
             state = context.getState(energy=True)
             energies.append(state.getPotentialEnergy()._value + state.getKineticEnergy()._value)

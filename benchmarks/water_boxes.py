@@ -2,7 +2,7 @@
 
 216 molecules of each model on the CPU platform, whose forces are of single precision, with a switch before the cutoff
 and tight PME, so that the integrator is seen and not the cutoff; --loose takes neither, as createSystem does. Each run
-starts from canonical water that LangevinMiddleIntegrator has made with a seed of its own. A run is one recipe of an
+starts from canonical water that LangevinMiddleIntegrator has made with a seed of its own. A run is one job of an
 ensemble: the command goes on where it stopped. Results go to out/water_boxes: a table (CSV) and `energy.png`, the
 energy of the first model over time.
 """
@@ -91,19 +91,19 @@ def main() -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     points = list(itertools.product(args.models, args.rates, [VERLET, *args.schemes]))
     fixed = {"duration": args.picoseconds, "n": args.molecules} | ({"loose": True} if args.loose else {})
-    recipes = {
+    jobs = {
         point: [
-            ensemble.Recipe(energies_of, model=point[0], rate=point[1], method=point[2], seed=seed, **fixed)
+            ensemble.Job(energies_of, model=point[0], rate=point[1], method=point[2], seed=seed, **fixed)
             for seed in range(1, args.starts + 1)
         ]
         for point in points
     }
-    outcomes = ensemble.run([r for some in recipes.values() for r in some], args.out / "runs", workers=args.workers)
-    by_key = {outcome.recipe.key: outcome for outcome in outcomes}
+    results = ensemble.run([r for some in jobs.values() for r in some], args.out / "runs", workers=args.workers)
+    by_key = {result.job.key: result for result in results}
     rows, found = [], {}
-    for point, some in recipes.items():
-        runs = [by_key[recipe.key] for recipe in some]
-        found[point] = [run.result for run in runs if run.error is None]
+    for point, some in jobs.items():
+        runs = [by_key[job.key] for job in some]
+        found[point] = [run.value for run in runs if run.error is None]
         failed = len(runs) - len(found[point])
         row = [*point, len(found[point]), failed]
         for window in WINDOWS:
@@ -141,8 +141,8 @@ def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:
         axes.plot(time, energies - energies.mean(), color=colour, lw=width, label=name)
     axes.set_xlabel("time (ps)")
     axes.set_ylabel("total energy − mean\n(J/mol per molecule)")
-    looks = max(rb.SCHEMES[method].processing for method in runs if method != VERLET)
-    more = f", a look at ours {looks} more" if looks else ""
+    looks = max(rb.SCHEMES[method].output_forces for method in runs if method != VERLET)
+    more = f", output of ours {looks} more" if looks else ""
     axes.set_title(f"216 {model.upper()} molecules, PME, {rate:g} force evaluations per ps for both{more}", fontsize=10)
     axes.margins(x=0.01)
     legend = figure.legend(loc="outside lower center", ncols=2, frameon=False)

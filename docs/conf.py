@@ -60,7 +60,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     # Of OpenMM and others, whose inventories a build without network cannot read.
     (r"py:.*", r"(openmm|State|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?"),
-    (r"py:.*", r"openmm_exactrb\.motion\.engine\._S"),  # a type variable
+    (r"py:.*", r"openmm_exactrb\.mechanics\.state\._S"),  # a type variable
     (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
 ]
 

@@ -3,8 +3,8 @@ Runs that survive accidents
 ===========================
 
 All longer examples take ``--checkpoint``, ``--resume`` and ``--overwrite``. In a script of one's own it is
-:class:`openmm_exactrb.Run`. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk the same command goes on: no frame and no
-line is lost or doubled.
+:class:`openmm_exactrb.Run`. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk the same command continues: no frame and
+no line is lost or doubled.
 """
 
 import tempfile
@@ -53,9 +53,9 @@ with tempfile.TemporaryDirectory() as folder:
 print("the same bytes:", resumed == undisturbed)
 
 # %%
-# On the Reference platform the bytes are the same, as here; on others the numbers go on from the same state, and differ
-# as two runs do whose forces are summed in another order. A checkpoint of another run, or a damaged one, is refused in
-# one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at twenty random moments.
+# On the Reference platform the bytes are the same, as here; on others the run continues from the same state, and
+# differs as two runs do whose forces are summed in another order. A checkpoint of another run, or a damaged one, is
+# refused in one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at twenty random moments.
 
 
 def potential(table):

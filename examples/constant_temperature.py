@@ -34,8 +34,8 @@ translational, rotational = np.mean(temperatures[100:], axis=0)
 print(f"second half: translation {translational:.0f} K, rotation {rotational:.0f} K")
 
 # %%
-# Both come up to 300 K together, since the bath acts on both. Of so few molecules a temperature is known to a tenth at
-# any one time.
+# Both come up to 300 K together, since the thermostat acts on both. Of so few molecules a temperature is known to a
+# tenth at any one time.
 
 out = Path("out/constant_temperature")
 out.mkdir(parents=True, exist_ok=True)

@@ -1,18 +1,12 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
-from openmm_exactrb.baths import (
-    CanonicalMomenta,
-    ExactRigidBodyHybridIntegrator,
-    ExactRigidBodyLangevinIntegrator,
-    ExactRigidBodyRescalingIntegrator,
-)
 from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.motion.fit import ShapeWarning
-from openmm_exactrb.motion.guard import NonFiniteError
+from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
@@ -20,7 +14,14 @@ from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.systems import dipole_fluid, rigid_water
-from openmm_exactrb.tuning import tune, tune_proposals
+from openmm_exactrb.thermostats import (
+    CanonicalMomenta,
+    ExactRigidBodyHybridIntegrator,
+    ExactRigidBodyLangevinIntegrator,
+    ExactRigidBodyNoseHooverIntegrator,
+    ExactRigidBodyRescalingIntegrator,
+)
+from openmm_exactrb.tuning import tune
 from openmm_exactrb.version import version
 
 __version__ = version("0+unknown")
@@ -34,7 +35,9 @@ __all__ = [
     "ExactRigidBodyHybridIntegrator",
     "ExactRigidBodyIntegrator",
     "ExactRigidBodyLangevinIntegrator",
+    "ExactRigidBodyNoseHooverIntegrator",
     "ExactRigidBodyRescalingIntegrator",
+    "IntegrationError",
     "MomentReporter",
     "NonFiniteError",
     "NotConvergedWarning",
@@ -52,6 +55,5 @@ __all__ = [
     "separate_bonded",
     "soft_dipole_force",
     "tune",
-    "tune_proposals",
     "written_whole",
 ]

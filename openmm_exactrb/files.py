@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import IO, Any
 
 @contextlib.contextmanager
 def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".part") -> Iterator[IO[Any]]:
-    """Open a file that appears, or replaces another, only when all of it is on disk.
+    """Open a file that is created, or replaced, only when its content is complete and on disk.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
     mode : str, optional
         "w" or "wb".
     part : str, optional
-        What its name ends with until it is whole. Processes that may write the same file at once need different ones.
+        Suffix of its name until it is complete. Processes that may write the same file need different ones.
 
     Yields
     ------
@@ -28,7 +28,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
     Raises
     ------
     OSError
-        If it cannot be written; what was there before is there still.
+        If it cannot be written; an existing file is unchanged.
     """
     path = Path(file)
     draft = path.with_name(path.name + part)
@@ -44,7 +44,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
 
 
 def sync(path: Path) -> None:
-    """Bring a file or folder to the disk."""
+    """Flush a file or folder to the disk."""
     if path.is_dir() and os.name != "posix":
         return
     descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)

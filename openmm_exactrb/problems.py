@@ -6,6 +6,7 @@ problem move as one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,14 +15,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.motion.engine import Flow, run
-from openmm_exactrb.motion.kick import exact_gradient_kick, kick
-from openmm_exactrb.motion.kinetic import rigid
-from openmm_exactrb.motion.state import State
+from openmm_exactrb.mechanics.free_motion import Kinetic, rigid
+from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.word import DRIFT, KICK, repeated
+from openmm_exactrb.schemes.sequence import repeated, run
+from openmm_exactrb.substeps import Force, Substep
 
 Array = NDArray[np.float64]
 #: Attitudes (4, N) and body-frame angular momenta (3, N), or sums of them.
@@ -84,30 +84,43 @@ def integrate(
     ------
     ValueError
         If n is no whole number of at least 0.
-    KeyError
-        If the scheme has a letter beside "A", "B" and its force-gradient kicks.
     """
     n = checks.whole(n, "n", 0)
     q, m = (np.array(x) if np.ndim(x) == 3 else exactly(np.asarray(x, dtype=np.float64)) for x in state)
     nowhere = np.zeros((2, 3, 0))
-    word = scheme.processor + repeated(scheme.word, n) + scheme.postprocessor if n else ()
-    end = run(word, flows(problem, scheme, method), State(nowhere, nowhere, q, m), h)
+    sequence = scheme.processor + repeated(scheme.sequence, n) + scheme.postprocessor if n else ()
+    end = run(sequence, flows(problem, scheme, method), State(nowhere, nowhere, q, m), h)
     return (end.q, end.m) if np.ndim(state[0]) == 3 else (end.q[0], end.m[0])
 
 
-def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[str, Flow[State]]:
-    """Return what the letters of a scheme do to a problem."""
+@dataclass(frozen=True)
+class ProblemEnvironment:
+    """What substeps are bound to for a problem; see `openmm_exactrb.substeps.Environment`."""
+
+    problem: Problem
+    kinetic: Kinetic
+    inertia: Array
+
+    def forces(self, group: int | None = None) -> Callable[[State], Force]:
+        """Return the torque of the potential: bodies do not move from their place."""
+        return lambda state: (_NOWHERE, self.problem.torque(state.q[0]))
+
+    def gradient(self, state: State) -> Force:
+        """Return the torque of the force-gradient potential."""
+        return _NOWHERE, self.problem.gradient_torque(state.q[0])
+
+    def check(self, state: State) -> None:
+        """Check nothing: what is not finite stays so."""
+
+
+def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[Substep, Flow[State]]:
+    """Return the flows of the substeps of a scheme for a problem."""
     kinetic = rigid(np.zeros(0), rotor_of_sums(method, problem.inertia.T))
-    nothing = np.zeros((3, 0))
+    environment = ProblemEnvironment(problem, kinetic, problem.inertia)
+    return {substep: substep.bind(environment) for substep, _ in scheme.sequence + scheme.processor}
 
-    def forces(state: State) -> tuple[Array, Array]:
-        return nothing, problem.torque(state.q[0])
 
-    def gradient(state: State) -> tuple[Array, Array]:
-        return nothing, problem.gradient_torque(state.q[0])
-
-    kicks = {letter: exact_gradient_kick(forces, gradient, strength) for letter, strength in scheme.gradients}
-    return {DRIFT: kinetic.drift, KICK: kick(forces), **kicks}
+_NOWHERE = np.zeros((3, 0))
 
 
 @dataclass(frozen=True)

@@ -15,16 +15,16 @@ from openmm import unit
 from openmm_exactrb import checks
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.motion.images import joined
+from openmm_exactrb.mechanics.images import joined
 
 Array = NDArray[np.float64]
-# What force fields leave of a molecule by the rounding of its charges.
+# Largest net charge of a molecule that force fields leave by rounding charges.
 _NEUTRAL = 1e-3
 _COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
 
 
 class _Lines:
-    """Lines of CSV at intervals, each written through at once."""
+    """Lines of CSV at intervals, each flushed at once."""
 
     def __init__(
         self,
@@ -51,13 +51,13 @@ class _Lines:
         self._out.flush()
 
     def close(self) -> None:
-        """Close the file, if the reporter opened it."""
+        """Close the file if the reporter opened it."""
         if self._owned:
             self._out.close()
 
 
 class EnergyReporter(_Lines):
-    """Write the energies of rigid bodies as CSV, every digit of float64.
+    """Write the energies of rigid bodies as CSV, with all digits of float64.
 
     Parameters
     ----------
@@ -65,20 +65,20 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Write behind the lines that the file has; the names of the columns only where it has none. A last line that was
-        not finished, as by a script that was killed, is taken away from a file that is given by its path.
+        Append to the lines of an existing file, and write the names of the columns only if it has none. An incomplete
+        last line, left by a script that was killed, is removed from a file that is given by its path.
 
     Notes
     -----
-    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is written through at once, so that
-    a run that ends badly leaves all lines before.
+    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is flushed at once, so that a run
+    that crashes leaves all lines before.
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
         super().__init__(file, reportInterval, _COLUMNS, append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when the next line is due and what it needs.
+        """Return when the next line is due and which data it needs, as OpenMM requires.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class EnergyReporter(_Lines):
 
 
 class MomentReporter(_Lines):
-    """Write the total dipole moment as CSV, every digit of float64.
+    """Write the total dipole moment as CSV, with all digits of float64.
 
     The moment is the sum of charge times position over all particles, with molecules whole; a gap within a molecule
     must be shorter than half a periodic box. For soft dipoles the charge is strength/length at the tip of an arrow and
@@ -120,26 +120,26 @@ class MomentReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     charges : (n_particles,) array_like or Quantity
-        Those with a unit are taken in elementary charges, so that the moment is in e nm, and plain numbers as they
-        are. They must add up to zero in every molecule, within 0.001.
+        Quantities are converted to elementary charges, so that the moment is in e nm; plain numbers are used unchanged.
+        They must add up to zero in every molecule, within 0.001.
     append : bool, optional
         As for `EnergyReporter`.
 
     Raises
     ------
     ValueError
-        If charges are no list of finite numbers.
+        If charges are not a list of finite numbers.
     """
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
         self._charges = _elementary(charges)
-        self._molecules: list[NDArray[np.intp]] | None = None  # unless looked for
+        self._molecules: list[NDArray[np.intp]] | None = None  # found at the first report
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when the next line is due and what it needs.
+        """Return when the next line is due and which data it needs, as OpenMM requires.
 
         Raises
         ------
@@ -164,7 +164,7 @@ class MomentReporter(_Lines):
         self._write(simulation, state, self._charges @ x)
 
     def _molecules_of(self, simulation: Any) -> list[NDArray[np.intp]]:
-        """Return the particles (n, k) of the molecules of each size k, once charges were found to fit them."""
+        """Return the particles (n, k) of the molecules of each size k, after checking the charges."""
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
@@ -179,7 +179,7 @@ class MomentReporter(_Lines):
 
 
 def _elementary(charges: Any) -> Array:
-    """Return charges of a user as an array of their own; those with a unit in elementary charges."""
+    """Return a copy of charges as an array, Quantities in elementary charges."""
     e = unit.elementary_charge
     given = [stripped(q, e) for q in charges] if isinstance(charges, (list, tuple)) else stripped(charges, e)
     asked = "a list of numbers or Quantities of charge, one for each particle"
@@ -193,7 +193,7 @@ def _elementary(charges: Any) -> Array:
 
 
 def _whole(x: Array, molecules: Iterable[NDArray[np.intp]], box: Array) -> Array:
-    """Return positions with molecules whole, wherever a box has split them."""
+    """Return positions with molecules whole, across the faces of the box."""
     for particles in molecules:
         x = joined(x, particles, box)
     return x
@@ -219,7 +219,7 @@ def _refuse_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
 
 
 def _molecules(simulation: Any) -> NDArray[np.integer[Any]]:
-    """Return the number of the molecule of each particle; bodies that are named hold molecules together."""
+    """Return the index of the molecule of each particle; bodies named by hand join molecules."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -259,7 +259,7 @@ def _cut_to_lines(file: Path, columns: str) -> None:
 
 
 def _end_of_lines(file: BinaryIO, block: int = 65536) -> int:
-    """Return where the last whole line of a file ends."""
+    """Return the offset at which the last complete line of a file ends."""
     end = file.seek(0, os.SEEK_END)
     while end > 0:
         start = max(0, end - block)

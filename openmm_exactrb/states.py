@@ -1,4 +1,4 @@
-"""From the integrators of OpenMM to ours and back."""
+"""Transfer of States between integrators of OpenMM and of this package."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from openmm import app
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved under another integrator.
 
-    OpenMM's own ``simulation.loadState(file)`` and ``context.setState(state)`` want a State of the same kind of
-    integrator where the new one is a CustomIntegrator, as ours is, and fail with "Unknown property 'version'". The way
-    back needs nothing: other integrators read States of ours with ``simulation.loadState``.
+    OpenMM's own ``simulation.loadState(file)`` and ``context.setState(state)`` require a State of the same kind of
+    integrator if the new one is a CustomIntegrator, and fail with "Unknown property 'version'". The opposite direction
+    works: other integrators read States of this package with ``simulation.loadState``.
 
     Parameters
     ----------
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
-        A file that ``simulation.saveState`` wrote, or a State. What it has is taken: positions, velocities, box, time,
-        step count, and those parameters that the target knows.
+        A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
+        loaded, and the parameters that the target has.
 
     Raises
     ------
     ValueError
-        If it is neither a State nor the file of one, has no positions, or is of another number of particles.
+        If it is neither a State nor the file of one, has no positions, or has another number of particles.
 
     Examples
     --------
@@ -73,12 +73,12 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
     kind : type
         Such as openmm.System.
     writer : str, optional
-        What writes such files, for the message.
+        The function that writes such files, for the message.
 
     Raises
     ------
     ValueError
-        If it is none, or another kind.
+        If the file has another format, or holds another kind of object.
     OSError
         If it cannot be read.
     """

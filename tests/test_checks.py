@@ -47,14 +47,14 @@ def test_an_iterator_names_the_bodies():
 
 @pytest.mark.parametrize("given", [iter([0, 1]), iter([[0.5]]), iter([[0], 1]), [iter("ab")], iter([[True]])])
 def test_iterators_of_something_else_are_refused(given):
-    with pytest.raises(ValueError, match=r"^bodies must be lists of numbers of particles, such as"):
+    with pytest.raises(ValueError, match="bodies must be lists"):
         checks.lists_of_indices(given, "bodies")
 
 
 @pytest.mark.parametrize("check", [checks.number, checks.positive, checks.not_negative, checks.whole])
 @pytest.mark.parametrize("digits", [400, 5000])
 def test_whole_numbers_beyond_all_floats_are_refused(check, digits):
-    with pytest.raises(ValueError, match=r"^steps must be .* number.*, not one beyond 1\.8e\+308$"):
+    with pytest.raises(ValueError, match=r"steps must be .* 1\.8e\+308$"):
         check(10**digits, "steps")
 
 
@@ -81,9 +81,7 @@ def test_whole_numbers_keep_their_last_digit():
     ],
 )
 def test_arrays_of_something_else_than_numbers_are_refused(given):
-    with pytest.raises(
-        ValueError, match=r"^x must be real numbers in rows of one length, without a unit, not "
-    ) as caught:
+    with pytest.raises(ValueError, match="x must be real numbers") as caught:
         checks.array(given, "x")
     assert "\n" not in str(caught.value)
 

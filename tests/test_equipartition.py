@@ -109,7 +109,7 @@ def test_goals_are_differences_from_the_smallest_steps():
 
 
 FIGURES = [
-    ("README.md", "translation and rotation of SPC/E are {} K apart", ("NVT", "W2_3m", 6.0), 5.0),
+    ("README.md", "translation and rotation of SPC/E differ by {} K", ("NVT", "W2_3m", 6.0), 5.0),
     ("README.md", "where `LangevinMiddleIntegrator` reports {} K", ("NVT", LFM, 6.0), 5.0),
     ("docs/explanation/temperature.md", "BAOA is {} K apart at 20/ps", ("NVT", "BAOA", 6.0), 20.0),
     ("docs/explanation/temperature.md", "apart at 20/ps and {} K at 30/ps", ("NVT", "BAOA", 6.0), 30.0),

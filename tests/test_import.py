@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 
 import openmm_exactrb
-from openmm_exactrb import baths, ensemble, runs, tuning
+from openmm_exactrb import ensemble, runs, thermostats, tuning
 
 
 def test_what_is_slow_to_import_waits():
@@ -26,7 +26,7 @@ def test_tests_and_their_child_processes_run_the_files_of_this_checkout(tmp_path
     assert Path(openmm_exactrb.__file__) == Path(run.stdout.strip()) == ours
 
 
-@pytest.mark.parametrize("package", [openmm_exactrb, baths, ensemble, runs, tuning])
+@pytest.mark.parametrize("package", [openmm_exactrb, ensemble, runs, thermostats, tuning])
 def test_no_public_name_is_that_of_a_module_which_an_import_would_put_in_its_place(package):
     modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
     for name in modules.intersection(package.__all__):

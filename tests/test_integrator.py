@@ -207,7 +207,8 @@ def test_the_cpu_platform_agrees_with_reference():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scheme": "RK4"}, "unknown scheme 'RK4': choose one of V2"),
+        ({"scheme": "RK4"}, r"unknown scheme 'RK4'\. Available: V2, "),
+        ({"scheme": "S6_01"}, r"unknown scheme 'S6_01'; did you mean 'S6_10'\? Available: V2, "),
         ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
         ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
         ({"stepSize": float("nan")}, "finite number of ps"),
@@ -225,13 +226,13 @@ def test_a_step_size_may_have_a_unit():
 
 @pytest.mark.parametrize("steps", [-1, 1.5, "ten", None])
 def test_a_number_of_steps_is_whole(steps):
-    with pytest.raises(ValueError, match="the number of steps must be a whole number of at least 0"):
+    with pytest.raises(ValueError, match="number of steps must be"):
         simulation_of().integrator.step(steps)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "one"])
 def test_the_seed_of_momenta_is_whole(seed):
-    with pytest.raises(ValueError, match="randomSeed must be a whole number of at least 0"):
+    with pytest.raises(ValueError, match="randomSeed must be"):
         simulation_of().integrator.setVelocitiesToTemperature(1.0, seed)
 
 
@@ -284,9 +285,7 @@ def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
     x[5:10] += x[3] - x[8]  # the centre of body 1 on that of body 0, up to roundoff
     simulation.context.setParameter("soft_repulsion", 1e250)
     simulation.context.setPositions(x)
-    with pytest.raises(
-        rb.NonFiniteError, match=r"step 3, after 0.\d+ ps: .* body 0 \(particles 0, 1, 2\).*bodies 0 and 1, .* nm apart"
-    ):
+    with pytest.raises(rb.NonFiniteError, match=r"step 3,.* body 0 .*bodies 0 and 1,"):
         simulation.step(5)
     assert np.isfinite(snapshot(simulation)[0]).all()
     assert simulation.context.getStepCount() == 2
@@ -304,7 +303,7 @@ def test_a_body_alone_has_no_closest_one():
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(three_masses.POSITIONS)
-    with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The Context keeps"):
+    with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The"):
         integrator.step(1)
 
 

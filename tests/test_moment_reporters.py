@@ -76,8 +76,8 @@ def test_charges_are_those_that_were_handed_over():
 @pytest.mark.parametrize(
     ("charges", "message"),
     [
-        ([0.0, np.nan, np.inf], "charges must be finite numbers, and that of particle 1 is nan"),
-        (3.0, "charges must be a list of numbers or Quantities of charge, one for each particle, not 3"),
+        ([0.0, np.nan, np.inf], "finite numbers.* particle 1 is nan"),
+        (3.0, "charges must be a list .* not 3"),
         ([[1.0, -1.0]], "charges must be a list of numbers"),
         ([1.0, 1.0j], "charges must be a list of numbers"),
         (["1", "-1"], "charges must be a list of numbers"),
@@ -94,13 +94,13 @@ def test_what_is_no_charges(tmp_path, charges, message):
 @pytest.mark.parametrize(
     ("charges", "message"),
     [
-        (OF_WATER[:3], "one for each of the 6 particles of the System, and there are 3: give 0 for those without"),
-        (np.tile(OF_WATER, 2), "one for each of the 6 particles of the System, and there are 12"),
+        (OF_WATER[:3], "of the 6 particles .* there are 3: give 0"),
+        (np.tile(OF_WATER, 2), "of the 6 particles .* there are 12"),
         (
             np.concatenate([OF_WATER[:3] + 0.1, OF_WATER[3:] - 0.1]),  # neutral as a whole, and an ion beside another
-            "in every molecule, and those of the molecule with particle 0 add up to 0.3: correct them, or give 0 for",
+            "molecule with particle 0 add up to 0.3",
         ),
-        (OF_WATER + 0.01 * np.eye(6)[4], "those of the molecule with particle 3 add up to 0.01"),
+        (OF_WATER + 0.01 * np.eye(6)[4], "molecule with particle 3 add up to 0.01"),
     ],
 )
 def test_charges_that_do_not_fit_the_molecules_are_refused_before_a_line(charges, message):
@@ -132,7 +132,7 @@ def test_bodies_that_are_named_are_molecules(bodies):
     text = io.StringIO()
     simulation.reporters.append(rb.MomentReporter(text, 1, [1.0, 1.0, -2.0]))
     if bodies is None:
-        with pytest.raises(ValueError, match="add up to -2: correct them, or give 0 for the particles of an ion"):
+        with pytest.raises(ValueError, match=r"add up to -2: .* of an ion"):
             simulation.step(1)
     else:
         simulation.step(1)

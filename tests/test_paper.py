@@ -1,4 +1,8 @@
-"""The paper's figures are drawn, and its claims are put beside numbers, by one command."""
+"""The paper's figures are drawn, and its claims are put beside numbers, by one command.
+
+The fast tests judge the page and the data of the last `make paper` and compute one script, small; with `--validate` all
+scripts compute small versions.
+"""
 
 import importlib
 import json
@@ -6,7 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
-import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mpmath as mp
@@ -15,45 +19,36 @@ import openmm
 import pytest
 
 import oracle
-from openmm_exactrb.files import written_whole
 
-REPORT = Path(__file__).parent.parent / "benchmarks" / "paper" / "report.py"
+ROOT = Path(__file__).parent.parent
+REPORT = ROOT / "benchmarks" / "paper" / "report.py"
+PAGE = ROOT / "docs" / "paper.md"
+DATA = ROOT / "docs" / "paper" / "data"
 sys.path.append(str(REPORT.parent))
 claims = importlib.import_module("claims")
+common = importlib.import_module("common")
+
+
+# -- what `make paper` left -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def quick(tmp_path_factory, worker_id):
-    """Return a copy of the quick report, which takes all cores: the first of several workers has it written."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "paper"
-    said = folder / "said"
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        wait_for(said)
-    else:
-        done = subprocess.run([sys.executable, str(REPORT), "--quick"], cwd=folder, capture_output=True, text=True)
-        with written_whole(said) as out:
-            out.write(done.stderr if done.returncode else "")
-    assert said.read_text(encoding="utf-8") == ""
-    out = shutil.copytree(folder / "out", tmp_path_factory.mktemp("copy") / "out")
-    return out / "paper" / "quick"
+def page():
+    return PAGE.read_text(encoding="utf-8")
 
 
-def wait_for(file, seconds=600.0):
-    end = time.monotonic() + seconds
-    while not file.exists():
-        assert time.monotonic() < end, f"another worker has not written {file}"
-        time.sleep(0.2)
+@pytest.mark.skipif(not DATA.exists(), reason="a source distribution has no data")
+def test_the_page_is_what_the_stored_data_say(page):
+    report = importlib.import_module("report")
+    results = [
+        (script, pictures, json.loads((DATA / f"{script.NAME}.json").read_text(encoding="utf-8")))
+        for script, pictures in report.SECTIONS
+    ]
+    assert report.page(results) == page
 
 
-def test_every_figure_is_drawn_and_shown(quick):
-    page = (quick / "paper.md").read_text(encoding="utf-8")
-    shown = re.findall(r"\(paper/(figure\d\d)\.png\)", page)
-    assert sorted(shown) == [f"figure{k:02d}" for k in range(1, 19)]
-    for name in shown:
-        assert (quick / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+def test_every_figure_is_shown(page):
+    assert sorted(re.findall(r"\(paper/(figure\d\d)\.png\)", page)) == [f"figure{k:02d}" for k in range(1, 19)]
 
 
 def written(page):
@@ -71,27 +66,27 @@ def verdict_of(entry):
     return re.search(r"\*\*(.+)\.\*\*$", entry.splitlines()[0])[1].lower(), kind
 
 
-def test_every_verdict_follows_from_the_criteria_beside_it(quick):
-    page = (quick / "paper.md").read_text(encoding="utf-8")
+def test_every_verdict_follows_from_the_criteria_beside_it(page):
     assert len(written(page)) == page.count("  - Measured: ") > 30
     for entry in written(page):
         verdict, kind = verdict_of(entry)
         assert verdict in (claims.VERDICTS[kind], claims.OURS[kind]), entry
 
 
-def test_the_papers_claims_and_ours_are_counted_apart(quick):
-    page = (quick / "paper.md").read_text(encoding="utf-8")
+def test_the_papers_claims_and_ours_are_counted_apart(page):
     beyond = sum(len(written(part.split("\n## ")[0])) for part in page.split("Beyond the paper:\n")[1:])
     assert beyond > 3
     assert int(re.search(r"Of (\d+) sentences of our own", page)[1]) == beyond
     assert int(re.search(r"Of (\d+) claims of the paper", page)[1]) == len(written(page)) - beyond
 
 
-def test_no_verdict_compares_compiled_code_with_numpy(quick):
-    page = (quick / "paper.md").read_text(encoding="utf-8")
+def test_no_verdict_compares_compiled_code_with_numpy(page):
     compiled = [line for line in page.splitlines() if "exact_compiled" in line]
     assert compiled
     assert all("| compiled |" in line for line in compiled)  # rows of tables, where it is marked
+
+
+# -- claims and criteria --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -132,7 +127,32 @@ def test_the_summary_counts_and_names_what_does_not_agree():
     assert [name in text for name in ("- First.", "- Second. (Figure 1)", "- Third. (Figure 2)")] == [False, True, True]
 
 
-def test_the_energies_by_which_starts_are_chosen_are_openmms(quick):
+# -- scripts ------------------------------------------------------------------------------------------------------
+
+
+def test_the_satellite_is_the_papers_and_what_is_computed_is_kept(tmp_path, monkeypatch):
+    """The two lines of figures 14 and 15, within this process."""
+    script = importlib.import_module("satellite")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
+    monkeypatch.setattr(common, "ProcessPoolExecutor", ThreadPoolExecutor)
+    monkeypatch.setattr(script, "LINES", tuple(script.DRAWN.values()))
+    data = script.compute(True)
+    assert abs(data["SRKN6_14a exact 0.1"]["H0"] - 1.21595664e7) < 1.0
+    assert data["SRKN6_14a exact 0.1"]["largest"] < 2e-7
+    for name, figure in script.draw(data):
+        common.save(figure, f"{name}.png")
+        assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    pieces = {file: file.stat().st_mtime_ns for file in common.PIECES.rglob("*.json")}
+    assert len(pieces) == 4
+    again = script.compute(True)
+    assert {key: entry["largest"] for key, entry in again.items()} == {
+        key: entry["largest"] for key, entry in data.items()
+    }
+    assert pieces == {file: file.stat().st_mtime_ns for file in pieces}
+
+
+def test_the_energies_by_which_starts_are_chosen_are_openmms():
     figure16 = importlib.import_module("figure16")
     system, sites = figure16.spheres()
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
@@ -142,25 +162,31 @@ def test_the_energies_by_which_starts_are_chosen_are_openmms(quick):
         assert figure16.potential(seed) == pytest.approx(expected, rel=1e-12)
 
 
-def test_the_satellite_is_the_papers(quick):
-    data = json.loads((quick / "data" / "satellite.json").read_text(encoding="utf-8"))
-    assert abs(data["SRKN6_14a exact 0.1"]["H0"] - 1.21595664e7) < 1.0
-    assert data["SRKN6_14a exact 0.1"]["largest"] < 2e-7
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory):
+    """Return the quick report, which takes all cores for a minute."""
+    folder = tmp_path_factory.mktemp("paper")
+    subprocess.run([sys.executable, str(REPORT), "--quick"], cwd=folder, check=True, capture_output=True)
+    return folder / "out" / "paper" / "quick"
 
 
-def test_what_is_computed_is_kept(quick):
-    pieces = {file: file.stat().st_mtime_ns for file in (quick.parent / "pieces").rglob("*.json")}
-    assert pieces
-    subprocess.run([sys.executable, str(REPORT.parent / "satellite.py"), "--quick"], cwd=quick.parents[2], check=True)
-    assert pieces == {file: file.stat().st_mtime_ns for file in pieces}
+@pytest.mark.validate
+@pytest.mark.xdist_group("paper")
+def test_every_figure_is_drawn(quick):
+    for number in range(1, 19):
+        assert (quick / f"figure{number:02d}.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_page_is_written_anew_from_what_is_stored(quick):
+@pytest.mark.validate
+@pytest.mark.xdist_group("paper")
+def test_the_page_is_written_anew_from_what_is_stored(quick, tmp_path):
     page = (quick / "paper.md").read_text(encoding="utf-8")
-    (quick / "paper.md").unlink()
-    data = {file: file.stat().st_mtime_ns for file in (quick / "data").iterdir()}
-    subprocess.run([sys.executable, str(REPORT), "--quick", "--stored"], cwd=quick.parents[2], check=True)
-    assert (quick / "paper.md").read_text(encoding="utf-8") == page
+    copy = tmp_path / "out" / "paper" / "quick"
+    shutil.copytree(quick, copy)
+    (copy / "paper.md").unlink()
+    data = {file: file.stat().st_mtime_ns for file in (copy / "data").iterdir()}
+    subprocess.run([sys.executable, str(REPORT), "--quick", "--stored"], cwd=tmp_path, check=True)
+    assert (copy / "paper.md").read_text(encoding="utf-8") == page
     assert data == {file: file.stat().st_mtime_ns for file in data}
 
 

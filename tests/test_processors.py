@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import openmm_exactrb as rb
+from sequences import gradient_kicks
 
 pytest.importorskip("numba")
 import processors
@@ -35,8 +36,8 @@ def test_the_series_is_that_of_matrices():
         series = sum(
             field[2 ** len(w) - 1 + int("0" + w.replace("A", "0").replace("B", "1"), 2)] * M for w, M in words.items()
         )
-        whole = [*scheme.processor, *scheme.word, *scheme.postprocessor]
-        step = processors.matrices(whole, scheme, np.array([x]))[0]
+        whole = [*scheme.processor, *scheme.sequence, *scheme.postprocessor]
+        step = processors.matrices(whole, np.array([x]))[0]
         errors.append(np.abs(expm(series) - step).max())
     assert errors[0] < 1e-9
     assert np.log2(errors[1] / errors[0]) > 5.5
@@ -51,9 +52,10 @@ def test_what_swings_is_gone_and_the_frequency_stays(name, kernel, steps):
     np.testing.assert_allclose(frequency, same, rtol=1e-6, atol=1e-12)
 
 
-def test_displacements_to_either_side_leave_a_word_that_goes_back_nearly():
+def test_displacements_to_either_side_leave_a_step_that_goes_back_nearly():
     """Two half steps that differ are no palindrome; what is left is far smaller than what a step is wrong by."""
     pair = rb.SCHEMES["W4_4"]
     assert pair.b == (0.5, 0.5)
-    assert pair.gradients[0][1] == -pair.gradients[1][1]
+    first, second = gradient_kicks(pair)
+    assert first.strength == -second.strength
     assert pair.c == pytest.approx([c / 8.0 for c in 2 * rb.SCHEMES["TI2"].c])

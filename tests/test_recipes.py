@@ -6,21 +6,20 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import indent
 
 import numpy as np
 import openmm
 import pytest
+from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
-from few_dipoles import REFERENCE, simulation_of
+from few_dipoles import REFERENCE
+from openmm_exactrb.context import inner_drift
 from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.motion.engine import run
-from openmm_exactrb.motion.fit import fit
-from openmm_exactrb.motion.kick import kick
-from openmm_exactrb.motion.kinetic import rigid
-from openmm_exactrb.motion.state import State
-from openmm_exactrb.rotors import rotor_of_sums
+from openmm_exactrb.mechanics.fit import fit
+from openmm_exactrb.mechanics.state import State
 from orders import slope
 
 ROOT = Path(__file__).parent.parent
@@ -49,8 +48,8 @@ def put_after(file, line, text):
 
 
 @pytest.fixture(scope="module")
-def tested(tmp_path_factory):
-    """Return what the tests say of a scheme and a rotor after they were typed into a copy of the package."""
+def checkout(tmp_path_factory):
+    """Return a copy of the package and its tests into which the recipes were typed that change a file of it."""
     root = tmp_path_factory.mktemp("checkout")
     for part in ("openmm_exactrb", "tests"):
         shutil.copytree(ROOT / part, root / part, ignore=shutil.ignore_patterns("__pycache__"))
@@ -63,11 +62,21 @@ def tested(tmp_path_factory):
     registry = root / named(page, "ROTORS")
     put_after(registry, "from openmm_exactrb.rotors import ", f"{Path(file).stem}, ")
     put_after(registry, "        for entry in (\n", f"{entry.rstrip()},\n")
-    tests = ("tests/schemes", "tests/rotors/test_rotors.py", "-k", "VEFRL or axes_321", "-v", "-p", "no:cacheprovider")
+    page, (field, _) = recipe("A device stage")
+    put_after(root / named(page, "Row"), "    after: float = 0.0\n", indent(field, "    "))
+    page, (option,) = recipe("A command option")
+    put_after(
+        root / named(page, "OPTIONS"), "OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (\n", f"{option.rstrip()},\n"
+    )
+    return root
+
+
+def carried_out(root, *arguments):
+    """Return what a Python process prints in the copy, in numpy: there is nothing to compile anew."""
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", *tests],
+        [sys.executable, *arguments],
         cwd=root,
-        env=os.environ | {"PYTHONPATH": str(root), "OPENMM_EXACTRB_COMPILED": "0"},  # nothing to compile anew
+        env=os.environ | {"PYTHONPATH": str(root), "OPENMM_EXACTRB_COMPILED": "0"},
         capture_output=True,
         text=True,
         check=False,
@@ -76,9 +85,28 @@ def tested(tmp_path_factory):
     return done.stdout
 
 
+@pytest.fixture(scope="module")
+def tested(checkout):
+    """Return what the tests say of the scheme and the rotor."""
+    tests = "tests/schemes", "tests/rotors/test_rotors.py", "-k", "VEFRL or axes_321"
+    return carried_out(checkout, "-m", "pytest", *tests, "-v", "-p", "no:cacheprovider")
+
+
 def named(page, name):
     """Return the file that a page says a name is in."""
     return re.search(rf"`{name}` in\s+`(\S+?)`", page)[1]
+
+
+def test_every_addition_has_one_place_that_exists():
+    table = re.findall(r"^\| \[(?:a|an) (.*)\]\(#(.*)\) \| (.*) \|$", PAGE, flags=re.M)
+    assert {name for name, *_ in table} >= {
+        "scheme", "substep", "thermostat", "rotor", "constraint type", "device stage", "command option",
+    }  # fmt: skip
+    for name, anchor, place in table:
+        assert anchor == f"a-{name.replace(' ', '-').lower()}"
+        assert recipe(f"A {name}")[1]
+        for of, file in re.findall(r"`(\w+)` in `(\S+)`", place):
+            assert re.search(rf"\b{of}\b", (ROOT / file).read_text(encoding="utf-8"))
 
 
 def test_a_scheme_is_one_entry_and_its_laws_are_tested(tested):
@@ -91,15 +119,49 @@ def test_a_rotor_is_one_file_and_one_entry_and_its_laws_are_tested(tested):
         assert re.search(rf"{law}\S*\[\S*axes_321\S*\] PASSED", tested), law
 
 
-def test_a_letter_is_a_function_told_to_an_integrator():
-    integrator = typed("A letter")["integrator"]
+def moving(integrator, kelvin=100.0):
+    """Return the Context of a triangle in motion."""
     context = openmm.Context(three_masses.system(), integrator, REFERENCE)
     context.setPositions(three_masses.POSITIONS)
-    integrator.setVelocitiesToTemperature(100.0, 1)
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    return context
+
+
+def test_a_substep_is_a_class_in_the_sequence_of_a_scheme():
+    integrator = typed("A substep")["integrator"]
+    _context = moving(integrator)
     before = integrator.kineticEnergies()
     integrator.step(30)
     for now, then in zip(integrator.kineticEnergies(), before, strict=True):
         assert now / then == pytest.approx(np.exp(-2.0 * 0.5 * 0.3), rel=1e-12)
+
+
+def test_a_thermostat_is_a_class_that_an_integrator_takes():
+    names = typed("A thermostat")
+    assert names["integrator"].getThermostat() == names["Andersen"](300.0, 5.0)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="V2", thermostat=names["Andersen"](300.0, 1000.0))
+    integrator.setRandomNumberSeed(3)
+    _context = moving(integrator)
+    energies = []
+    for _ in range(2000):  # each step forgets the momenta before it
+        integrator.step(1)
+        energies.append(
+            [energy / (unit.MOLAR_GAS_CONSTANT_R * 300.0 * unit.kelvin) for energy in integrator.kineticEnergies()]
+        )
+    # Means and variances of the kinetic energy of three degrees of freedom, over kT.
+    np.testing.assert_allclose(np.mean(energies, axis=0), 1.5, atol=4.0 * np.sqrt(1.5 / 2000))
+    np.testing.assert_allclose(np.var(energies, axis=0), 1.5, rtol=0.25)
+
+
+def test_a_thermostat_without_collisions_changes_no_bit():
+    states = []
+    for thermostat in (None, typed("A thermostat")["Andersen"](300.0, 0.0)):
+        integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="V2", thermostat=thermostat)
+        _context = moving(integrator)
+        integrator.step(10)
+        states.append(integrator.fullState()[1])
+    for one, other in zip(*states, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def triangle(rng):
@@ -110,8 +172,8 @@ def triangle(rng):
     return bodies, State.of(rounded._replace(P=rng.standard_normal((3, 1)), m=m))
 
 
-def test_a_force_source_is_a_function_of_places(rng):
-    advance = typed("A force source")["advance"]
+def test_a_force_without_openmm_is_a_function_of_a_state(rng):
+    advance = typed("A force without OpenMM")["advance"]
     bodies, state = triangle(rng)
     omega, t = np.sqrt(3.0 / bodies.mass), 2.0
     expected = state.R[0] * np.cos(omega * t) + state.P[0] / (bodies.mass * omega) * np.sin(omega * t)
@@ -120,30 +182,76 @@ def test_a_force_source_is_a_function_of_places(rng):
     assert abs(slope(lambda n: advance(bodies, state, t / n, n, scheme).R[0], (4, 6, 8)) - 4.0) < 0.35
 
 
-def test_a_kinetic_flow_is_a_record(rng):
-    bodies, state = triangle(rng)
-    rotation = rotor_of_sums("exact", bodies.inertia)
-    plane, space = typed("A kinetic flow")["on_a_plane"](bodies.mass, rotation), rigid(bodies.mass, rotation)
+def pushed(scheme):
+    """Return the state of a triangle that a force pushes along the diagonal of space, after five steps."""
+    system, force = three_masses.system(), openmm.CustomExternalForce("-10*(x+y+z)")
+    for i in range(3):
+        force.addParticle(i)
+    system.addForce(force)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(three_masses.POSITIONS)
+    integrator.setVelocitiesToTemperature(100.0, 1)
+    begin = integrator.fullState()[1]
+    integrator.step(5)
+    return begin, integrator.fullState()[1]
 
-    def end(kinetic):
-        flows = {"A": kinetic.drift, "B": kick(lambda state: (np.ones((3, 1)), np.zeros((3, 1))))}
-        return run(rb.SCHEMES["V2"].word * 5, flows, kinetic.tangent(state), 0.1)
 
-    ours, theirs = end(plane), end(space)
-    np.testing.assert_array_equal(ours.R[:, :2], theirs.R[:, :2])
-    np.testing.assert_array_equal(ours.R[:, 2], state.R[:, 2])
-    assert abs(theirs.R[0, 2] - state.R[0, 2]) > 0.01
+@pytest.mark.parametrize("scheme", ["V2", "Chin4A"])
+def test_a_constraint_type_is_a_free_motion(monkeypatch, scheme):
+    """With forces at displaced positions too."""
+    _, space = pushed(scheme)
+    (page, _), names = recipe("A constraint type"), typed("A constraint type")
+    assert named(page, "of_bodies").removesuffix(".py").replace("/", ".") == inner_drift.of_bodies.__module__
+    monkeypatch.setattr(inner_drift, "of_bodies", names["of_bodies_on_a_plane"])
+    begin, plane = pushed(scheme)
+    np.testing.assert_array_equal(plane.R[:, :2], space.R[:, :2])
+    np.testing.assert_array_equal(plane.R[:, 2], begin.R[:, 2])
+    assert abs(space.R[0, 2] - begin.R[0, 2]) > 1e-3
 
 
-def test_an_engine_is_a_loop_over_letters(rng):
-    traced = typed("An engine")["traced"]
-    simulation = simulation_of(4)
-    bodies, state = simulation.integrator.fullState()
-    kinetic = rigid(bodies.mass, rotor_of_sums("exact", bodies.inertia))
-    flows = {"A": kinetic.drift, "B": kick(lambda s: (-s.R[0], -s.m[0]))}
-    word, seen = rb.SCHEMES["SRKN4_6b"].word, []
-    end = traced(word, flows, state, 0.1, lambda *shown: seen.append(shown))
-    for a, b in zip(end, run(word, flows, state, 0.1), strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert [(letter, tau) for letter, tau, _ in seen] == [(letter, 0.1 * part) for letter, part in word]
-    assert seen[-1][2] is end
+FADING = """
+import copy, sys
+import numpy as np, openmm, openmm_exactrb as rb
+names, method = {}, {}
+exec(sys.argv[1], names)
+exec(sys.argv[2], method)
+names["Friction"].device_rows = method["device_rows"]
+_, system, positions = rb.rigid_water(3)
+found = []
+for engine in ("host", "device"):
+    integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
+    context = openmm.Context(copy.deepcopy(system), integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    integrator.step(20)
+    assert integrator.getEngine() == engine
+    found.append([np.asarray(a) for a in integrator.bodyState()[1]])
+for host, device in zip(*found, strict=True):
+    np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-12)
+"""
+
+
+def test_a_device_stage_is_one_field_and_moves_as_on_the_host(checkout):
+    (friction,), (_, method) = recipe("A substep")[1], recipe("A device stage")[1]
+    carried_out(checkout, "-c", FADING, friction, method)
+
+
+def test_a_substep_without_a_device_stage_is_left_to_the_host():
+    damped = typed("A substep")["damped"]
+    with pytest.raises(ValueError, match="does not support the substep Friction"):
+        rb.ExactRigidBodyIntegrator(0.001, damped, engine="device")
+
+
+PARSED = """
+from openmm_exactrb.command import main, setup
+for given, expected in ((["--inner-steps", "3"], 3), ([], None)):
+    args = main._parser().parse_args(["run", *given])
+    integrator = setup.integrator_of(args, {"scheme": "S2_2"}, 0.004)
+    assert integrator.getMultipleTimeSteps().steps == expected
+main.main(["run", "--help"])
+"""
+
+
+def test_a_command_option_is_one_entry(checkout):
+    assert "--inner-steps N" in carried_out(checkout, "-c", PARSED)

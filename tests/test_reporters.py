@@ -19,7 +19,7 @@ def simulation_of_two_dipoles():
 @pytest.mark.parametrize("interval", [0, -1, 2.5, None])
 def test_intervals_are_at_least_one_step(make, interval, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match="reportInterval must be a whole number of steps of at least 1"):
+    with pytest.raises(ValueError, match="reportInterval must be"):
         make(interval)
     assert not list(tmp_path.iterdir())
 
@@ -63,6 +63,6 @@ def test_energy_reporter_finishes_the_names_of_the_columns(tmp_path, left):
 @pytest.mark.parametrize("text", ["<System>", "step,time (ps),Mx,My,Mz\n1,0.1,0.0,0.0", "\n1,2"])
 def test_a_file_that_is_another_is_not_cut(tmp_path, text):
     (tmp_path / "precious").write_text(text)
-    with pytest.raises(ValueError, match=r"precious ends within a line, and is no table of step,.*: end its"):
+    with pytest.raises(ValueError, match="ends within a line"):
         rb.EnergyReporter(tmp_path / "precious", 1, append=True)
     assert (tmp_path / "precious").read_text() == text

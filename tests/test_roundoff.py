@@ -58,7 +58,7 @@ def test_sums_keep_the_energy_of_tops_two_digits_better_than_rounding():
 
 
 def test_sums_keep_the_momenta_of_dipoles_better_than_rounding():
-    errors = {variant: roundoff.dipoles(1, variant, 300) for variant in ("sums", "rounded")}
+    errors = {variant: roundoff.dipoles(1, variant, 100) for variant in ("sums", "rounded")}
     for quantity in roundoff.QUANTITIES:
         assert np.abs(errors["sums"][quantity]).max() < 2e-15
         assert np.abs(errors["rounded"][quantity][0, -1]) > 2.0 * np.abs(errors["sums"][quantity][0, -1])

@@ -1,11 +1,11 @@
-"""The search for splittings: its droplets are OpenMM's, its oscillators are those of the words."""
+"""The search for splittings: its droplets are OpenMM's, its oscillators are those of the steps."""
 
 import numpy as np
 import openmm
 import pytest
 
 import openmm_exactrb as rb
-from words import advanced
+from sequences import advanced
 
 pytest.importorskip("numba")
 import droplets
@@ -14,6 +14,7 @@ import search
 REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
+@pytest.mark.validate  # it compiles the droplets, which takes as long as all other tests of the searches
 @pytest.mark.parametrize("model", search.MODELS)
 def test_a_droplet_moves_as_it_does_in_openmm(model):
     kind, system, _, lattice = droplets.prepared(4, model)
@@ -37,8 +38,8 @@ def test_a_droplet_moves_as_it_does_in_openmm(model):
 def test_coefficients_make_a_member_of_a_family_and_come_back(family):
     free = np.random.default_rng(1).uniform(0.02, 0.1, search.dimension(family)).tolist()
     scheme = search.member(family, free)
-    letters = "".join(letter[0] for letter, _ in scheme.word)
-    assert letters.replace("BC", "C") == family  # a magnified kick has two letters
+    symbols = "".join(substep.symbol for substep, _ in scheme.sequence)
+    assert symbols.replace("BC", "C") == family  # a magnified kick is two substeps
     assert search.free_of(family, scheme) == pytest.approx(free, rel=1e-12)
 
 
@@ -70,5 +71,6 @@ def test_the_nearest_point_of_order_four_has_it():
         assert np.log2(second / first) > 3.5
 
 
+@pytest.mark.validate
 def test_a_run_that_blows_up_has_an_infinite_error():
     assert search.error(rb.SCHEMES["V2"], 60.0, 4, "tip3p", 1, 1.0, 1.0) == np.inf

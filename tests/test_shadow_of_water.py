@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from openmm_exactrb.baths.words import splitting
-from openmm_exactrb.schemes import WITH_BATH
+from openmm_exactrb.schemes import WITH_THERMOSTAT, splitting
 from openmm_exactrb.schemes import shadow as kept
-from shadow import TEMPERATURE, at_bath, predicted
+from shadow import TEMPERATURE, at_thermostat, predicted
 
 SLOW, FAST = 40.0, 120.0  # 1/ps
 SPECTRUM = np.array([SLOW, FAST]), np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -15,12 +14,12 @@ H = 0.006
 
 def test_baoab_and_baoa_go_through_the_same_places():
     """They are one algorithm, half a kick apart: one potential energy, the exact one, and other momenta."""
-    of_baoab, of_baoa = (predicted(WITH_BATH[name], H, *SPECTRUM) for name in ("BAOAB", "BAOA"))
+    of_baoab, of_baoa = (predicted(WITH_THERMOSTAT[name], H, *SPECTRUM) for name in ("BAOAB", "BAOA"))
     assert of_baoab[1] == pytest.approx(of_baoa[1], abs=1e-9)
     assert of_baoa[1] == pytest.approx(0.0, abs=1e-9)
-    # Leapfrog: <p²> of whole steps is 1 - (w h)²/4 of that of half steps, where the bath is.
+    # Leapfrog: <p²> of whole steps is 1 - (w h)²/4 of that of half steps, where the thermostat is.
     angles = H * np.array([SLOW, FAST])
-    hot = np.array([1.0 / kept(WITH_BATH["BAOA"], angle).kinetic for angle in angles])
+    hot = np.array([1.0 / kept(WITH_THERMOSTAT["BAOA"], angle).kinetic for angle in angles])
     hot *= TEMPERATURE / hot.mean()
     assert of_baoa[0] == pytest.approx(hot[1] - hot[0])
     cold = hot * (1.0 - angles**2 / 4.0)
@@ -28,8 +27,8 @@ def test_baoab_and_baoa_go_through_the_same_places():
 
 
 @pytest.mark.parametrize("name", ["V2", "W2_3"])
-def test_half_a_bath_at_either_end_acts_at_the_end_of_a_step(name):
-    assert at_bath(splitting(name)) == splitting(name)
+def test_half_a_thermostat_at_either_end_acts_at_the_end_of_a_step(name):
+    assert at_thermostat(splitting(name)) == splitting(name)
 
 
 def test_what_is_beyond_stability_is_told():

@@ -146,7 +146,7 @@ def test_quantities_are_taken_as_their_numbers():
     same = rb.dipole_fluid(8, **units, trap=0.4 * kJ / nm**2)
     np.testing.assert_allclose(same[2]._value, plain[2]._value, rtol=1e-14)
     assert openmm.XmlSerializer.serialize(same[1]) == openmm.XmlSerializer.serialize(plain[1])
-    with pytest.raises(ValueError, match="sigma must be a positive number of nm, not 3 K"):
+    with pytest.raises(ValueError, match=r"sigma .* not 3 K"):
         rb.dipole_fluid(8, sigma=3 * unit.kelvin)
 
 
@@ -206,7 +206,7 @@ def test_moments_of_something_else_get_one_sentence(inertia):
 @pytest.mark.parametrize("thin", [1e-7, 1e-9, 1e-10, 1e-12, 1e-14])
 @pytest.mark.parametrize("part", [0.0, 0.5, 1.0])
 def test_bodies_that_are_all_but_linear_are_refused(thin, part):
-    with pytest.raises(ValueError, match=r"is all but linear: the smallest must be at least 1e-06 of the largest$"):
+    with pytest.raises(ValueError, match="all but linear"):
         rigid_sites(1.0, [1.0, thin, 1.0 + part * thin])
 
 
@@ -218,9 +218,7 @@ def test_the_thinnest_bodies_have_the_wanted_moments(part):
 
 @pytest.mark.parametrize("options", [{"rigidWater": False}, {"rigidWater": False, "constraints": app.HBonds}])
 def test_tip4p_2005_does_not_bend(options):
-    with pytest.raises(
-        ValueError, match=r"^tip4p2005 is rigid, its bonds and angles have no strength: leave rigidWater="
-    ):
+    with pytest.raises(ValueError, match=r"^tip4p2005 is rigid"):
         rb.rigid_water(2, model="tip4p2005", **options)
     assert rb.rigid_water(2, model="tip4pew", **options)[1].getNumConstraints() < 6
     assert rb.rigid_water(2, model="tip4p2005", rigidWater=True)[1].getNumConstraints() == 6

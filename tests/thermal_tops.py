@@ -1,4 +1,4 @@
-"""Independent rigid bodies in a bath, whose distributions are known: a dipole in a field, in a trap of springs."""
+"""Independent bodies at a thermostat, whose distributions are known: a dipole in a field, in a trap of springs."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,27 +6,30 @@ from typing import NamedTuple
 import numpy as np
 
 from openmm_exactrb.compensated import add, exactly
-from openmm_exactrb.kernels.compiled import bath as bath_compiled
-from openmm_exactrb.kernels.compiled import noise as noise_compiled
-from openmm_exactrb.motion.draws import Draws, Instant
+from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import rotor_of_sums
+from openmm_exactrb.schemes import spelled
+from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK
 
 #: Moments of a water molecule in u nm², its mass in u, kT at 300 K in kJ/mol.
 WATER = np.array([0.00614541, 0.01155054, 0.01769595])
 WATER_MASS = 18.015
 KT = 0.00831446261815324 * 300.0
 
-DRAWS = Draws(noise_compiled)
-RELAX = bath_compiled.relax
-
 # The weight of an outer kick of S2_2.
 _L = 0.1931833275037836
-WORDS = {
-    "BAOAB": [("B", 0.5), ("A", 0.5), ("O", 1.0), ("A", 0.5), ("B", 0.5)],
-    "OBABO": [("O", 0.5), ("B", 0.5), ("A", 1.0), ("B", 0.5), ("O", 0.5)],
-    "O S2_2 O": [("O", 0.5), ("B", _L), ("A", 0.5), ("B", 1.0 - 2.0 * _L), ("A", 0.5), ("B", _L), ("O", 0.5)],
-    "AOA": [("A", 0.5), ("O", 1.0), ("A", 0.5)],
+SEQUENCES = {
+    "BAOAB": spelled("B A O A B"),
+    "OBABO": spelled("O B A B O"),
+    "O S2_2 O": tuple(
+        zip(
+            (HEAT_EXCHANGE, KICK, DRIFT, KICK, DRIFT, KICK, HEAT_EXCHANGE),
+            (0.5, _L, 0.5, 1.0 - 2.0 * _L, 0.5, _L, 0.5),
+            strict=True,
+        )
+    ),
+    "AOA": spelled("A O A"),
 }
 
 
@@ -77,7 +80,7 @@ class Tops:
         return 0.5 * (kinetic + trap) - self.x * self.kT * self.cosine(state)
 
     def flows(self):
-        """Return the flows of the letters A and B."""
+        """Return the flows of drifts and kicks."""
         inertia = np.where(self.moments > 0.0, self.moments, self.moments.max())
         turn = rotor_of_sums("exact", inertia)
         arrow = np.eye(3)[:, self.axis, None]
@@ -91,18 +94,18 @@ class Tops:
             force = -self.mass * self.w**2 * state.R[0]
             return state._replace(P=add(state.P, tau * force), m=add(state.m, tau * torque))
 
-        return {"A": drift, "B": kick}
+        return {DRIFT: drift, KICK: kick}
 
-    def run(self, word, bath, state, h, steps, seed=1, see=None):
-        """Carry the word out, `see(state)` after each step."""
+    def run(self, sequence, exchange, state, h, steps, seed=1, see=None):
+        """Carry the sequence out, `see(state)` after each step."""
         flows = self.flows()
         for step in range(steps):
-            for place, (letter, part) in enumerate(word):
-                if letter == "O":
-                    P, m = bath(state.P, state.m, part * h, Instant(seed, step, place))
+            for place, (substep, part) in enumerate(sequence):
+                if substep == HEAT_EXCHANGE:
+                    P, m = exchange(state.P, state.m, part * h, Instant(seed, step, place))
                     state = state._replace(P=P, m=m)
                 else:
-                    state = flows[letter](state, part * h)
+                    state = flows[substep](state, part * h)
             if see is not None:
                 see(state)
         return state

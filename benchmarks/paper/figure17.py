@@ -3,7 +3,7 @@
 The methods are V2, SRKN4_6b and S6_10, each with the exact rotor and with McLachlan-Reich, over T = 1 with the steps
 1, 1/2, 1/4, 1/8 of S6_10 and, for the others, those nearest to as many force evaluations that divide T. The abscissa
 is the number of force evaluations, which the paper's computational time is proportional to and which does not depend
-on the machine. Each of the runs is one recipe of an ensemble: the command goes on where it stopped.
+on the machine. Each of the runs is one job of an ensemble: the command goes on where it stopped.
 
 The paper does not give its energies, nor the lattice constant, nor how it directs the momenta of the two corner
 particles. Here the constant is 3, the momenta are opposite and point outward along the diagonal, and the energies are
@@ -102,26 +102,26 @@ def push_corners(context, energy):
     context.setVelocities(velocities)
 
 
-def recipes(energies, spacing, starts, costs):
+def jobs(energies, spacing, starts, costs):
     axes = {"seed": range(starts), "energy": energies, "scheme": SCHEMES, "rotor": ROTORS, "cost": costs}
     return ensemble.sweep(one_run, axes, spacing=spacing)
 
 
-def rows(outcomes):
+def rows(results):
     """Return the table of all runs."""
-    for outcome in outcomes:
-        wanted, got = outcome.recipe.arguments, outcome.result or {}
+    for result in results:
+        wanted, got = result.job.arguments, result.value or {}
         fields = [wanted[name] for name in ("energy", "seed", "scheme", "rotor")]
         numbers = [got.get(name, "") for name in ("steps", "evaluations", "first", "last")]
-        yield [*fields, *numbers, f"{outcome.seconds:.4f}", outcome.error or ""]
+        yield [*fields, *numbers, f"{result.seconds:.4f}", result.error or ""]
 
 
-def averages(outcomes):
+def averages(results):
     """Return the table of arithmetic means over the starts, of |H(T) - H(0)|/|H(0)|."""
     groups = defaultdict(list)
-    for outcome in outcomes:
-        wanted = outcome.recipe.arguments
-        groups[wanted["energy"], wanted["scheme"], wanted["rotor"], wanted["cost"]].append(outcome.result)
+    for result in results:
+        wanted = result.job.arguments
+        groups[wanted["energy"], wanted["scheme"], wanted["rotor"], wanted["cost"]].append(result.value)
     table = []
     for (energy, scheme, rotor, _), results in groups.items():
         finished = [result for result in results if result is not None]
@@ -145,11 +145,11 @@ def save(file, header, lines):
 def compute(quick, *, starts=STARTS, energies=ENERGIES, spacing=SPACING, workers=None, scheduler=None):
     """Run what is missing, and return the averages."""
     starts, energies, costs = (2, ENERGIES[::3], COSTS[:2]) if quick else (starts, energies, COSTS)
-    outcomes = ensemble.run(
-        recipes(energies, spacing, starts, costs), OUT / "figure17", workers=workers, scheduler=scheduler
+    results = ensemble.run(
+        jobs(energies, spacing, starts, costs), OUT / "figure17", workers=workers, scheduler=scheduler
     )
-    save(OUT / f"figure17{'_quick' * quick}_runs.csv", RUNS, rows(outcomes))
-    return {"averages": averages(outcomes)}
+    save(OUT / f"figure17{'_quick' * quick}_runs.csv", RUNS, rows(results))
+    return {"averages": averages(results)}
 
 
 def of(data, energy, scheme, rotor):

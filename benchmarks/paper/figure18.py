@@ -55,7 +55,7 @@ def largest_error(integrator, steps):
         for _ in range(steps):
             integrator.step(1)
             largest = max(largest, abs(integrator.totalEnergy()._value / first - 1.0))
-    except rb.NonFiniteError:
+    except rb.IntegrationError:
         return 1e300
     return float(f"{min(largest, 1e300):.4g}")
 

@@ -17,24 +17,24 @@ from openmm_exactrb.context.platforms import platforms
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE
 
-#: What it is for, in one sentence.
-PURPOSE = "Say what is installed: versions, platforms, compiled kernels, schemes and rotors."
+#: The purpose, in one sentence.
+PURPOSE = "Print what is installed: versions, platforms, compiled kernels, schemes and rotors."
 
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Give a command line its options: none."""
+    """Add no options to a command line."""
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Print it; return the exit status 0."""
+    """Print the lines; return the exit status 0."""
     print("\n".join(lines()))
     return 0
 
 
 def lines() -> Iterator[str]:
-    """Yield what is worth knowing, line by line."""
+    """Yield versions, platforms, kernels, schemes and rotors, line by line."""
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"

@@ -6,17 +6,20 @@ import signal
 import sys
 from collections.abc import Sequence
 
+import openmm
+
 import openmm_exactrb
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
-from openmm_exactrb.tuning.command import ERRORS
 
+# Errors in the files and options of a user, which are reported in one line.
+_ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
 _INTERRUPTED = 128 + signal.SIGINT
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Carry out a command line and return its exit status: 0, or 2 with one line on stderr, or 130 after Ctrl-C.
+    """Execute a command line and return its exit status: 0, or 2 with one line on stderr, or 130 after Ctrl-C.
 
     Parameters
     ----------
@@ -26,12 +29,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(arguments)
     try:
         return int(_COMMANDS[args.command].carry_out(args))
-    except ERRORS as error:
+    except _ERRORS as error:
         print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        again = ": go on with the same command and --resume" if args.command == "run" else ""
-        begin = "\n" if sys.stderr.isatty() else ""  # behind ^C, and a line of progress
+        again = "; resume it by the same command and --resume" if args.command == "run" else ""
+        begin = "\n" if sys.stderr.isatty() else ""  # after ^C, or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return _INTERRUPTED
 

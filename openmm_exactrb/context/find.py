@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions, on_constraints
-from openmm_exactrb.motion.bodies import Kind, RigidBodies
-from openmm_exactrb.motion.clusters import Clusters, find_clusters
-from openmm_exactrb.motion.images import joined
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.clusters import Clusters, Group, sorted_into_kinds
+from openmm_exactrb.mechanics.images import joined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -53,14 +53,14 @@ def find_bodies(
     for particles, distances in _clusters(system, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
     shapes: list[Kind] = []
-    floppy: list[tuple[list[Indices], Array]] = []
+    flexible: list[Group] = []
     for (mass_bytes, distance_bytes), members in groups.items():
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
-        if not held_rigid(distances, positions[members[0]]):
-            floppy.append((members, distances))
-            continue
         particles = np.stack(members)
+        if not held_rigid(distances, positions[members[0]]):
+            flexible.append(_flexible(particles, body_masses, distances))
+            continue
         whole = positions if box is None else joined(positions, particles, box, distances[None])
         if not np.isnan(distances).any():
             shapes += kinds_from_distances(particles, body_masses, distances, whole)
@@ -68,7 +68,7 @@ def find_bodies(
             shapes += kinds_from_positions(
                 particles, body_masses, on_constraints(particles, body_masses, distances, whole)
             )
-    clusters = _floppy_clusters(masses, floppy)
+    clusters = sorted_into_kinds(flexible)
     turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
     kinds, start = [], 0
     for shape in (*turning, *_atoms_of(clusters), *single):
@@ -80,14 +80,17 @@ def find_bodies(
     return RigidBodies(kinds, len(masses), clusters)
 
 
-def _floppy_clusters(masses: Array, floppy: list[tuple[list[Indices], Array]]) -> Clusters:
-    """Return the clusters whose particles, and those of whose distances that are constrained, are given."""
-    pairs, lengths = [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
-    for members, distances in floppy:
-        ends = np.argwhere(np.triu(~np.isnan(distances), 1))
-        pairs += [particles[ends] for particles in members]
-        lengths += len(members) * [distances[ends[:, 0], ends[:, 1]]]
-    return find_clusters(masses, np.concatenate(pairs), np.concatenate(lengths))
+def has_flexible_clusters(system: openmm.System, positions: Array) -> bool:
+    """Return whether constraints of a System leave a cluster a motion of its own, as `find_bodies` sees it."""
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    clusters = _clusters(system, masses, [])
+    return not all(held_rigid(distances, positions[particles]) for particles, distances in clusters)
+
+
+def _flexible(particles: Indices, masses: Array, distances: Array) -> Group:
+    """Return clusters from those of their distances that are constrained; the others are nan."""
+    pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
+    return Group(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
 
 
 def _atoms_of(clusters: Clusters) -> Iterable[Kind]:

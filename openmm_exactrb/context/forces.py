@@ -1,224 +1,297 @@
-"""Forces of a Context as a function of places."""
+"""Forces of a Context as a function of positions."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+import weakref
+from collections import deque
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.motion.bodies import RigidBodies
-from openmm_exactrb.motion.part import Part
-from openmm_exactrb.motion.state import State
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.part import Part
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.substeps import Force, Remembered
 
 Array = NDArray[np.float64]
+#: Flows of substeps with their times (ps), and whether they may change positions.
+Bound = list[tuple[Flow[State], float, bool]]
 
 
-class Places:
-    """Writes the places of bodies into a Context, unless they are there.
+class Positions:
+    """Writes the positions of bodies into a Context, and counts their versions.
 
     Parameters
     ----------
     context : openmm.Context
+        Not kept alive.
     bodies : RigidBodies
     x : (n_particles, 3) array
         Positions of all particles; those of the bodies are overwritten.
+
+    Attributes
+    ----------
+    version : int
+        Of the present positions, box and parameters: who changes one of them adds to it. What was computed for another
+        version is computed again.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
-        self.context, self.bodies, self._x = context, bodies, x
-        self._at: State | None = None
+        self._context, self.bodies, self._x = weakref.ref(context), bodies, x
+        self.version = 0
+        self._written = -1
+
+    @property
+    def context(self) -> Any:
+        """The Context."""
+        return self._context()
 
     def write(self, state: State) -> None:
-        """Have the Context at the places of a state."""
-        if self._at is None or not _same_places(self._at, state):
-            self.context.setPositions(self.bodies.positions(state.rounded, self._x))
-            self.context.computeVirtualSites()
-            self._at = state
+        """Bring the Context to the present positions, which are those of the state."""
+        version = self.version
+        if self._written != version:
+            self.show(state)
+            self._written = version
 
-    def lose(self) -> None:
-        """Forget where the Context is: something else moves it."""
-        self._at = None
+    def show(self, state: State) -> None:
+        """Bring the Context to the positions of any state."""
+        self._written = -1
+        context = self.context
+        context.setPositions(self.bodies.positions(state.rounded, self._x))
+        context.computeVirtualSites()
+
+    def through(self, substeps: Bound, state: State) -> State:
+        """Return a state after substeps, with a new version behind each that may have changed positions."""
+        for flow, tau, moves in substeps:
+            version = self.version
+            state = flow(state, tau)
+            if moves and self.version == version:
+                self.version += 1
+        return state
+
+    def moved(self) -> None:
+        """Notice that something else moved the particles of the Context."""
+        self.version += 1
+        self._written = -1
 
 
-class Forces:
-    """Forces and torques on bodies at the places of a state.
-
-    The last ones are kept as long as places, box and parameters of the Context are the same. What else forces depend on
-    cannot be seen (``updateParametersInContext``): each call of `step` has Forces of its own.
+class Memory:
+    """The forces of the last kicks, the most recent ones first: what the output of a processed scheme is made of.
 
     Parameters
     ----------
-    places : Places
-    groups : int
-        Bits of the force groups that act.
-    timings : Timings
-    counter : str, optional
-        Which number of the timings counts the evaluations.
-    steady : bool
-        Whether nothing within the call can change box or parameters: they are not looked at then, which would cost 30
-        microseconds a step.
-    energies : bool, optional
-        Whether the potential energy is asked for with every force, because it will be needed.
+    forces, differences : int
+        How many are remembered.
+
+    Attributes
+    ----------
+    forces : deque of (force, torque)
+        At the last versions of the positions.
+    differences : deque of (force, torque)
+        What the forces of the last force-gradient kicks at displaced positions differed by.
+    closed : bool
+        Whether nothing is added: while output is made.
     """
 
-    def __init__(
-        self,
-        places: Places,
-        groups: int,
-        timings: Timings,
-        steady: bool = False,
-        energies: bool = False,
-        counter: str = "evaluations",
-    ) -> None:
-        self._places, self.groups, self._timings, self._steady = places, groups, timings, steady
-        self._energies, self._counter = energies, counter
-        self._at: State | None = None
-        self._seen: Any = None  # the State of OpenMM that they come from
-        self._value = (np.zeros(0), np.zeros(0))
+    def __init__(self, forces: int = 0, differences: int = 0) -> None:
+        self.forces: deque[Force] = deque(maxlen=forces)
+        self.differences: deque[Force] = deque(maxlen=differences)
+        self.closed = False
 
-    def __call__(self, state: State) -> tuple[Array, Array]:
-        """Return the forces (3, N) and body-frame torques (3, K)."""
-        if not self._known(state):
-            start = time.perf_counter()
-            self._places.write(state)
-            self._seen = self._places.context.getState(
-                forces=True, energy=self._energies, parameters=not self._steady, groups=self.groups
-            )
-            forces = arrays.forces(self._seen)
-            self._timings.forces += time.perf_counter() - start
-            self._timings.count(self._counter)
-            self._value = self._places.bodies.forces(state.rounded, forces)
-            self._at = state
+    def add_force(self, force: Force) -> None:
+        """Remember a force."""
+        if not self.closed:
+            self.forces.appendleft(force)
+
+    def add_difference(self, difference: Force) -> None:
+        """Remember what a displaced force differed by."""
+        if not self.closed:
+            self.differences.appendleft(difference)
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many as can be remembered."""
+        return all(len(some) == some.maxlen for some in (self.forces, self.differences))
+
+    def clear(self) -> None:
+        """Forget all."""
+        self.forces.clear()
+        self.differences.clear()
+
+    def copy(self) -> Remembered:
+        """Return the forces and the differences, however many there are."""
+        return list(self.forces), list(self.differences)
+
+    def restore(self, copy: Remembered) -> None:
+        """Remember what `copy` returned."""
+        self.clear()
+        self.forces.extend(copy[0][: self.forces.maxlen])
+        self.differences.extend(copy[1][: self.differences.maxlen])
+
+
+class Forces:
+    """Forces and torques on bodies, evaluated once for each version of the positions.
+
+    Parameters
+    ----------
+    positions : Positions
+
+    Attributes
+    ----------
+    memory : Memory
+    """
+
+    def __init__(self, positions: Positions) -> None:
+        self.positions = positions
+        self.memory = Memory()
+        self._version, self._value = -1, (np.zeros(0), np.zeros(0))
+
+    def __call__(self, state: State) -> Force:
+        """Return the force (3, N) and body-frame torque (3, K) at the present positions, which are those of a state."""
+        version = self.positions.version
+        if self._version != version:
+            self._value = self._evaluated(state, present=True)
+            self._version = version
+            self.memory.add_force(self._value)
         return self._value
 
-    def twin(self) -> Forces:
-        """Return the same forces with a memory of their own."""
-        return Forces(self._places, self.groups, self._timings, self._steady, counter=self._counter)
+    def at(self, state: State) -> Force:
+        """Return the same at the positions of any state."""
+        return self._evaluated(state, present=False)
 
-    def of(self, groups: int, counter: str = "evaluations") -> Forces:
-        """Return those of some of the groups, given by their bits."""
-        return Forces(self._places, self.groups & groups, self._timings, self._steady, counter=counter)
+    def energy(self, state: State) -> float:
+        """Return the potential energy (kJ/mol) of all forces at the present positions, which are those of a state."""
+        raise NotImplementedError
 
-    def landscape(self, state: State) -> tuple[float, Array, Array]:
-        """Return the potential energy in kJ/mol, forces (3, N) and body-frame torques (3, K)."""
-        self._places.write(state)
-        found = self._places.context.getState(energy=True, forces=True, groups=self.groups)
-        force, torque = self._places.bodies.forces(state.rounded, arrays.forces(found))
-        return float(found.getPotentialEnergy()._value), force, torque
+    def with_energies(self) -> None:
+        """Evaluate the potential energy with each force, because it will be needed."""
+        raise NotImplementedError
 
-    def with_energies(self) -> Forces:
-        """Return the same forces, with a memory of the potential energy too."""
-        return Forces(self._places, self.groups, self._timings, self._steady, True, self._counter)
-
-    def potential(self, state: State) -> float:
-        """Return the potential energy in kJ/mol: nothing where no group acts."""
-        if not self.groups:
-            return 0.0
-        if self._energies:
-            self(state)
-            return float(self._seen.getPotentialEnergy()._value)
-        self._places.write(state)
-        energy = self._places.context.getState(energy=True, groups=self.groups).getPotentialEnergy()
-        return float(energy._value)
-
-    def _known(self, state: State) -> bool:
-        """Tell whether the forces at the places of a state are the last ones."""
-        if self._at is None or not _same_places(self._at, state):
-            return False
-        if self._steady:
-            return True
-        now = self._places.context.getState(parameters=True)
-        return arrays.surroundings(now) == arrays.surroundings(self._seen)
+    def _evaluated(self, state: State, present: bool) -> Force:
+        raise NotImplementedError
 
 
-class Kicks(Protocol):
-    """The forces of the kicks of a scheme."""
+class ContextForces(Forces):
+    """The forces of some force groups.
 
-    def __call__(self, state: State) -> tuple[Array, Array]:
-        """Return forces (3, N) and body-frame torques (3, K)."""
-
-    def twin(self) -> Kicks:
-        """Return the same forces with a memory of their own."""
-
-    def with_energies(self) -> Kicks:
-        """Return the same forces, with a memory of the potential energy too."""
-
-    def potential(self, state: State) -> float:
-        """Return the potential energy of all forces, nested ones too, in kJ/mol."""
-
-
-@dataclass(frozen=True)
-class OtherGroups:
-    """The forces of some groups, where those of others are nested.
-
-    Attributes
+    Parameters
     ----------
-    slow, fast : Forces
+    positions : Positions
+    groups : int
+        Their bits.
+    timings : Timings
+    counter : str, optional
+        The number of the timings that counts the evaluations.
     """
 
-    slow: Forces
-    fast: Forces
+    def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
+        super().__init__(positions)
+        self.groups, self._timings, self._counter = groups, timings, counter
+        self._energies, self._energy = False, 0.0
 
-    def __call__(self, state: State) -> tuple[Array, Array]:
-        """Return forces (3, N) and body-frame torques (3, K)."""
-        return self.slow(state)
+    def energy(self, state: State) -> float:
+        """Return the potential energy (kJ/mol) of these groups at the present positions."""
+        if self._energies:
+            self(state)
+            return self._energy
+        self.positions.write(state)
+        return self._potential_energy()
 
-    def twin(self) -> OtherGroups:
-        """Return the same forces with a memory of their own."""
-        return replace(self, slow=self.slow.twin())
+    def energy_at(self, state: State) -> float:
+        """Return the same at the positions of any state."""
+        self.positions.show(state)
+        return self._potential_energy()
 
-    def with_energies(self) -> OtherGroups:
-        """Return the same forces, with a memory of the potential energy too."""
-        return replace(self, slow=self.slow.with_energies())
+    def with_energies(self) -> None:
+        """Evaluate the potential energy with each force."""
+        self._energies = True
 
-    def potential(self, state: State) -> float:
-        """Return the potential energy of all forces in kJ/mol."""
-        return self.slow.potential(state) + self.fast.potential(state)
+    def landscape(self, state: State) -> tuple[float, Array, Array]:
+        """Return the potential energy (kJ/mol), force and torque at the positions of any state."""
+        self.positions.show(state)
+        found = self.positions.context.getState(energy=True, forces=True, groups=self.groups)
+        force, torque = self.positions.bodies.forces(state.rounded, arrays.forces(found))
+        return float(found.getPotentialEnergy()._value), force, torque
+
+    def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
+        """Return the forces of those of the groups that are among some others (bits)."""
+        return ContextForces(self.positions, self.groups & groups, self._timings, counter)
+
+    def _potential_energy(self) -> float:
+        if not self.groups:
+            return 0.0
+        state = self.positions.context.getState(energy=True, groups=self.groups)
+        return float(state.getPotentialEnergy()._value)
+
+    def _evaluated(self, state: State, present: bool) -> Force:
+        start, timings = time.perf_counter(), self._timings
+        (self.positions.write if present else self.positions.show)(state)
+        found = self.positions.context.getState(forces=True, energy=self._energies, groups=self.groups)
+        forces = arrays.forces(found)
+        if self._energies and present:
+            self._energy = float(found.getPotentialEnergy()._value)
+        timings.forces += time.perf_counter() - start
+        setattr(timings, self._counter, getattr(timings, self._counter) + 1)
+        return self.positions.bodies.forces(state.rounded, forces)
 
 
-@dataclass(frozen=True)
-class Remainder:
-    """All forces less those that are nested and act on a part of the bodies.
+class SlowGroups(ContextForces):
+    """The forces of some groups beside fast ones, which are integrated within the drifts.
 
-    Whatever the nested forces are, both together are all forces. So nothing has to be changed in the System.
-
-    Attributes
+    Parameters
     ----------
-    forces, fast : Forces
-        All, and those on the bodies of the part.
+    forces : ContextForces
+        All that act.
+    fast : ContextForces
+        Those within the drifts.
+    """
+
+    def __init__(self, forces: ContextForces, fast: ContextForces, timings: Timings) -> None:
+        super().__init__(forces.positions, forces.groups & ~fast.groups, timings)
+        self._fast = fast
+
+    def energy(self, state: State) -> float:
+        """Return the potential energy (kJ/mol) of slow and fast forces."""
+        return super().energy(state) + self._fast.energy(state)
+
+
+class Remainder(Forces):
+    """All forces less the fast ones on some of the bodies.
+
+    Whatever the fast forces are, both together are all forces: nothing has to be changed in the System.
+
+    Parameters
+    ----------
+    forces : ContextForces
+        All.
+    fast : ContextForces
+        Those on the bodies of the part, in a Context of its own.
     part : Part
     """
 
-    forces: Forces
-    fast: Forces
-    part: Part
+    def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:
+        super().__init__(forces.positions)
+        self._forces, self._fast, self._part = forces, fast, part
 
-    def __call__(self, state: State) -> tuple[Array, Array]:
-        """Return forces (3, N) and body-frame torques (3, K)."""
-        force, torque = (a.copy() for a in self.forces(state))
-        fast_force, fast_torque = self.fast(self.part.of(state))
-        force[:, self.part.columns] -= fast_force
-        torque[:, self.part.turning] -= fast_torque
+    def energy(self, state: State) -> float:
+        """Return the potential energy (kJ/mol) of all forces."""
+        return self._forces.energy(state)
+
+    def with_energies(self) -> None:
+        """Evaluate the potential energy with each force."""
+        self._forces.with_energies()
+
+    def _evaluated(self, state: State, present: bool) -> Force:
+        own = self._part.of(state)
+        if present:
+            all_forces, fast_forces = self._forces(state), self._fast(own)
+        else:
+            all_forces, fast_forces = self._forces.at(state), self._fast.at(own)
+        force, torque = (a.copy() for a in all_forces)
+        force[:, self._part.columns] -= fast_forces[0]
+        torque[:, self._part.turning] -= fast_forces[1]
         return force, torque
-
-    def twin(self) -> Remainder:
-        """Return the same forces with a memory of their own."""
-        return Remainder(self.forces.twin(), self.fast.twin(), self.part.twin())
-
-    def with_energies(self) -> Remainder:
-        """Return the same forces, with a memory of the potential energy too."""
-        return replace(self, forces=self.forces.with_energies())
-
-    def potential(self, state: State) -> float:
-        """Return the potential energy of all forces in kJ/mol."""
-        return self.forces.potential(state)
-
-
-def _same_places(a: State, b: State) -> bool:
-    """Tell whether two states are at the same places: flows hand on the very arrays that they do not change."""
-    return a.R is b.R and a.q is b.q

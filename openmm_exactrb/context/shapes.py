@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.plain.bodies import turned
-from openmm_exactrb.motion.bodies import Kind
-from openmm_exactrb.motion.fit import RIGIDITY, best_attitudes
+from openmm_exactrb.mechanics.bodies import Kind
+from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
 from openmm_exactrb.quaternions import matrix
 
 Array = NDArray[np.float64]

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass
@@ -37,27 +33,3 @@ class Timings:
         """Begin again at zero."""
         self.forces = self.rotor = self.total = 0.0
         self.evaluations = self.fast_evaluations = 0
-
-    def count(self, counter: str) -> None:
-        """Add one to a number of evaluations, given by its name."""
-        setattr(self, counter, getattr(self, counter) + 1)
-
-    @contextmanager
-    def measuring(self) -> Iterator[None]:
-        """Add the time within a block to `total`."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.total += time.perf_counter() - start
-
-    def of_rotor(self, rotation: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose time is added to `rotor`."""
-
-        def timed(*arguments: Any) -> Any:
-            start = time.perf_counter()
-            result = rotation(*arguments)
-            self.rotor += time.perf_counter() - start
-            return result
-
-        return timed

@@ -1,1 +1,1 @@
-"""The engine that carries words out on the device: a whole step as one program of OpenMM's CustomIntegrator."""
+"""Steps on the device: the sequence of a scheme as one program of OpenMM's CustomIntegrator."""

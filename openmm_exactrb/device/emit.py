@@ -1,33 +1,34 @@
-"""The program of a scheme: a loop over the rows of its word.
+"""The program of a scheme: a loop over the rows of its table.
 
-A turn of the loop is a row: a kick and the drift behind it, and what stands about the kick. The rows themselves are
-data that the device looks up: every scheme has the same kernels, however long its word is, and no number has to be sent
-to the device within a step, for which it would be waited for.
+A turn of the loop carries out a row: a kick, the thermostat before or after it, and the drift that follows. Rows are
+data on the device, so that all schemes share the same kernels, whatever their length, and no host-to-device transfer,
+and so no synchronisation, is needed within a step.
 
-Three things of OpenMM decide the order of statements. Neighbouring statements become one kernel where they need forces
-of the same group, or none and the next that are needed are of this group; a statement that writes positions ends it.
-Each kernel reads and writes all per-DOF variables if it computes one, but not if it computes positions and velocities
-alone. And where the System has constraints, positions that are written before the last ``addConstrainPositions`` of a
-program are kept as differences, which forces do not see; so the one that makes virtual sites stands at the begin of the
-loop, and nothing writes positions before it.
+Three properties of OpenMM determine the order of statements. Neighbouring statements become one kernel if they need
+forces of the same group, or none and the next forces that are needed are of this group; a statement that writes
+positions ends the kernel. A kernel that computes any per-DOF variable reads and writes all of them; a kernel that
+computes only positions and velocities does not. And if the System has constraints, positions that are written before
+the last ``addConstrainPositions`` of a program are kept as differences, which forces do not see; hence the one for
+virtual sites is the first statement of the loop, and nothing writes positions before it.
 
-OpenMM goes through all paths through two rounds of a program, two rounds of its loop in each: with a block more that
-writes positions there are several times as many, so numbers are multiplied by conditions where that will do.
+OpenMM analyses every path through two passes of a program, with two passes of its loop in each. One more block that
+writes positions multiplies the number of paths, so numbers are multiplied by conditions where that suffices.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import openmm
 
-from openmm_exactrb.context import account
+from openmm_exactrb.context import variables
 from openmm_exactrb.device import names
 from openmm_exactrb.device.expressions import ALONE, AXES, INVERSE_INERTIA, times, turned, turned_back
 from openmm_exactrb.device.gather import MOST, STRENGTH
 from openmm_exactrb.device.noise import exchange
 from openmm_exactrb.device.program import Program
 from openmm_exactrb.device.rotor import rotate
-from openmm_exactrb.device.rows import Table
-from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.device.rows import STAGES, Table
 
 # By what numbers are multiplied that are to be summed: forces up to 2^30 kJ/mol/nm, moves up to 1000 nm, and changes of
 # momentum up to 1e6 amu nm/ps then are within the reach of the sums, over the number of particles of the body each.
@@ -40,7 +41,7 @@ _PLACE, _DISPLACED_PLACE = "R+d+image", "R+move+d+image"
 _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
-def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, group: int = names.GROUP) -> None:
+def declare(integrator: openmm.CustomIntegrator, table: Table, group: int) -> None:
     """Give an integrator without a Context the variables and the program of a scheme.
 
     Until bodies are loaded, steps make positions nan.
@@ -48,13 +49,13 @@ def declare(integrator: openmm.CustomIntegrator, scheme: Scheme, group: int = na
     Parameters
     ----------
     integrator : openmm.CustomIntegrator
-    scheme : Scheme
-    group : int, optional
+    table : Table
+    group : int
         The force group of the sums over bodies.
     """
-    program, table = Program(integrator, group), Table.of(scheme)
+    program = Program(integrator, group)
     program.numbers(0.0, names.LOADED)
-    account.declare(integrator)
+    variables.declare_numbers(integrator)
     _declare_variables(program, table)
     _step(program, table)
 
@@ -68,8 +69,8 @@ def _declare_variables(program: Program, table: Table) -> None:
     if table.has("shift"):
         program.vectors(*names.DISPLACED)
         program.numbers(0.0, names.SHIFTED, names.WAS)
-    if table.has_bath:
-        program.vectors(names.BATH, *names.STREAMS)
+    if table.has_thermostat:
+        program.vectors(names.THERMOSTAT, *names.STREAMS)
         program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
     for name, column in zip(names.TABLES, table.columns(), strict=True):
         program.table(name, column)
@@ -81,8 +82,8 @@ def _step(program: Program, table: Table) -> None:
         program.let(names.SPAN, f"vector({names.FIRST},{names.FIRST},{names.LAST})")
         program.number(names.PACE, f"1/{names.TURNS}")
         program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
-        if table.has_bath:
-            program.let(names.BATH, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
+        if table.has_thermostat:
+            program.let(names.THERMOSTAT, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
         program.number(names.CHANGED, 0.0)
     program.number(names.INDEX, names.FIRST)
     with program.loop(f"{names.INDEX} < {names.LAST}+1"):
@@ -93,7 +94,7 @@ def _step(program: Program, table: Table) -> None:
 
 
 def _turn(program: Program, table: Table) -> None:
-    """Write a turn of the loop: virtual sites, then a row, with forces anew where they are not known."""
+    """Write a turn of the loop: virtual sites, then a row, with a force evaluation if one is needed."""
     _what_is_needed(program, table)
     with program.when(f"delta({names.INDEX}-{names.FIRST})*max({names.SITES},{names.NEEDED}) > 0"):
         _take_up_images(program)
@@ -143,7 +144,7 @@ def _gather_forces(program: Program) -> None:
 
 
 def _row(program: Program, table: Table) -> None:
-    """Write what a row does, and bring particles to their places."""
+    """Write the stages of a row and the new positions."""
     times(program, table, "c", _PARTS)
     if table.has("before"):
         exchange(program, table, "before")
@@ -157,6 +158,8 @@ def _row(program: Program, table: Table) -> None:
         program.let("w", "sw")
     if table.has("after"):
         exchange(program, table, "after")
+    for name, statements in STAGES.items():
+        _momenta(program, table, name, statements)
     program.let("R", f"R+{_DRIFT}*P*_y(inverse)")
     rotate(program, _DRIFT)
     if table.has("shift"):
@@ -169,8 +172,16 @@ def _row(program: Program, table: Table) -> None:
         _place(program)
 
 
+def _momenta(program: Program, table: Table, name: str, statements: Mapping[str, str]) -> None:
+    """Write a stage of `rows.stage`, where the table has it."""
+    if table.has(name):
+        times(program, table, "n", ((name, "begins"),) * 3)
+        for momentum, expression in statements.items():
+            program.let(momentum, f"{expression};t=_x(n)")
+
+
 def _displace(program: Program) -> None:
-    """Displace bodies by e F/M and e I^-1 N, for `openmm_exactrb.motion.kick.gradient_kick`; e may be zero."""
+    """Displace bodies by e F/M and e I^-1 N, for `openmm_exactrb.substeps.gradient_kick`; e may be zero."""
     program.let("a", "dt*c")
     program.let("sq", "q")
     program.let("sw", "w")
@@ -226,7 +237,7 @@ def _show(program: Program) -> None:
 
 
 def _openmm(program: Program) -> None:
-    """Write what OpenMM does between steps, and take it up."""
+    """Write OpenMM's own updates between steps, and apply them to the bodies."""
     program.integrator.addUpdateContextState()
     with program.when(f"{names.BAROSTAT} > 0"):
         program.total(names.MOVED, f"step(abs(x-R-d-image)-{_STILL})")

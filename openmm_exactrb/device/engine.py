@@ -1,9 +1,10 @@
-"""The engine on the device: loads the bodies, lets OpenMM run the program, and looks at what came of it."""
+"""The engine on the device: loads the bodies, has OpenMM run the program, and checks the result."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import weakref
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,23 +12,20 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_exactrb.context.couplings import Couplings
-from openmm_exactrb.context.host import Host, Plan
-from openmm_exactrb.context.session import Session
+from openmm_exactrb.context.environment import Settings
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.device import load, names
-from openmm_exactrb.device.chosen import Chosen
 from openmm_exactrb.device.gather import MOST
 from openmm_exactrb.device.noise import draws
 from openmm_exactrb.device.replicas import Replicas
 from openmm_exactrb.device.rotor import RANGE
 from openmm_exactrb.device.rows import Table
-from openmm_exactrb.device.watch import Before, Watch
-from openmm_exactrb.motion.guard import NonFiniteError, advice
-from openmm_exactrb.motion.kinetic import rigid
-from openmm_exactrb.rotors import Rotor, rotor_of_sums
-from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import DRIFT
+from openmm_exactrb.device.selection import Selection
+from openmm_exactrb.device.watch import Snapshot, Watch
+from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError, advice
+from openmm_exactrb.rotors import Rotor
 
 # How much faster bodies may come to turn within a call than at its start, and the least rotations of a drift, for those
 # that begin at rest: first, and when that was not enough.
@@ -38,61 +36,123 @@ _MOST = 256
 _NEVER = 65536
 
 
-@dataclass
-class Device(Host):
-    """Steps of an integrator in its present Context that OpenMM makes by the integrator's program.
+@dataclass(kw_only=True)
+class DevicePropagator:
+    """Makes the steps of an integrator in its Context by the integrator's program, which OpenMM runs.
 
     Attributes
     ----------
+    integrator : weakref.ref
+    sync : Replicas
+    updates : ContextUpdates
+    timings : Timings
+    table : Table
+        The rows of the program.
+    forces, processing : int
+        Force evaluations of a step, and of the processor and its inverse.
+    sites : bool
+        Whether the System has virtual sites.
     watch : Watch
-        What looks at the energy.
+    version, numbers : object, mapping
+        Of the settings, and what the program is told of their thermostat.
     rate : float or None
-        b norm(m) of the fastest body in 1/ps, None where it was not measured.
+        b norm(m) of the fastest body in 1/ps; None if it was not measured.
     noise : (int, int) or None
-        The seed and the number of steps behind which the generators of a bath stand, None where nobody knows.
+        Seed and step count for which the random number generators are set; None if unknown.
     """
 
-    watch: Watch = field(kw_only=True)
+    integrator: Callable[[], Any]
+    sync: Replicas
+    updates: ContextUpdates
+    timings: Timings
+    table: Table
+    forces: int
+    processing: int
+    sites: bool
+    watch: Watch
+    version: object = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
     rate: float | None = None
     noise: tuple[int, int] | None = None
 
-    @property
-    def _replicas(self) -> Replicas:
-        assert isinstance(self.session, Replicas)
-        return self.session
+    @classmethod
+    def of(
+        cls,
+        context: Any,
+        integrator: openmm.CustomIntegrator,
+        rotor: Rotor,
+        named: list[list[int]] | None,
+        timings: Timings,
+        selection: Selection,
+    ) -> DevicePropagator:
+        """Prepare the System of a Context and the program of its integrator.
 
-    def advance(self, integrator: openmm.CustomIntegrator, plan: Plan, n: int) -> None:
+        Raises
+        ------
+        ValueError
+            As `Synchronisation`.
+        """
+        system = context.getSystem()
+        sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        selection.install_device(context, integrator, Synchronisation(context, integrator, named).bodies)
+        sync, updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
+        pushed = 2 if updates.pushes else updates.removes_motion
+        for name, value in ((names.SITES, sites), (names.BAROSTAT, updates.moves), (names.PUSHED, pushed)):
+            integrator.setGlobalVariableByName(name, float(value))
+        bodies, scheme = sync.bodies, selection.scheme
+        return cls(
+            integrator=weakref.ref(integrator),
+            sync=sync,
+            updates=updates,
+            timings=timings,
+            table=selection.table,
+            forces=scheme.forces,
+            processing=scheme.processing,
+            sites=sites,
+            watch=Watch(system, bodies.translational_freedom + bodies.rotational_freedom),
+        )
+
+    def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
-        Where bodies come to turn too fast for the rotor's range, the steps are made again with shorter rotations.
+        Arguments are those of `openmm_exactrb.context.propagator.Propagator.advance`.
+
+        If bodies come to turn too fast for the rotor's range, the steps are repeated with shorter rotations.
 
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, a body turns faster than that too, forces are too large to be summed, or energy
-            comes from nowhere.
+            If numbers become infinite, a body turns faster than that too, or forces are too large to be summed.
+        IntegrationError
+            If the total energy rises by integration errors.
         """
-        scheme, context, (x, v) = plan.scheme, self._replicas.context, self._replicas.settle()
-        before = Before(x, v, context.getState().getPeriodicBoxVectors(), context.getTime(), context.getStepCount())
-        for name, value in plan.numbers.items():
+        if version != self.version:
+            thermostat = settings().thermostat
+            self.version, self.numbers = version, {} if thermostat is None else thermostat.device_numbers()
+        integrator, numbers = self.integrator(), self.numbers
+        kT = numbers.get(names.KT, 0.0)
+        context, (x, v) = self.sync.context, self.sync.settle()
+        before = Snapshot(x, v, context.getState().getPeriodicBoxVectors(), context.getTime(), context.getStepCount())
+        for name, value in numbers.items():
             integrator.setGlobalVariableByName(name, value)
         for number, (haste, least) in enumerate(_HASTE):
-            turns = max(least, self._turns(integrator, scheme, haste))
+            turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
                 break
-            self._have_noise(integrator, plan, before.step)
+            if numbers:
+                self._seed(integrator, key, before.step)
             try:
-                finite = self._attempt(integrator, scheme, n, turns)
-                gain = self._gained(integrator, plan.kT, before) if finite else None
+                finite = self._attempt(integrator, n, turns)
+                gain = self._gained(context, integrator, kT, before) if finite else None
             except BaseException:
-                self._go_back(integrator, before)
+                self._go_back(context, integrator, before)
                 raise
             if finite and not gain:
-                self.noise = plan.seed, before.step + n
+                self.noise = key, before.step + n
                 return
-            self._go_back(integrator, before)
+            self._go_back(context, integrator, before)
             if gain:
-                raise NonFiniteError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
+                raise IntegrationError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
         raise NonFiniteError(
             f"within the {n} steps after step {before.step} positions became infinite, a body turned more than "
             f"{_HASTE[-1][0]:g} times as fast as the fastest one before, or forces on a body were beyond {MOST:.2g} "
@@ -100,68 +160,64 @@ class Device(Host):
             "or minimise the energy first"
         )
 
-    def _have_noise(self, integrator: openmm.CustomIntegrator, plan: Plan, step: int) -> None:
-        """Have the generators of a bath stand where the seed and the number of a step say, unless they do."""
-        if not plan.numbers:
-            return
-        stands = self.noise == (plan.seed, step) and integrator.getGlobalVariableByName(names.SEEDED) == plan.seed
-        if not stands:
-            sites = bool(integrator.getGlobalVariableByName(names.SITES))
-            load.seed(integrator, self._replicas.bodies, plan.seed, step * draws(Table.of(plan.scheme), sites))
+    def _seed(self, integrator: openmm.CustomIntegrator, seed: int, step: int) -> None:
+        """Set the random number generators for a seed and a step count, unless they are."""
+        if self.noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
+            load.seed(integrator, self.sync.bodies, seed, step * draws(self.table, self.sites))
 
-    def _gained(self, integrator: openmm.CustomIntegrator, kT: float, before: Before) -> str | None:
-        """Say what is wrong with the energy, or return None."""
-        context = self._replicas.context
-        if not self.watch.suspects(before.v, self._replicas.shown[1], max(kT, self.couplings.hottest(context))):
+    def _gained(self, context: Any, integrator: openmm.CustomIntegrator, kT: float, before: Snapshot) -> str | None:
+        """Return what is wrong with the energy, or None."""
+        if not self.watch.grown(before.v, self.sync.shown[1]):
             return None
-        gain = self.watch.gained(context, integrator.getIntegrationForceGroups(), before)
-        self._replicas.moved_on()  # positions were away for the look
+        kT = max(kT, self.updates.hottest(context))
+        gain = self.watch.gained(context, integrator.getIntegrationForceGroups(), before, kT)
+        self.sync.moved_on()  # the positions before the call were in the Context
         return gain
 
-    def _attempt(self, integrator: openmm.CustomIntegrator, scheme: Scheme, n: int, turns: int) -> bool:
-        """Make n steps, and tell whether they led to finite numbers."""
+    def _attempt(self, integrator: openmm.CustomIntegrator, n: int, turns: int) -> bool:
+        """Make n steps, and return whether all positions and velocities are finite."""
         try:
-            for call in _calls(n, bool(scheme.processor) and not self.couplings.act):
-                self._tell(integrator, scheme, turns, call)
+            for call in _calls(n, self.table.enter > 0 and not self.updates.act):
+                self._configure(integrator, turns, call)
                 openmm.CustomIntegrator.step(integrator, call.steps)
-            finite = all(np.isfinite(a).all() for a in self._replicas.moved_on())
+            x, v = self.sync.moved_on()
+            finite = bool(np.isfinite(x).all() and np.isfinite(v).all())
         except openmm.OpenMMException as error:
             if "NaN" not in str(error):
                 raise
             return False
         finally:
-            self._tell(integrator, scheme, turns, Call(0))
+            self._configure(integrator, turns, Call(0))
             integrator.setGlobalVariableByName(names.KNOWN, 0.0)
         if finite and n:
             fastest = integrator.getGlobalVariableByName(names.FASTEST)
             self.rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # its power may be too large
-            self.timings.evaluations += n * scheme.forces + scheme.processing
+            self.timings.evaluations += n * self.forces + self.processing
         return finite
 
-    def _tell(self, integrator: openmm.CustomIntegrator, scheme: Scheme, turns: int, call: Call) -> None:
-        """Tell the program which turns of its loop a step has; for plain OpenMM, a whole step."""
-        sites = bool(integrator.getGlobalVariableByName(names.SITES))
-        first, last = Table.of(scheme).span(turns, sites, call.enters, call.leaves)
+    def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: Call) -> None:
+        """Set which turns of the program's loop a step has; in plain OpenMM, a whole step."""
+        first, last = self.table.span(turns, self.sites, call.enters, call.leaves)
         news = {names.TURNS: turns, names.FIRST: first, names.LAST: last, names.ASKED: call.asks, names.CHANGED: 1}
         for name, value in news.items():
             integrator.setGlobalVariableByName(name, float(value))
 
-    def _turns(self, integrator: openmm.CustomIntegrator, scheme: Scheme, haste: float) -> int:
-        """Return how many rotations a drift needs, for bodies that will turn so many times as fast as now.
+    def _turns(self, integrator: openmm.CustomIntegrator, haste: float) -> int:
+        """Return the number of rotations that a drift needs, if bodies come to turn `haste` times as fast as now.
 
         Raises
         ------
         NonFiniteError
             If they are far too many.
         """
-        session = self._replicas
-        if self.rate is None or not session.behind:
-            if session.behind:
-                session.take_up()
-            self.rate = load.fastest(session.bodies, session.state.rounded)
+        sync = self.sync
+        behind = sync.behind
+        if self.rate is None or not behind:
+            if behind:
+                sync.pull()
+            self.rate = load.fastest(sync.bodies, sync.state.rounded)
         h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
-        longest = max((abs(part) for letter, part in scheme.word + scheme.processor if letter == DRIFT), default=0.0)
-        needed = haste * self.rate * abs(h) * longest / RANGE
+        needed = haste * self.rate * abs(h) * self.table.longest_drift / RANGE
         if not needed <= _NEVER:
             raise NonFiniteError(
                 f"the fastest body would need {needed:.2g} rotations in a drift: take a smaller step size, or set "
@@ -169,44 +225,17 @@ class Device(Host):
             )
         return math.ceil(needed)
 
-    def _go_back(self, integrator: openmm.CustomIntegrator, before: Before) -> None:
+    def _go_back(self, context: Any, integrator: openmm.CustomIntegrator, before: Snapshot) -> None:
         """Bring the Context back to what it held."""
-        context = self._replicas.context
         integrator.setGlobalVariableByName(names.LOADED, 0.0)
         context.setPeriodicBoxVectors(*before.box)
         context.setPositions(before.x)
         context.setVelocities(before.v)
         context.setTime(before.time)
-        openmm.Context.setStepCount(context, before.step)  # not the method that the session watches
+        openmm.Context.setStepCount(context, before.step)  # not the method that is watched
         self.noise = None
-        self._replicas.lose()
-        self._replicas.take_up()
-
-
-def device(
-    context: Any,
-    integrator: openmm.CustomIntegrator,
-    rotor: Rotor,
-    named: list[list[int]] | None,
-    timings: Timings,
-    chosen: Chosen,
-) -> Device:
-    """Prepare the System of a Context and the program of its integrator.
-
-    Raises
-    ------
-    ValueError
-        As `Session`.
-    """
-    system = context.getSystem()
-    sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
-    chosen.furnish(context, integrator, Session(context, integrator, named).bodies)
-    session, couplings = Replicas(context, integrator, named), Couplings(context, named or [])
-    pushed = 2 if couplings.pushes else couplings.removes_motion
-    for name, value in ((names.SITES, sites), (names.BAROSTAT, couplings.moves), (names.PUSHED, pushed)):
-        integrator.setGlobalVariableByName(name, float(value))
-    kinetic = rigid(session.bodies.mass, rotor_of_sums(rotor, session.bodies.inertia), rotor.order)
-    return Device(session, couplings, kinetic, timings, watch=Watch(system, session.bodies))
+        self.sync.lose()
+        self.sync.pull()
 
 
 @dataclass(frozen=True)

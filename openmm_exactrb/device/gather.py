@@ -1,9 +1,10 @@
-"""What the System and its Context get: forces that sum over bodies, and kernels that leave constraints alone.
+"""Sums over bodies as forces of the System, and kernels that apply no constraints.
 
-A force pushes each particle of a body with minus the sum of their positions.
+Each force term applies minus the sum of a body's particle positions to every particle, which turns a force evaluation
+into a reduction.
 
-The program writes what is to be summed where positions are, so small that all particles of a body are within `REACH` of
-the origin. Bodies never are, and there energy and forces are exactly 0: what OpenMM shows of a System is what it was.
+The program writes the summands to the positions, scaled so that all particles of a body are within `REACH` of the
+origin. Bodies never are, and outside of it energy and forces are exactly 0: to all others the System is unchanged.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context.bonded import acting, groups_of
 from openmm_exactrb.device import names
-from openmm_exactrb.motion.bodies import RigidBodies
+from openmm_exactrb.mechanics.bodies import RigidBodies
 
 #: Positions are summed where the sum of their squares, in nm², is smaller.
 REACH = 1e-6
@@ -80,8 +81,8 @@ def free_group(system: openmm.System, wanted: int) -> int | None:
     return next((group for group in (wanted, *reversed(range(32))) if group not in taken), None)
 
 
-def against(system: openmm.System, bodies: RigidBodies) -> str | None:
-    """Say why the forces cannot be in a System: no group is free, or a body is as small as what they sum."""
+def unsupported(system: openmm.System, bodies: RigidBodies) -> str | None:
+    """Return why a System cannot have the forces, or None: no group is free, or a body is as small as the summands."""
     if free_group(system, names.GROUP) is None:
         return (
             "the engine on the device needs a force group for itself, and the System has forces in all 32: give two "

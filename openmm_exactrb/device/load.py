@@ -8,12 +8,12 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import ledger
+from openmm_exactrb.context import variables
 from openmm_exactrb.device import names
 from openmm_exactrb.device.noise import streams
 from openmm_exactrb.kernels.plain.bodies import turned
-from openmm_exactrb.motion.bodies import Kind, RigidBodies
-from openmm_exactrb.motion.state import BodyState, State
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors.exact import constants
 
@@ -41,12 +41,12 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
 
 
 def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
-    """Tell whether an integrator has a per-DOF variable."""
+    """Return whether an integrator has a per-DOF variable."""
     return name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
 
 
 def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, drawn: int) -> None:
-    """Have the generators of the bath stand where a seed, and how many numbers were drawn, say."""
+    """Set the random number generators for a seed and the count of numbers already drawn."""
     for name, begin in zip(names.STREAMS, streams(len(bodies), number, drawn), strict=True):
         rows = np.ones((bodies.n_particles, 3))
         for kind in bodies.kinds:
@@ -56,7 +56,7 @@ def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, 
 
 
 def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str, Array]:
-    """Return what all particles of a body have in common, (n, 3)."""
+    """Return the variables that all particles of a body share, (n, 3)."""
     some, n = kind.bodies, len(kind.particles)
     same = np.ones((n, 3))
     rows = {
@@ -77,18 +77,23 @@ def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str
     return rows
 
 
-def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
-    """Return the state of the bodies, each where its first particle is; None if none was loaded.
+def refuse_others(integrator: openmm.CustomIntegrator) -> None:
+    """Refuse variables that another engine or kind of integrator wrote.
 
     Raises
     ------
     ValueError
-        If a checkpoint of the other engine is in the variables.
+        If a checkpoint brought them.
     """
     loaded = integrator.getGlobalVariableByName(names.LOADED)
     if loaded not in (0.0, names.HELD):
-        raise ValueError(ledger.OTHER_ENGINE.format("host"))
-    if not loaded:
+        by_host = loaded in variables.marks()
+        raise ValueError(variables.OTHER_ENGINE.format("host") if by_host else variables.OTHER_FORMAT)
+
+
+def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
+    """Return the state of the bodies, each where its first particle is; None if none was loaded."""
+    if not integrator.getGlobalVariableByName(names.LOADED):
         return None
     first, k = bodies.first_particle, bodies.n_turning
     R, image, P, L, q, w = (
@@ -104,7 +109,7 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | No
 def fastest(bodies: RigidBodies, state: BodyState) -> float:
     """Return b norm(m) of the body that turns fastest in 1/ps, which the rotor's range limits: as the program sums it.
 
-    So a run has the same rotations, whether a call goes on from another one or from a State.
+    Hence a call makes the same rotations after another call and from a loaded State.
     """
     if not bodies.n_turning:
         return 0.0

@@ -5,6 +5,8 @@ Every particle carries a replica of its body, so that nothing is looked up acros
 
 from __future__ import annotations
 
+from openmm_exactrb.context import variables
+
 #: Per-DOF variables: the state of the body. Centre, momentum, angular momentum in the body, attitude (vector part, and
 #: the scalar part three times), the place of the particle about the centre, and what x differs by from centre + place:
 #: vectors of the lattice by which OpenMM wrapped the molecule, and what a barostat moved it.
@@ -22,19 +24,19 @@ TEMPORARY = ("a", "g", "y", "c", "p", "n")
 #: Where forces are taken at displaced places: the attitude that is not, the commutator with the torque, and how far the
 #: centre is displaced.
 DISPLACED = ("sq", "sw", "twist", "move")
-#: Of a heat bath: (friction, that of rotation, kT), and the states of the generators of random numbers.
-BATH, STREAMS = "bath", ("r1", "r2", "r3", "r4")
+#: Of a thermostat: (friction, that of rotation, kT), and the states of the generators of random numbers.
+THERMOSTAT, STREAMS = "thermostat", ("r1", "r2", "r3", "r4")
 
 _PREFIX = "exactrb_"
-#: `HELD` once bodies are loaded: before that, steps make positions nan. It is the first variable, as that of the ledger
-#: is: where a checkpoint of the other engine was loaded, the value there is one that this engine never writes.
-LOADED, HELD = f"{_PREFIX}loaded", 3.0
+#: `HELD` once bodies are loaded: before that, steps make positions nan. It is the first variable, as that of
+#: `openmm_exactrb.context.variables` is: a checkpoint of the other engine has a value there that this one never writes.
+LOADED, HELD = f"{_PREFIX}loaded", variables.FROM_DEVICE
 #: 1 where a System has virtual sites; a barostat; what removes the motion of the centre of mass, 2 for a thermostat.
 SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", "pushed"))
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
-#: device does not know these numbers yet, or those of a bath.
+#: device does not know these numbers yet, or those of a thermostat.
 TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
-#: kT (kJ/mol) and the frictions (1/ps) of a bath, and the seed that its generators have.
+#: kT (kJ/mol) and the frictions (1/ps) of a thermostat, and the seed that its generators have.
 KT, FRICTION, TURNING_FRICTION, SEEDED = (
     f"{_PREFIX}{name}" for name in ("kT", "friction", "rotational_friction", "seeded")
 )
@@ -42,13 +44,13 @@ KT, FRICTION, TURNING_FRICTION, SEEDED = (
 KNOWN = f"{_PREFIX}known"
 #: Whether the step is to measure how fast bodies turn, and the answer.
 ASKED, FASTEST = f"{_PREFIX}asked", f"{_PREFIX}fastest"
-#: The turn of the loop and its row in the word; whether forces are needed; whether places are displaced behind this
+#: The turn of the loop and its row in the table; whether forces are needed; whether places are displaced behind this
 #: turn, and were behind the last one; particles that a barostat moved.
 INDEX, ROW, NEEDED, SHIFTED, WAS, MOVED = (
     f"{_PREFIX}{name}" for name in ("index", "row", "needed", "shifted", "was", "moved")
 )
-#: The word: three tables whose sum it is, since devices keep tables in single precision.
-TABLES = tuple(f"{_PREFIX}word{i}" for i in range(3))
+#: Three tables whose sum is the table of rows, since devices keep tables in single precision.
+TABLES = tuple(f"{_PREFIX}rows{i}" for i in range(3))
 #: The force group that the sums over bodies have to themselves, unless forces of the System are in it.
 GROUP = 31
 #: b norm(L) of the fastest body comes from a sum of powers, which is never below it.
@@ -58,6 +60,6 @@ OPENMM = ("x", "v", "f", "m", "dt", *(f"f{group}" for group in range(32)))
 
 
 def has(name: str) -> bool:
-    """Tell whether the program of some scheme has a variable of this name."""
-    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, BATH, *STREAMS)
+    """Return whether the program of some scheme has a variable of this name."""
+    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, THERMOSTAT, *STREAMS)
     return name in vectors or name.startswith(_PREFIX)

@@ -1,4 +1,4 @@
-"""A heat bath as per-DOF statements: friction and noise that are the same for all replicas of a body.
+"""A Langevin thermostat as per-DOF statements: friction and noise that are the same for all replicas of a body.
 
 OpenMM's own random numbers differ from particle to particle. So every component of every replica has a generator, which
 began where that of the other replicas of the body did: then nothing has to be sent from one particle to the others. It
@@ -30,15 +30,15 @@ def streams(n_bodies: int, seed: int, drawn: int = 0) -> NDArray[np.float64]:
 
 
 def draws(table: Table, sites: bool) -> int:
-    """Return how many numbers each generator draws in a step: two for each bath column of each row that is made."""
+    """Return how many numbers each generator draws in a step: two for each thermostat column of each row made."""
     return 2 * (table.has("before") + table.has("after")) * (table.step + sites)
 
 
 def exchange(program: Program, table: Table, part: str) -> None:
     """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
 
-    As `openmm_exactrb.motion.bath.langevin`, but for the random numbers, which are drawn once in every row, however
-    many turns it has. The variables a, g, n, p and y change.
+    As `openmm_exactrb.thermostats.langevin.ornstein_uhlenbeck`, but for the random numbers, which are drawn once in
+    every row, however many turns it has. The variables a, g, n, p and y change.
     """
     times(program, table, "n", ((part, "begins"),) * 3)
     program.let("p", BEGINS)
@@ -46,10 +46,10 @@ def exchange(program: Program, table: Table, part: str) -> None:
     program.let("y", _uniform(program))
     program.let("g", "sqrt(-2*log(1-a))")
     program.let("y", f"{2.0 * np.pi!r}*y")
-    program.let("a", "exp(-n*_x(bath))")
-    program.let("P", "P*a+g*cos(y)*sqrt(_z(bath)*(1-a*a)/_y(inverse))")
-    program.let("a", "exp(-n*_y(bath))")
-    program.let("L", f"L*a+g*sin(y)*{AXES}*sqrt(_z(bath)*(1-a*a)/max({INVERSE_INERTIA},1e-300))")
+    program.let("a", "exp(-n*_x(thermostat))")
+    program.let("P", "P*a+g*cos(y)*sqrt(_z(thermostat)*(1-a*a)/_y(inverse))")
+    program.let("a", "exp(-n*_y(thermostat))")
+    program.let("L", f"L*a+g*sin(y)*{AXES}*sqrt(_z(thermostat)*(1-a*a)/max({INVERSE_INERTIA},1e-300))")
 
 
 def _uniform(program: Program) -> str:

@@ -6,33 +6,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import arrays
-from openmm_exactrb.context.session import Session
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.device import load
-from openmm_exactrb.motion.state import State
+from openmm_exactrb.mechanics.state import State
 
 Array = NDArray[np.float64]
 
 
-class Replicas(Session):
-    """A `Session` that reads the state only where it is asked for, since the device goes on without."""
+class Replicas(Synchronisation):
+    """A `Synchronisation` that reads the state only when it is asked for, since the device does not need it."""
 
     _behind = False
     _replicated: State | None = None  # the state that the replicas hold
 
-    def take_up(self) -> None:
+    def pull(self) -> bool:
         """Bring the state up to date, and the replicas where something was set in the Context.
 
         Raises
         ------
         ValueError
-            As `Session.take_up`.
+            As `Synchronisation.pull`.
         """
         if self._behind:
             self._seen = None
-        super().take_up()
+        changed = super().pull()
         self._behind = False
         if self.state is not self._replicated:
-            self.publish()
+            self.push()
+        return changed
 
     @property
     def behind(self) -> bool:
@@ -40,11 +41,11 @@ class Replicas(Session):
         return self._behind
 
     def settle(self) -> tuple[Array, Array]:
-        """Have the replicas hold what the Context shows, and return its positions (nm) and velocities (nm/ps)."""
+        """Bring the replicas up to date with the Context; return its positions (nm) and velocities (nm/ps)."""
         if self._seen is None or not all(map(np.array_equal, self._seen, self.held())):
-            self.take_up()
+            self.pull()
         elif not self._behind and self.state is not self._replicated:
-            self.publish()
+            self.push()
         return self.shown
 
     @property
@@ -59,8 +60,12 @@ class Replicas(Session):
         return self.shown
 
     def lose(self) -> None:
-        """Forget the state: the next one comes from what the Context shows."""
+        """Forget the state: the next one comes from positions and velocities of the Context."""
         self._seen, self._replicated = None, None
+
+    def refuse_others(self) -> None:
+        """Refuse variables that another kind of integrator wrote; ValueError."""
+        load.refuse_others(self._integrator())
 
     def stored(self, x: Array) -> State | None:
         """Return the state that the replicas hold, in the periodic images of positions x."""

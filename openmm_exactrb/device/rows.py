@@ -1,53 +1,69 @@
-"""The word of a step as a table: a row is what one turn of the program's loop does."""
+"""The substeps of a scheme as a table of stages, a row for each turn of the program's loop."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import BATH, DRIFT, GRADIENT, KICK, Word
+from openmm_exactrb.schemes.sequence import Sequence
+
+
+def stage(**statements: str) -> float:
+    """Return a field of `Row` for a stage that changes momenta once in a row.
+
+    Parameters
+    ----------
+    **statements : str
+        The expressions of the momenta ``P`` and ``L`` (angular, in the body) behind it, in terms of those before it;
+        ``t`` is the time of the stage in ps.
+    """
+    default: float = field(default=0.0, metadata={"statements": statements})
+    return default
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a turn does, in this order; parts of a step.
+    """The stages of a turn in the order of their execution; parts of a step.
 
     Attributes
     ----------
     before : float
-        A heat bath.
+        A thermostat.
     kick : float
     after : float
-        A heat bath.
+        A thermostat.
     drift : float
     shift : float
-        Over the square of the step: how far places are displaced along the forces, for those of the next row.
+        Displacement along the forces over the square of the step, at which the next row evaluates its forces.
     """
 
+    before: float = 0.0
     kick: float = 0.0
+    after: float = 0.0
     drift: float = 0.0
     shift: float = 0.0
-    before: float = 0.0
-    after: float = 0.0
 
 
-#: A row in which nothing happens but that virtual sites are made.
+#: A row that only computes virtual sites.
 REST = Row()
-_ORDER = ("before", "kick", "after", "drift", "shift")
+_ORDER = tuple(entry.name for entry in fields(Row))
+#: Stages whose statements are told by `stage`.
+STAGES = {entry.name: entry.metadata["statements"] for entry in fields(Row) if "statements" in entry.metadata}
 
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of a scheme: what prepares a run, a step, and what finishes a run.
+    """The rows of a scheme: its processor, a step, and its postprocessor.
 
     Attributes
     ----------
     rows : tuple of Row
-        A rest stands behind the step and at the end.
+        With a `REST` after the step and after the postprocessor.
     enter, step, leave : int
-        How many rows there are of each, without rests.
+        Numbers of rows of processor, step and postprocessor, without rests.
     """
 
     rows: tuple[Row, ...]
@@ -56,10 +72,16 @@ class Table:
     leave: int
 
     @classmethod
-    def of(cls, scheme: Scheme) -> Table:
-        """Return the rows of a scheme."""
-        strengths = dict(scheme.gradients)
-        enter, step, leave = (_rows(word, strengths) for word in (scheme.processor, scheme.word, scheme.postprocessor))
+    def of(cls, scheme: Scheme, thermostat: bool = True) -> Table:
+        """Return the rows of a scheme.
+
+        Raises
+        ------
+        ValueError
+            If a substep fits into no row; that of a thermostat fits only if the integrator has a `thermostat`.
+        """
+        sequences = scheme.processor, scheme.sequence, scheme.postprocessor
+        enter, step, leave = (_rows(sequence, thermostat) for sequence in sequences)
         last = (*leave, REST) if leave else ()
         return cls((*enter, *step, REST, *last), len(enter), len(step), len(leave))
 
@@ -69,31 +91,36 @@ class Table:
         Parameters
         ----------
         turns : int
-            Turns a row.
+            Turns per row.
         sites : bool
-            Whether there are virtual sites, which need a turn more.
+            Whether there are virtual sites, which need one more turn.
         enters, leaves : bool
-            Whether the state is to be prepared before the step, and finished after it.
+            Whether the processor precedes the step, and the postprocessor follows it.
         """
         end = len(self.rows) - 1 if leaves and self.leave else self.enter + self.step
         return (0 if enters else self.enter) * turns, end * turns - (not sites)
 
+    @cached_property
+    def longest_drift(self) -> float:
+        """The longest drift, whatever its sign; 0 without any."""
+        return max(abs(row.drift) for row in self.rows)
+
     def has(self, part: str) -> bool:
-        """Tell whether a row has a part that is not zero."""
+        """Return whether a row has a part that is not zero."""
         return any(getattr(row, part) for row in self.rows)
 
     @property
-    def has_bath(self) -> bool:
-        """Whether there is a bath in a row."""
+    def has_thermostat(self) -> bool:
+        """Whether a row has a part of a thermostat."""
         return self.has("before") or self.has("after")
 
     def column(self, part: str) -> int:
-        """Return which column of the rows a part is."""
-        return [field.name for field in fields(Row)].index(part)
+        """Return the column of a part."""
+        return _ORDER.index(part)
 
     def columns(self) -> list[list[float]]:
         """Return three tables whose sum is the numbers of the rows, column by column; each number fits into 24 bits."""
-        exact = np.array([getattr(row, field.name) for field in fields(Row) for row in self.rows])
+        exact = np.array([getattr(row, name) for name in _ORDER for row in self.rows])
         tables = []
         for _ in range(3):
             rounded = exact.astype(np.float32).astype(np.float64)
@@ -102,28 +129,26 @@ class Table:
         return tables
 
 
-def foreign(scheme: Scheme, bath: bool) -> list[str]:
-    """Return the letters of a scheme that fit into no row; a bath does where the integrator has one."""
-    letters = {letter for letter, _ in scheme.word + scheme.processor}
-    known = {DRIFT, KICK, *(letter for letter, _ in scheme.gradients)}
-    return sorted(letter for letter in letters - known if not (bath and letter.startswith(BATH)))
-
-
-def _rows(word: Word, strengths: dict[str, float]) -> list[Row]:
+def _rows(sequence: Sequence, thermostat: bool) -> list[Row]:
+    """Return the rows of a sequence."""
     rows: list[Row] = []
-    for letter, part in word:
-        if letter.startswith(GRADIENT):
-            _append(rows, "shift", strengths[letter] * part * part, unless=("after", "drift", "shift"))
-            rows.append(Row(kick=part))
-        elif letter.startswith(BATH):
-            _append(rows, "after" if rows and rows[-1].kick else "before", part)
-        else:
-            _append(rows, "drift" if letter == DRIFT else "kick", part)
+    for substep, part in sequence:
+        entries = substep.device_rows(part)
+        for name, number in entries or (("", 0.0),):
+            if name == "shift":
+                _append(rows, "shift", number, unless=("after", "drift", "shift"))
+                rows.append(REST)  # the kick there
+            elif name == "thermostat" and thermostat:
+                _append(rows, "after" if rows and rows[-1].kick else "before", number)
+            elif name in ("drift", "kick", *STAGES):
+                _append(rows, name, number)
+            else:
+                raise ValueError(f"the device does not support the substep {substep!r}")
     return rows
 
 
 def _append(rows: list[Row], name: str, part: float, unless: tuple[str, ...] | None = None) -> None:
-    """Put a part into the last row, or into a new one where that would not be behind all that the row has."""
+    """Add a part to the last row, or to a new one if the last row has parts that come later."""
     later = _ORDER[_ORDER.index(name) :] if unless is None else unless
     if not rows or any(getattr(rows[-1], other) for other in later):
         rows.append(REST)

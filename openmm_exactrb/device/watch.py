@@ -1,4 +1,4 @@
-"""Energy from nowhere on the device, noticed at the end of a call as the host notices it at the end of a step."""
+"""Divergence check of the device: energy that no force supplied, looked for at the end of a call."""
 
 from __future__ import annotations
 
@@ -7,17 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from openmm import unit
 
 from openmm_exactrb.context import arrays
-from openmm_exactrb.motion.bodies import RigidBodies
-from openmm_exactrb.motion.guard import canonical_most, differ, gained, grown, instants
+from openmm_exactrb.mechanics.divergence import GROWN, gained
 
 Array = NDArray[np.float64]
 
 
-class Before(NamedTuple):
-    """What a Context held before a call: positions (nm), velocities (nm/ps), box, time and number of the last step."""
+class Snapshot(NamedTuple):
+    """A Context before a call: positions (nm), velocities (nm/ps), box, time and step count."""
 
     x: Array
     v: Array
@@ -27,62 +25,44 @@ class Before(NamedTuple):
 
 
 class Watch:
-    """Looks at the energy of a Context whose steps the device makes.
-
-    Velocities, which are read anyway, tell whether the kinetic energy has grown. Only then are energies evaluated.
+    """Compares the energies before and after a call, if the kinetic energy says that something may be wrong.
 
     Parameters
     ----------
     system : openmm.System
-    bodies : RigidBodies
+        With a PythonForce, which may depend on time, energy need not be conserved, and nothing is compared.
+    freedom : int
+        Degrees of freedom of the bodies.
     """
 
-    def __init__(self, system: openmm.System, bodies: RigidBodies) -> None:
+    def __init__(self, system: openmm.System, freedom: int) -> None:
         self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-        self._bodies = bodies
+        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in system.getForces())
+        self._freedom, self._largest = freedom, 0.0
 
-    def suspects(self, then: Array, now: Array, kT: float) -> bool:
-        """Tell whether the energy is to be looked at.
+    def grown(self, then: Array, now: Array) -> bool:
+        """Return whether the kinetic energy of velocities after a call is far above all those before calls."""
+        self._largest = max(self._largest, self._kinetic(then))
+        return self._conserves and self._kinetic(now) > GROWN * self._largest
 
-        Parameters
-        ----------
-        then, now : (n_particles, 3) array
-            Velocities (nm/ps) before and after a call.
-        kT : float
-            Of the hottest bath, in kJ/mol; 0 without one.
+    def gained(self, context: Any, groups: int, then: Snapshot, kT: float) -> str | None:
+        """Return by how much the total energy rose in a call, if that was integration error, or None.
+
+        The Context is moved to the positions before the call and back. A thermostat at kT (kJ/mol) accounts for kinetic
+        energies up to twice their canonical mean, and 20 kT more for systems of a few bodies.
         """
-        freedom = self._bodies.translational_freedom + self._bodies.rotational_freedom
-        good = max(self._kinetic(then), 0.5 * canonical_most(kT, freedom))
-        return grown([self._kinetic(now)], [good])
-
-    def gained(self, context: Any, groups: int, then: Before) -> str | None:
-        """Say that energy came from nowhere in a call, or return None: so where forces look at the time.
-
-        The Context, which the call has left, keeps its positions and its box up to their rounding. The bits of
-        `groups` tell which force groups act.
-        """
-        now, n = context.getState(positions=True, velocities=True), len(self._bodies)
-        kinetic_then, kinetic = self._kinetic(then.v), self._kinetic(arrays.velocities(now))
-        potential, others = _potential(context, groups), _at_times(context, groups, then.time)
-        _move(context, then.x, then.box)
-        potential_then, others_then = _potential(context, groups), _at_times(context, groups, then.time)
-        _move(context, arrays.positions(now), now.getPeriodicBoxVectors())
-        if differ([potential, *others], n) or differ([potential_then, *others_then], n):
+        now = context.getState(positions=True, velocities=True)
+        kinetic, before = self._kinetic(arrays.velocities(now)), self._kinetic(then.v)
+        if kinetic <= GROWN * kT * (self._freedom + 20):
             return None
-        return gained(n, (kinetic_then, kinetic_then + potential_then), (kinetic, kinetic + potential))
+        potential = _potential(context, groups)
+        _move(context, then.x, then.box)
+        potential_before = _potential(context, groups)
+        _move(context, arrays.positions(now), now.getPeriodicBoxVectors())
+        return gained(self._freedom, (before, before + potential_before), (kinetic, kinetic + potential))
 
     def _kinetic(self, v: Array) -> float:
         return 0.5 * float(self._masses @ np.einsum("ij,ij->i", v, v))
-
-
-def _at_times(context: Any, groups: int, since: Any) -> list[float]:
-    """Return the potential energy (kJ/mol) at times between one and the present one."""
-    now, energies = context.getTime(), []
-    for time in instants(*(t.value_in_unit(unit.picosecond) for t in (since, now))):
-        context.setTime(time)
-        energies.append(_potential(context, groups))
-    context.setTime(now)
-    return energies
 
 
 def _potential(context: Any, groups: int) -> float:

@@ -1,107 +1,30 @@
-"""What is written twice, in numpy (`plain`) and for numba (`compiled`): the same functions and arguments, results last.
+"""Inner loops, in numpy (`plain`) and for numba (`compiled`): the same functions and arguments, results last.
 
-This is the one place that chooses between them. numba is imported where the compiled twins are first asked for.
+In numpy there is what rigid bodies need. numba is imported when the first compiled module is loaded.
 """
 
 from __future__ import annotations
 
 import os
-from functools import cached_property
+from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
 from typing import Literal
 
-#: With this environment variable set to 0 everything that is not asked for by name runs in numpy.
+#: With this environment variable set to 0 everything that has a form in numpy runs in numpy, unless asked for by name.
 SWITCH = "OPENMM_EXACTRB_COMPILED"
 
 
-class _Plain:
-    @cached_property
-    def bath(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import bath
+def load(name: str, which: Literal["fastest", "numpy", "numba"] = "fastest") -> ModuleType:
+    """Import a module of kernels.
 
-        return bath
-
-    @cached_property
-    def bodies(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import bodies
-
-        return bodies
-
-    @cached_property
-    def clusters(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import clusters
-
-        return clusters
-
-    @cached_property
-    def exact(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import exact
-
-        return exact
-
-    @cached_property
-    def noise(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import noise
-
-        return noise
-
-    @cached_property
-    def sums(self) -> ModuleType:
-        from openmm_exactrb.kernels.plain import sums
-
-        return sums
-
-
-class _Compiled:
-    @cached_property
-    def bath(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import bath
-
-        return bath
-
-    @cached_property
-    def bodies(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import bodies
-
-        return bodies
-
-    @cached_property
-    def clusters(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import clusters
-
-        return clusters
-
-    @cached_property
-    def exact(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import exact
-
-        return exact
-
-    @cached_property
-    def noise(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import noise
-
-        return noise
-
-    @cached_property
-    def sums(self) -> ModuleType:
-        from openmm_exactrb.kernels.compiled import sums
-
-        return sums
-
-
-#: The modules that are written twice, all of them in numpy or all compiled, each imported when it is needed: `bath`
-#: (friction and noise on momenta), `bodies` (particles of rigid bodies: places, forces and torques), `clusters` (the
-#: free flow of clusters that distance constraints hold), `exact` (the free rotation), `noise` (random numbers that are
-#: looked up by seed, step and body) and `sums` (unevaluated sums high + low).
-Twins = _Plain | _Compiled
-
-_PLAIN, _COMPILED = _Plain(), _Compiled()
-
-
-def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
-    """Return the kernels: compiled where numba is installed and not refused, or those that are asked for.
+    Parameters
+    ----------
+    name : str
+        "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation) or "sums"
+        (double-double numbers); "clusters" (the free flow of constrained clusters) or "pairs" (dipoles) for numba only.
+    which : {"fastest", "numpy", "numba"}, optional
+        "fastest" is the compiled module where numba is installed and not refused by `SWITCH`.
 
     Raises
     ------
@@ -110,16 +33,17 @@ def twins(which: Literal["fastest", "numpy", "numba"] = "fastest") -> Twins:
     """
     if which == "numba":
         require()
-    return _COMPILED if which == "numba" or (which == "fastest" and available()) else _PLAIN
+    compiled = which == "numba" or (which == "fastest" and available())
+    return import_module(f"{__name__}.{'compiled' if compiled else 'plain'}.{name}")
 
 
 def available() -> bool:
-    """Tell whether numba is installed and not refused by `SWITCH`; it is not imported."""
+    """Return whether numba is installed and not refused by `SWITCH`; it is not imported."""
     return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None
 
 
 def chosen(kernel: str) -> bool:
-    """Tell whether "auto", "openmm" or "compiled" stands for a compiled kernel here.
+    """Return whether "auto", "openmm" or "compiled" means a compiled kernel here.
 
     Raises
     ------
@@ -135,7 +59,7 @@ def chosen(kernel: str) -> bool:
     return kernel == "compiled" or (kernel == "auto" and available())
 
 
-def require() -> None:
-    """Raise ModuleNotFoundError if numba is not installed."""
+def require(what: str = "compiled kernels") -> None:
+    """Raise ModuleNotFoundError if numba, which `what` needs, is not installed."""
     if find_spec("numba") is None:
-        raise ModuleNotFoundError("compiled kernels need numba: python -m pip install numba", name="numba")
+        raise ModuleNotFoundError(f'{what} need numba: python -m pip install "openmm-exactrb[fast]"', name="numba")

@@ -15,10 +15,7 @@ def pair_sum() -> Any:
     ModuleNotFoundError
         If numba is not installed.
     """
-    kernels.require()
-    from openmm_exactrb.kernels.compiled import pairs  # here: it imports numba
-
-    return pairs
+    return kernels.load("pairs", "numba")
 
 
 def chosen(kernel: str, *, needed: bool) -> bool:

@@ -18,7 +18,7 @@ def rotor(which: Literal["fastest", "numpy", "numba"]) -> Callable[[Array], Flow
     Parameters
     ----------
     which : {"fastest", "numpy", "numba"}
-        As `openmm_exactrb.kernels.twins` takes it.
+        As `openmm_exactrb.kernels.load` takes it.
 
     Returns
     -------
@@ -27,7 +27,7 @@ def rotor(which: Literal["fastest", "numpy", "numba"]) -> Callable[[Array], Flow
         body, and returns flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,); or
         with sums q (2, 4, N) and m (2, 3, N). It raises ModuleNotFoundError if numba is asked for and not installed.
     """
-    return lambda inertia: _in_any_order(inertia, kernels.twins(which).exact.advance)
+    return lambda inertia: _in_any_order(inertia, kernels.load("exact", which).advance)
 
 
 def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:

@@ -141,7 +141,12 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     -----
     I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
     """
-    entry = look_up(method)
+    entry, columns = look_up(method), _columns(inertia)
+    return fitting(columns, entry.factory(columns), entry.sums)
+
+
+def _columns(inertia: ArrayLike) -> Array:
+    """Return valid moments as columns (3, 1) or (3, N)."""
     moments = checks.array(inertia, "inertia")
     if moments.ndim not in (1, 2) or moments.shape[-1] != 3:
         raise ValueError(f"inertia must have the shape (3,) or (N, 3), not {moments.shape}")
@@ -153,17 +158,18 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
             f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
             f"factor {WIDEST:g}: use other units, or treat the body as linear"
         )
-    columns = np.ascontiguousarray(np.atleast_2d(moments).T)
-    return fitting(columns, entry.factory(columns), entry.sums)
+    return np.ascontiguousarray(np.atleast_2d(moments).T)
 
 
-def rotor_of_sums(method: str | Rotor, inertia: ArrayLike) -> Flow:
+def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Flow:
     """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
 
     Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` round what they return to the high part.
+    Arrays that are known to fit need not be `checked` at each call: compiled code would pass the ends of others.
     """
-    flow = rotor(method, inertia)
-    if look_up(method).sums:
+    entry, columns = look_up(method), _columns(inertia)
+    flow = fitting(columns, entry.factory(columns), entry.sums) if checked else entry.factory(columns)
+    if entry.sums:
         return flow
 
     def rounding(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:

@@ -1,8 +1,8 @@
-"""Runs that survive accidents: checkpoints, and output files that are cut back to them before a run goes on.
+"""Runs that survive accidents: checkpoints, and output files that are cut to them when a run is resumed.
 
-`Run` in `run` is what a user makes. The others do one thing each: `options` are those of a command line, `identity` is
-what must be the same for a run to be resumed, `checkpoint` is the file that it is resumed from, `outputs` are the files
-that grow, `lock` keeps other processes out of the folder, and `signals` notes who wants the run to end.
+`Run` in `run` is the public class. `identity` determines which run a checkpoint belongs to, `checkpoint` is the file,
+`outputs` are the files of the reporters, `lock` keeps other processes out of the folder, and `signals` records requests
+to stop.
 """
 
 from openmm_exactrb.runs.checkpoint import CHECKPOINT

@@ -1,10 +1,10 @@
-"""The checkpoint file: a state, and the lengths of all output files at it, whole or not at all."""
+"""The checkpoint file: a state and the lengths of all output files, written whole or not at all."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,27 +12,27 @@ from openmm_exactrb.files import written_whole
 
 #: Name of the file.
 CHECKPOINT = "checkpoint"
-#: What a file begins with: another format is refused.
-FORMAT = b"4"
+#: Version of the file format; others are refused.
+FORMAT = b"5"
 
 _MAGIC = b"openmm-exactrb checkpoint"
 
 
 class Checkpoint(NamedTuple):
-    """What a checkpoint file holds.
+    """The content of a checkpoint file.
 
     Attributes
     ----------
     step, first : int
-        Where it was written, and where the run began.
+        Step of the checkpoint, and first step of the run.
     wall : float
-        Seconds that the run took up to here.
+        Seconds that the run took until then.
     timings : dict
-        Of the integrator, by name.
+        Timings of the integrator, by name.
     files : dict
         Length and first bytes, in hexadecimal, of each output file.
-    chapters : list of dict
-        What tells the run apart, by name: of each stretch of it that had other settings than the one before.
+    identity : dict of str
+        Values that must be the same for the run to be resumed, by name.
     state : bytes
         OpenMM's checkpoint.
     """
@@ -42,71 +42,27 @@ class Checkpoint(NamedTuple):
     wall: float
     timings: dict[str, float]
     files: dict[str, tuple[int, str]]
-    chapters: list[dict[str, str]]
+    identity: dict[str, str]
     state: bytes
-
-    @property
-    def identity(self) -> dict[str, str]:
-        """What tells the last chapter apart, which is the one to go on with."""
-        return self.chapters[-1]
-
-    def chapter_of(self, identity: Mapping[str, str], after: int, file: Path) -> int:
-        """Return which chapter a run is in: the one that it was in before, or the next one.
-
-        Parameters
-        ----------
-        identity : mapping
-            Of the run.
-        after : int
-            The chapter that it was in.
-        file : path
-            Of this checkpoint, for the message.
-
-        Raises
-        ------
-        ValueError
-            If it is neither.
-        """
-        possible = self.chapters[after : after + 2]
-        if identity not in possible:
-            nearest = min(possible, key=lambda there: len(list(differences(there, identity))))
-            refuse_others(nearest, identity, file)
-        return after + possible.index(dict(identity))
 
     def refuse_cut_files(self, folder: Path) -> None:
         """Raise ValueError if an output file is shorter than it was."""
         for name, (length, _) in self.files.items():
-            other = folder / name
-            found = other.stat().st_size if other.exists() else 0
+            file = folder / name
+            found = file.stat().st_size if file.exists() else 0
             if found < length:
-                raise ValueError(f"{other} has {found} bytes, but had {length} at the checkpoint: it was changed since")
+                raise ValueError(f"{file} has {found} bytes, but had {length} at the checkpoint: it was changed since")
 
 
-def refuse_others(
-    there: Mapping[str, str], here: Mapping[str, str], file: Path, names: Collection[str] | None = None
-) -> None:
-    """Raise ValueError if a run is not the one of a checkpoint.
-
-    Parameters
-    ----------
-    there, here : mapping
-        What tells the run of the checkpoint apart, and the one that is to go on.
-    file : path
-        Of the checkpoint, for the message.
-    names : collection of str, optional
-        What is looked at; everything unless given.
-    """
-    for name, was, now in differences(there, here):
-        if names is None or name in names:
-            raise ValueError(f"{file} is of another run: {name} is {was} in it, but {now} now")
-
-
-def differences(there: Mapping[str, str], here: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yield the names by which two runs differ, each with what it is there and here."""
+def refuse_others(there: Mapping[str, str], here: Mapping[str, str], file: Path, free: Collection[str] = ()) -> None:
+    """Raise ValueError if the identity in a file differs from the present one in a name that is not free."""
     for name in {**there, **here}:
         was, now = there.get(name, "not there"), here.get(name, "not there")
-        if was != now:
-            yield name, was, now
+        if was != now and name not in free:
+            raise ValueError(
+                f"{file} is of another run: {name} is {was} in it, but {now} now; restore it, or use another folder or "
+                "overwrite"
+            )
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:
@@ -117,27 +73,13 @@ def write(file: Path, checkpoint: Checkpoint) -> None:
         out.write(b" ".join([_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]) + b"\n" + body)
 
 
-def read(file: Path, overwrite: str = "overwrite=True") -> Checkpoint:
-    """Read a checkpoint, if it is whole.
-
-    Parameters
-    ----------
-    file : path
-    overwrite : str, optional
-        What a user is told to add in order to begin anew.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged or of another format.
-    """
+def read(file: Path) -> Checkpoint:
+    """Read a checkpoint; raise ValueError if it is damaged or has another format."""
     head, _, body = file.read_bytes().partition(b"\n")
     words = head.rsplit(b" ", 2)
-    if len(words) != 3 or words[0] != _MAGIC:
-        raise ValueError(f"{file} is no checkpoint, or a damaged one: begin anew in another folder or with {overwrite}")
-    if words[1] != FORMAT:
+    if len(words) == 3 and words[0] == _MAGIC and words[1] != FORMAT:
         raise ValueError(f"{file} was written by another version of openmm-exactrb, in format {words[1].decode()}")
-    if words[2] != hashlib.sha256(body).hexdigest().encode():
-        raise ValueError(f"{file} is truncated or damaged: begin anew in another folder or with {overwrite}")
+    if words != [_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]:
+        raise ValueError(f"{file} is damaged, or not a checkpoint: use another folder or overwrite")
     about, _, state = body.partition(b"\n")
     return Checkpoint(**json.loads(about), state=state)

@@ -1,9 +1,7 @@
-"""What must be the same for a run to be resumed."""
+"""The identity of a run: everything that must be the same when it is resumed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import astuple
 from typing import Any
 from xml.etree import ElementTree
 
@@ -11,26 +9,19 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
-from openmm_exactrb.baths.momenta import CanonicalMomenta
-from openmm_exactrb.baths.thermostatted import ThermostattedIntegrator
 from openmm_exactrb.device.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.runs.text import hash_of, text_of_function
-from openmm_exactrb.schemes import CATALOGUE
+from openmm_exactrb.stable_text import digest, stable_text
+from openmm_exactrb.thermostats.momenta import CanonicalMomenta
 from openmm_exactrb.version import version
 
-# What an integrator of all forces says: 32 bits.
-_EVERY_GROUP = -1
+_LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return what decides the bits of a run, by name.
+    """Return everything that determines the bits of a run, by name.
 
-    Parameters
-    ----------
-    simulation : openmm.app.Simulation
-        At its start, where bodies are named by hand: this fixes their shape, before a checkpoint is loaded.
+    This fixes the shape of bodies named by hand, before a checkpoint is loaded.
     """
     integrator = simulation.integrator
     identity = {
@@ -39,79 +30,44 @@ def identity_of(simulation: Any) -> dict[str, str]:
         "kernels": "compiled" if kernels.available() else "numpy",  # they round differently
         "platform": simulation.context.getPlatform().getName(),
         "System": text_of_system(without_sums(simulation.system)),
-        "integrator": _settings(integrator),
+        "integrator": type(integrator).__name__,
     }
     if draws := [reporter.settings() for reporter in simulation.reporters if isinstance(reporter, CanonicalMomenta)]:
         identity["CanonicalMomenta"] = "; ".join(draws)
-    if isinstance(integrator, ExactRigidBodyIntegrator):
-        identity["engine"] = integrator.getEngine()
-    if isinstance(integrator, ExactRigidBodyIntegrator) and integrator.hasNamedBodies():
-        bodies, _ = integrator.bodyState()
-        shapes = b"".join(kind.particles.tobytes() + kind.sites.tobytes() for kind in bodies.kinds)
-        identity["bodies"] = f"{len(bodies)}, {hash_of(shapes)}"
-    return identity
+    exact = isinstance(integrator, ExactRigidBodyIntegrator)
+    settings = _settings(integrator) if exact else _settings_of_openmm(integrator)
+    return identity | {f"integrator {name}": text for name, text in settings.items()}
 
 
 def text_of_system(system: openmm.System) -> str:
-    """Return what tells a System apart; of a force that cannot be serialised only that it is there."""
+    """Return text that identifies a System; raise ValueError if OpenMM cannot serialise it."""
     try:
         content = openmm.XmlSerializer.serialize(system)
     except Exception as error:  # a PythonForce raises whatever pickle does with its function
-        content, unseen = _serialised_parts(system)
-        if not unseen:
-            raise error
-        return f"{system.getNumParticles()} particles, {hash_of(content.encode())}, and {unseen} not compared"
-    return f"{system.getNumParticles()} particles, {hash_of(content.encode())}"
+        raise ValueError(f"a run needs a System that OpenMM can serialise: {error}") from error
+    return f"{system.getNumParticles()} particles, hash {digest(content.encode())}"
 
 
-def _serialised_parts(system: openmm.System) -> tuple[str, str]:
-    """Return masses, constraints and forces as text, and the kinds of forces that cannot be serialised."""
-    number, constraints = range(system.getNumParticles()), range(system.getNumConstraints())
-    parts = [str([system.getParticleMass(i)._value for i in number])]
-    parts += [str([system.getConstraintParameters(i) for i in constraints]), str(system.getDefaultPeriodicBoxVectors())]
-    unseen = []
-    for force in system.getForces():
-        try:
-            parts.append(openmm.XmlSerializer.serialize(force))
-        except Exception:
-            unseen.append(type(force).__name__)
-    return "\n".join(parts), ", ".join(unseen)
+def setting_text(value: Any) -> str:
+    """Return a setting as text; a long one is its name, or its beginning, and a hash."""
+    text = stable_text(value)
+    if len(text) <= _LONGEST:
+        return text
+    return f"{getattr(value, 'name', text[:_LONGEST] + '...')}, hash {digest(text.encode())}"
 
 
-def _settings(integrator: Any) -> str:
-    text = type(integrator).__name__
-    if not text.startswith("Variable"):  # whose steps change the size of steps
-        text += f", step {integrator.getStepSize().value_in_unit(unit.picosecond)!r} ps"
-    if (groups := integrator.getIntegrationForceGroups()) != _EVERY_GROUP:
-        text += f", force groups {groups & 0xFFFFFFFF:#b}"
-    if isinstance(integrator, ExactRigidBodyIntegrator):
-        scheme = integrator.getScheme()
-        text += f", {scheme.name}, {integrator.getRotor()}"
-        if CATALOGUE.get(scheme.name) != scheme:  # of one's own, or with the bath within it
-            text += f", {hash_of(repr(astuple(scheme)).encode())}"
-        text += "".join(f", {name} by {text_of_function(function)}" for name, function in _own_parts(integrator))
-        if (nesting := integrator.getNesting()) is None:
-            text += ", nothing nested"
-        elif nesting.certain:  # else System and step decide
-            inner = nesting.scheme.name if nesting.scheme else "the usual scheme"
-            text += f", {nesting.fast} forces nested by {nesting.steps or 'enough'} steps of {inner}"
-    else:
-        text += f", {hash_of(_settings_of_openmm(integrator))}"
-    if isinstance(integrator, ThermostattedIntegrator):
-        text += "".join(f", {name} {value}" for name, value in integrator.getBathSettings().items())
-    return text
+def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
+    given = {name: value for group in integrator.getSettings().values() for name, value in group.items()}
+    settings = {name: setting_text(value) for name, value in given.items()}
+    settings["engine"] = integrator.getEngine()
+    if integrator.hasNamedBodies():
+        bodies, _ = integrator.bodyState()
+        settings["shapes"] = digest(b"".join(kind.sites.tobytes() for kind in bodies.kinds))
+    return settings
 
 
-def _own_parts(integrator: ExactRigidBodyIntegrator) -> Iterator[tuple[str, Any]]:
-    """Yield what makes a user's own rotor and letters, each by its name."""
-    settings = integrator.getSettings()
-    if isinstance(rotor := settings["arguments"]["rotor"], Rotor):
-        yield rotor.name, rotor.factory
-    yield from sorted(settings["letters"].items())
-
-
-def _settings_of_openmm(integrator: openmm.Integrator) -> bytes:
-    """Return what an integrator of OpenMM is, without the numbers that its steps change."""
+def _settings_of_openmm(integrator: openmm.Integrator) -> dict[str, str]:
+    """Return the settings of an integrator of OpenMM, without the numbers that its steps change."""
     tree = ElementTree.fromstring(openmm.XmlSerializer.serialize(integrator))
     tree.attrib.pop("stepSize", None)
     computed = {computation.get("computationVariable") for computation in tree.iter("Computation")}
@@ -119,4 +75,7 @@ def _settings_of_openmm(integrator: openmm.Integrator) -> bytes:
         variables[:] = [variable for variable in variables if variable.get("name") not in computed]
     for variables in tree.iter("PerDofVariables"):
         variables.clear()
-    return ElementTree.tostring(tree)
+    settings = {"settings": digest(ElementTree.tostring(tree))}
+    if not type(integrator).__name__.startswith("Variable"):  # whose steps change the size of steps
+        settings["stepSize"] = repr(integrator.getStepSize().value_in_unit(unit.picosecond))
+    return settings

@@ -1,4 +1,4 @@
-"""One process at a time in a folder."""
+"""A lock on a folder, for one process at a time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ except ImportError:  # Windows has no such locks
 
 @contextlib.contextmanager
 def only_process(folder: Path) -> Iterator[None]:
-    """Hold a lock on a folder, which the system drops with the process.
+    """Hold a lock on a folder, which the operating system releases with the process.
 
     Raises
     ------
@@ -37,6 +37,6 @@ def _lock(descriptor: int, folder: Path) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise BlockingIOError(f"another process is at work in {folder}") from None
+        raise BlockingIOError(f"another process is running in {folder}") from None
     except OSError:  # some network file systems have no locks
         return

@@ -18,58 +18,55 @@ from openmm import app
 
 from openmm_exactrb.checks import not_negative, whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.motion.guard import NonFiniteError
-from openmm_exactrb.runs import checkpoint, options
+from openmm_exactrb.mechanics.divergence import IntegrationError
+from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.runs.checkpoint import CHECKPOINT, Checkpoint
-from openmm_exactrb.runs.identity import identity_of
+from openmm_exactrb.runs.identity import identity_of, setting_text
 from openmm_exactrb.runs.lock import only_process
-from openmm_exactrb.runs.options import IN_SCRIPT, Words
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
-from openmm_exactrb.runs.text import text_of
 
-# What all of a run has in common, whatever changes between two calls of advance().
-_COMMON = ("platform", "System", "bodies")
-# Steps between two looks at signals and the clock: as many as Simulation.step takes at once.
+_OPTIONS = ("out", "overwrite", "resume", "checkpoint")
+_RESUME = "resume it (resume=True or --resume)"
+# Steps between two checks of signals and the clock, as many as Simulation.step makes at once.
 _CHUNK = 10
 
 
 class Run:
-    """A Simulation with its files in one folder, which goes on after any accident as if nothing had happened.
+    """A Simulation with its files in one folder, which continues after any accident as if nothing had happened.
 
-    At intervals the state and the lengths of all output files are saved, whole or not at all. A run that is resumed
-    cuts the files back to these lengths, loads the state and goes on, so that no frame is lost or doubled; on the
-    Reference platform every file ends in the same bits as without the accident.
+    Checkpoints save the state and the lengths of all output files at intervals. A resumed run cuts the files to these
+    lengths and loads the state, so that no frame is lost or doubled; on the Reference platform every file ends in the
+    same bits as without the accident.
 
     Parameters
     ----------
     folder : str or path
-        Made when the run begins.
+        Created when the run begins.
     resume : bool, optional
-        Go on from the checkpoint in the folder; begin if there is neither a checkpoint nor a file of a run.
+        Continue from the checkpoint in the folder, if there is one.
     overwrite : bool, optional
         Replace the files of an earlier run that is not resumed.
     every : float, optional
-        Seconds between two checkpoints; infinite for none before the end.
+        Seconds between two checkpoints; infinite for a single one at the end.
     settings : mapping, optional
-        What else must be the same for a run to be resumed, beside System, integrator, platform and reporters.
-    words : Words, optional
-        What messages tell a user to add; `from_options` names the options of the command line.
+        Further values that must be the same when the run is resumed, beside System, integrator, platform and reporters.
 
     Raises
     ------
     FileExistsError
-        If the folder holds an earlier run that is neither to be resumed nor to be overwritten.
-    ValueError
-        If the checkpoint is damaged or of another version, `every` is negative or no number, or `settings` no mapping.
+        If the folder holds an earlier run that is neither resumed nor overwritten.
+    TypeError, ValueError
+        If the checkpoint is damaged or of another version, or an argument is invalid.
 
     Attributes
     ----------
     folder : path
     resuming : bool
-        Whether there is a checkpoint to go on from.
+        Whether there is a checkpoint to continue from.
+    settings : dict of str
     wall : float
-        Seconds that the run took up to now, without what an accident lost.
+        Seconds that the run took so far, without those that an accident lost.
     """
 
     def __init__(
@@ -80,22 +77,17 @@ class Run:
         overwrite: bool = False,
         every: float = 60.0,
         settings: Mapping[str, Any] | None = None,
-        words: Words = IN_SCRIPT,
     ) -> None:
         never = every == math.inf
         self._every = every if never else not_negative(every, "the time between checkpoints", "seconds")
-        self.folder = Path(folder)
-        self._may_replace = overwrite
-        self._words = words
         if settings is not None and not isinstance(settings, Mapping):
             raise ValueError(f"settings must be a mapping from names to values, not {settings!r}")
-        self._settings = {f"setting {name}": text_of(value) for name, value in (settings or {}).items()}
+        self.settings = {f"setting {name}": setting_text(value) for name, value in (settings or {}).items()}
+        self.folder = Path(folder)
+        self._overwrite = overwrite
         self._outputs = Outputs(self.folder)
-        self._last = checkpoint.read(self._file, words.overwrite) if resume and self._file.exists() else None
-        self._chapter = 0  # of those that the checkpoint has
-        self._chapters = self._last.chapters if self._last else []
-        self._first = self._last.first if self._last else 0
-        self._held = False
+        self._last = checkpoint.read(self._file) if resume and self._file.exists() else None
+        self._locked = False
         self.resuming = self._last is not None
         self.wall = self._last.wall if self._last else 0.0
         for name in (CHECKPOINT, TOPOLOGY):
@@ -103,37 +95,29 @@ class Run:
 
     @staticmethod
     def add_options(parser: argparse.ArgumentParser, folder: str = "out") -> None:
-        """Give a command line the options --out, --overwrite, --resume and --checkpoint."""
-        options.add_options(parser, folder)
+        """Add the options --out, --overwrite, --resume and --checkpoint to a command line."""
+        add = parser.add_argument
+        add("--out", type=Path, default=Path(folder), metavar="DIR", help="output folder (%(default)s)")
+        add("--overwrite", action="store_true", help="replace the files of an earlier run")
+        add("--resume", action="store_true", help="continue from the last checkpoint of the same command")
+        add("--checkpoint", type=float, default=60.0, metavar="S", help="seconds between checkpoints (%(default)s)")
 
     @classmethod
-    def from_options(
-        cls,
-        args: argparse.Namespace,
-        subfolder: str = "",
-        *,
-        free: Iterable[str] = (),
-        settings: Mapping[str, Any] | None = None,
-    ) -> Run:
-        """Make a run from the options of `add_options`.
+    def from_options(cls, args: argparse.Namespace, subfolder: str = "", *, free: Iterable[str] = ()) -> Run:
+        """Create a run from the options of `add_options`.
 
         Parameters
         ----------
         args : argparse.Namespace
-            All options beside those of `add_options` must be the same for the run to be resumed.
+            All other options are settings of the run, which must be the same when it is resumed.
         subfolder : str, optional
             Of --out.
         free : iterable of str, optional
             Options that may change.
-        settings : mapping, optional
-            What must be the same beside the options.
-
-        Raises
-        ------
-        FileExistsError, ValueError
-            As the class does.
         """
-        return cls(**options.arguments_of(args, subfolder, free, settings))
+        settings = {name: value for name, value in vars(args).items() if name not in {*_OPTIONS, *free}}
+        options = {"resume": args.resume, "overwrite": args.overwrite, "every": args.checkpoint}
+        return cls(args.out / subfolder, settings=settings, **options)
 
     def path(self, name: str) -> Path:
         """Return the path of a file in the folder that this run may write.
@@ -141,13 +125,13 @@ class Run:
         Raises
         ------
         FileExistsError
-            If it is there, and the run may neither resume nor overwrite.
+            If it exists, and the run is neither resumed nor may overwrite.
         """
         file = self.folder / name
-        if file.exists() and not (self.resuming or self._may_replace):
+        if file.exists() and not (self.resuming or self._overwrite):
             raise FileExistsError(
-                f"{file} is of an earlier run: choose another folder, add {self._words.resume} where there is a "
-                f"checkpoint to go on from, or add {self._words.overwrite}"
+                f"{file} is of an earlier run: use another folder, {_RESUME} if there is a checkpoint, or overwrite it "
+                "(overwrite=True or --overwrite)"
             )
         return file
 
@@ -157,8 +141,8 @@ class Run:
         Parameters
         ----------
         reporter : callable
-            Makes the reporter from the path, the interval and ``append=``, as `EnergyReporter` and OpenMM's DCDReporter
-            and StateDataReporter do; with further options as a `functools.partial`.
+            Creates the reporter from the path, the interval and ``append=``, for example `EnergyReporter` or OpenMM's
+            DCDReporter and StateDataReporter; pass further options by a `functools.partial`.
         name : str
             Of the file in the folder.
         interval : int
@@ -169,44 +153,42 @@ class Run:
         FileExistsError
             As `path` does.
         ValueError
-            If the interval is no whole number of at least 1, the reporter takes no ``append=``, or the file is that of
-            another reporter or of the run itself.
+            If the interval is not a positive whole number, the reporter takes no ``append=``, or the file belongs to
+            another reporter or to the run itself.
         """
         if name in (CHECKPOINT, TOPOLOGY):
-            raise ValueError(f"{name} is a file of the run itself: give the reporter another one")
+            raise ValueError(f"{name} is a file of the run itself: use another one for the reporter")
         self.path(name)
         self._outputs.add(reporter, name, whole(interval, "interval", of="steps"))
 
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
-        """Bring a Simulation to a step, from its start or from the checkpoint.
+        """Advance a Simulation to a step, from its start or from the checkpoint.
 
-        On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps under way, saves a checkpoint, says how to go on
-        and raises SystemExit with the usual status, 128 + the number of the signal. A second signal acts at once.
-
-        Where a run is refused before its first step, by a reporter or the integrator, it leaves no file behind.
+        On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps in progress, writes a checkpoint and raises
+        SystemExit with the usual status, 128 + the number of the signal. A second signal acts at once. A run that is
+        refused before its first step leaves no file.
 
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            At its start. Where a run is resumed the state does not matter, unless bodies are named by hand: their shape
-            is that of the first positions, which must be the same again.
+            At its start. When a run is resumed its state does not matter, except that bodies named by hand take their
+            shape from the first positions, which must be the same again.
         until : int
             Number of the last step.
         progress : callable, optional
-            Is told how many steps were made since it was called last; first how many the checkpoint had.
+            Called with the number of steps made since its last call; first with that of the checkpoint.
 
         Raises
         ------
         ValueError
             If the checkpoint is of another System, platform, version, integrator or setting, or a file is shorter than
-            it says: nothing was changed then. If `until` is no whole number, or `simulation` no Simulation.
+            it was; nothing is changed then.
         BlockingIOError
-            If another process is at work in the folder.
-        NonFiniteError
-            If a force or momentum became infinite or nan: all before it is on disk, with a checkpoint of the last good
-            step.
+            If another process is running in the folder.
+        IntegrationError
+            If the integration diverges; the checkpoint is of the last good step.
         OSError
-            If a file cannot be written, for example on a full disk. What is there can be resumed.
+            If a file cannot be written, for example on a full disk. The run can be resumed.
         SystemExit
             After a signal.
         """
@@ -214,63 +196,64 @@ class Run:
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
         until = whole(until, "until, the number of the last step,", least=0)
         tell = progress or (lambda steps: None)
-        self._choose_engine(simulation.integrator)
-        identity = self._identity_of(simulation)
-        with self.alone(), Signals() as signals:
+        identity = identity_of(simulation) | self._outputs.identity() | self.settings
+        with self.lock(), Signals() as signals:
             begins, first = self._last is None, simulation.currentStep
             try:
-                goes_on = self._begin(simulation, identity, until)
+                self._begin(simulation, identity)
                 tell(simulation.currentStep)
-                if goes_on:
-                    self._step(simulation, until, tell, signals)
-                    self._save(simulation)
-            except NonFiniteError as error:
-                self._save(simulation)
-                raise NonFiniteError(f"{error}. All before it is on disk: {self._files()}") from error
+                self._step(simulation, until, identity, tell, signals)
+                self._save(simulation, identity)
+            except IntegrationError as error:
+                self._save(simulation, identity)
+                files = ", ".join([*self._outputs.names, TOPOLOGY, CHECKPOINT])
+                raise type(error)(f"{error}. All before it is on disk: {self.folder}: {files}") from error
             except OSError as error:
                 self._explain(error)
             except Exception:
-                if begins and simulation.currentStep == first:  # refused before the first step: no file is left
-                    self._forget()
+                if begins and simulation.currentStep == first:
+                    self._clean_up()
                 raise
             finally:
                 self._outputs.close(simulation)
         if signals.caught:
-            self._leave(simulation.currentStep, until, signals.caught)
+            name = signal.Signals(signals.caught).name
+            print(f"\n{name}: stopped at step {simulation.currentStep} of {until}; {_RESUME}", file=sys.stderr)
+            raise SystemExit(128 + signals.caught)
 
     @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Keep all other processes out of the folder, for files that a script prepares there; `advance` does so itself.
+    def lock(self) -> Iterator[None]:
+        """Keep other processes out of the folder while a script prepares files there; `advance` does so itself.
 
         Raises
         ------
         BlockingIOError
-            If another process is at work in the folder.
+            If another process is running in the folder.
         FileExistsError
-            If there is an earlier run by now that may neither be resumed nor overwritten.
+            If another process has begun a run there.
         ValueError
-            If another process went on with this run since.
+            If another process has continued this run.
         """
-        if self._held:
+        if self._locked:
             yield
             return
         if self.folder.exists() and not self.folder.is_dir():
-            raise FileExistsError(f"{self.folder} is a file: choose another folder")
+            raise FileExistsError(f"{self.folder} is a file: use another folder")
         self.folder.mkdir(parents=True, exist_ok=True)
         with only_process(self.folder):
-            self._held = True
+            self._locked = True
             try:
-                self._look_again()
+                self._refresh()
                 yield
             finally:
-                self._held = False
+                self._locked = False
 
     def discard(self) -> None:
-        """Delete the files of an earlier run that is to be overwritten; nothing where the run goes on.
+        """Delete the files of an earlier run that is overwritten; do nothing if the run is resumed.
 
-        The checkpoint goes first, so that nobody resumes what is half gone.
+        The checkpoint is deleted first, so that an incomplete run is never resumed.
         """
-        if self._last is not None or not self._may_replace:
+        if self._last is not None or not self._overwrite:
             return
         old: Iterable[str] = ()
         with contextlib.suppress(ValueError, OSError):  # a damaged one is overwritten too
@@ -280,73 +263,43 @@ class Run:
             (self.folder / name).unlink(missing_ok=True)
 
     @property
-    def settings(self) -> dict[str, str]:
-        """What must be the same for the run to be resumed, beside System, integrator, platform and reporters."""
-        return dict(self._settings)
-
-    @property
     def _file(self) -> Path:
         return self.folder / CHECKPOINT
 
-    def _look_again(self) -> None:
-        """Take note of what other processes did in the folder before it was held."""
+    def _refresh(self) -> None:
+        """Take into account what other processes did in the folder before it was locked."""
         if self.resuming:
-            self._last = checkpoint.read(self._file, self._words.overwrite)
-            self._chapters, self._first, self.wall = self._last.chapters, self._last.first, self._last.wall
+            self._last = checkpoint.read(self._file)
+            self.wall = self._last.wall
         elif self._last is None:
             for name in (CHECKPOINT, TOPOLOGY, *self._outputs.names):
                 self.path(name)
         elif checkpoint.read(self._file).state != self._last.state:
-            raise ValueError(f"another process went on with the run in {self.folder}: go on with {self._again}")
+            raise ValueError(f"another process has continued the run in {self.folder}: {_RESUME}")
 
-    def _choose_engine(self, integrator: Any) -> None:
-        """Have a run go on with the engine that it began with."""
-        if self.resuming and self._last is not None and isinstance(integrator, ExactRigidBodyIntegrator):
-            integrator.preferEngine(self._last.identity.get("engine", "host"))
-
-    def _identity_of(self, simulation: Any) -> dict[str, str]:
-        files = {f"file {name}": kind for name, kind in self._outputs.kinds().items()}
-        return identity_of(simulation) | files | self._settings
-
-    def _begin(self, simulation: Any, identity: dict[str, str], until: int) -> bool:
-        """Begin the run or the next chapter of it, or load the checkpoint; return whether there is anything to do.
-
-        A script that calls `advance` more than once, with other settings each time, goes on with those of the chapter
-        that the checkpoint is of: the chapters before it are over.
-        """
+    def _begin(self, simulation: Any, identity: dict[str, str]) -> None:
+        """Write the first checkpoint or load the last one, and open the output files."""
         if self._last is None:
             self.discard()
-            self._first, self._chapters = simulation.currentStep, [identity]
-            self._save(simulation)  # before there is a file: what is found beside a checkpoint is of its run
-        elif self.resuming:
-            self._chapter = self._last.chapter_of(identity, self._chapter, self._file)
-            over = self._chapter < len(self._chapters) - 1
-            if over and until > self._last.step:
-                raise ValueError(
-                    f"{self._file} is of step {self._last.step}, but the run had other settings there than it has now "
-                    f"on its way to step {until}: bring it to the same steps as before"
-                )
-            if not over:
-                self._last.refuse_cut_files(self.folder)
-            _load(simulation, self._last.state)
-            _set_timings(simulation.integrator, self._last.timings)
-            if over:
-                return False
-        else:
-            checkpoint.refuse_others(self._last.identity, identity, self._file, _COMMON)
-            if identity != self._chapters[-1]:
-                self._chapters = [*self._chapters, identity]
+            self._save(simulation, identity)  # before any other file, which are then known to be of this run
+            self._outputs.open(simulation, {}, simulation.currentStep)
+            return
+        checkpoint.refuse_others(self._last.identity, identity, self._file)
+        if self.resuming:
+            self._last.refuse_cut_files(self.folder)
+            _load(simulation, self._last)
         self.resuming = False
-        self._outputs.open(simulation, self._last.files if self._last else {}, self._first)
-        return True
+        self._outputs.open(simulation, self._last.files, self._last.first)
 
-    def _forget(self) -> None:
-        """Delete what a run wrote that has not made a step."""
+    def _clean_up(self) -> None:
+        """Delete the files of a run that has not made a step."""
         self._last = None
         self._outputs.remove()
         self._file.unlink(missing_ok=True)
 
-    def _step(self, simulation: Any, until: int, tell: Callable[[int], object], signals: Signals) -> None:
+    def _step(
+        self, simulation: Any, until: int, identity: dict[str, str], tell: Callable[[int], object], signals: Signals
+    ) -> None:
         now = time.monotonic()
         due = now + self._every
         while simulation.currentStep < until and not signals.caught:
@@ -356,58 +309,38 @@ class Run:
             now = time.monotonic()
             tell(steps)
             if now >= due:
-                self._save(simulation)
+                self._save(simulation, identity)
                 due = time.monotonic() + self._every
 
-    def _save(self, simulation: Any) -> None:
-        """Write all files through to the disk, then a checkpoint that knows their lengths."""
+    def _save(self, simulation: Any, identity: dict[str, str]) -> None:
+        """Write all files through to the disk, then a checkpoint with their lengths."""
+        integrator = simulation.integrator
+        exact = isinstance(integrator, ExactRigidBodyIntegrator)
         present = Checkpoint(
             step=simulation.currentStep,
-            first=self._first,
+            first=self._last.first if self._last else simulation.currentStep,
             wall=self.wall,
-            timings=_timings(simulation.integrator),
-            files=self._outputs.secured(),
-            chapters=self._chapters,
+            timings=asdict(integrator.timings) if exact else {},
+            files=self._outputs.sync(),
+            identity=identity,
             state=simulation.context.createCheckpoint(),
         )
         checkpoint.write(self._file, present)
         self._last = present
 
-    @property
-    def _again(self) -> str:
-        """What to start so that the run goes on."""
-        return f"the same {'script' if self._words is IN_SCRIPT else 'command'} and {self._words.resume}"
-
-    def _files(self) -> str:
-        return f"{self.folder}: " + ", ".join([*self._outputs.kinds(), TOPOLOGY, CHECKPOINT])
-
     def _explain(self, error: OSError) -> NoReturn:
         step = self._last.step if self._last else 0
         self.resuming = self._last is not None
         raise OSError(
-            f"{error.strerror or error} (writing to {self.folder}). The run is safe up to step {step}: "
-            f"put it right and go on with {self._again}"
+            f"{error.strerror or error} (writing to {self.folder}). The run is safe up to step {step}: correct the "
+            f"cause and {_RESUME}"
         ) from error
 
-    def _leave(self, step: int, until: int, number: int) -> NoReturn:
-        name = signal.Signals(number).name
-        print(f"\n{name}: stopped at step {step} of {until}. Go on with {self._again}", file=sys.stderr)
-        raise SystemExit(128 + number)
 
-
-def _load(simulation: Any, state: bytes) -> None:
-    """Load a checkpoint of OpenMM, and again where it is one of a program that an integrator gets only then."""
-    simulation.context.loadCheckpoint(state)
-    if isinstance(simulation.integrator, ExactRigidBodyIntegrator) and simulation.integrator.getEngine() == "device":
-        simulation.integrator.degreesOfFreedom()
-        simulation.context.loadCheckpoint(state)
-
-
-def _timings(integrator: Any) -> dict[str, float]:
-    """Return the timings of the integrator by name; none of another one."""
-    return asdict(integrator.timings) if isinstance(integrator, ExactRigidBodyIntegrator) else {}
-
-
-def _set_timings(integrator: Any, timings: Mapping[str, float]) -> None:
-    for name, value in timings.items():
+def _load(simulation: Any, last: Checkpoint) -> None:
+    integrator = simulation.integrator
+    if isinstance(integrator, ExactRigidBodyIntegrator):
+        integrator.degreesOfFreedom()  # on a device this installs the variables that the checkpoint holds
+    simulation.context.loadCheckpoint(last.state)
+    for name, value in last.timings.items():
         setattr(integrator.timings, name, value)

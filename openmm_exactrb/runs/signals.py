@@ -1,4 +1,4 @@
-"""Signals that ask a process to end."""
+"""Signals that request the end of a process."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import threading
 from types import FrameType
 from typing import Any
 
-#: The signals that ask a process to end and can be caught.
+#: Signals that request the end of a process and can be caught.
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Signals:
-    """Note the first signal that asks the process to end, instead of ending it; the second one ends it.
+    """Record the first signal that requests the end of the process; the second one ends it.
 
-    A signal that the process ignores, as `nohup` has it do, stays ignored.
+    A signal that the process ignores, for example under `nohup`, stays ignored.
 
     Attributes
     ----------
     caught : int
-        Its number, or 0.
+        Number of the signal, or 0.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Signals:
     def __enter__(self) -> Signals:
         if threading.current_thread() is threading.main_thread():  # no other one may set handlers
             for number in ENDING:
-                if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: what is not Python has it
+                if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: set outside Python
                     self._before[number] = signal.signal(number, self._catch)
         return self
 

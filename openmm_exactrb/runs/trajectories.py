@@ -1,6 +1,6 @@
-"""What OpenMM's reporters of trajectories do not see to: the step of the first frame, and frames that a disk refused.
+"""Corrections to OpenMM's trajectory reporters: the step of the first frame, and frames that a full disk lost.
 
-Both need what these reporters keep to themselves.
+Both need private members of these reporters.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from openmm import app
 
 
 def begin_with_the_start(reporter: Any, simulation: Any, first: int, interval: int, append: bool) -> None:
-    """Have the first frame of a trajectory be of this step: OpenMM's reporters take it for the one after it."""
+    """Label the first frame of a trajectory with this step: OpenMM's reporters label it one interval later."""
     about = simulation.integrator.getStepSize(), first, interval, append
     if isinstance(reporter, app.DCDReporter):
         reporter._dcd = app.DCDFile(reporter._out, _topology(reporter, simulation), *about)
@@ -21,7 +21,7 @@ def begin_with_the_start(reporter: Any, simulation: Any, first: int, interval: i
 
 
 def _topology(reporter: Any, simulation: Any) -> app.Topology:
-    """Return a Topology of the atoms that a reporter writes."""
+    """Return the Topology of the atoms that a reporter writes."""
     if reporter._atomSubset is None:
         return simulation.topology
     topology, atoms = app.Topology(), list(simulation.topology.atoms())
@@ -33,13 +33,13 @@ def _topology(reporter: Any, simulation: Any) -> app.Topology:
 
 
 def refuse_lost_frames(reporter: Any, file: Path) -> None:
-    """Raise OSError if an XTC file lacks frames: OpenMM does not look whether the disk took them."""
+    """Raise OSError if an XTC file lacks frames: OpenMM ignores errors of writing them."""
     if not isinstance(reporter, app.XTCReporter) or reporter._xtc._modelCount == 0:
         return
     written = reporter._xtc._modelCount
     try:
         found = reporter._xtc._getNumFrames()
-    except Exception:  # whatever it meets behind a frame that was cut off
+    except Exception:  # whatever it finds after a frame that was cut
         found = None
     if found != written:
-        raise OSError(f"{file} does not have all of its {written} frames, as on a disk that is full")
+        raise OSError(f"{file} lacks some of its {written} frames: the disk may be full")

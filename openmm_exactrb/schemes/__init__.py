@@ -1,15 +1,16 @@
-"""Splitting schemes for H = T + V: a step is a word of drifts and kicks, and one catalogue names them."""
+"""Splitting schemes for H = T + V: a step is a sequence of substeps, and one catalogue names them."""
 
-from openmm_exactrb.schemes.bathed import WITH_BATH
-from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme, scheme_for_bath
+from openmm_exactrb.schemes.catalogue import CATALOGUE, scheme, scheme_for_thermostat, splitting
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
 from openmm_exactrb.schemes.gradients import force_gradient
 from openmm_exactrb.schemes.scheme import Scheme, symmetric
+from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.schemes.stability import Shadow, shadow, stability_limit
+from openmm_exactrb.schemes.thermostatted import WITH_THERMOSTAT
 
 __all__ = [
     "CATALOGUE",
-    "WITH_BATH",
+    "WITH_THERMOSTAT",
     "Scheme",
     "Shadow",
     "composition",
@@ -18,8 +19,10 @@ __all__ = [
     "saba",
     "sbab",
     "scheme",
-    "scheme_for_bath",
+    "scheme_for_thermostat",
     "shadow",
+    "spelled",
+    "splitting",
     "stability_limit",
     "symmetric",
 ]

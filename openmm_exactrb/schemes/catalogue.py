@@ -7,10 +7,18 @@ import re
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from openmm_exactrb.schemes.bathed import WITH_BATH
 from openmm_exactrb.schemes.generated import composition, corrected, saba, sbab
-from openmm_exactrb.schemes.gradients import FORCE_GRADIENT, TAKAHASHI_IMADA, TAKAHASHI_IMADA_PAIR, force_gradient
+from openmm_exactrb.schemes.gradients import (
+    FORCE_GRADIENT,
+    MAGNIFICATION,
+    TAKAHASHI_IMADA,
+    TAKAHASHI_IMADA_PAIR,
+    force_gradient,
+)
 from openmm_exactrb.schemes.scheme import Scheme, processed, symmetric
+from openmm_exactrb.schemes.sequence import Sequence
+from openmm_exactrb.schemes.thermostatted import WITH_THERMOSTAT
+from openmm_exactrb.substeps import DRIFT, KICK, LastForcesKick
 
 _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
@@ -34,7 +42,42 @@ _BLANES_MOAN = "S. Blanes and P. C. Moan, J. Comput. Appl. Math. 142, 313 (2002)
 _YOSHIDA = "H. Yoshida, Phys. Lett. A 150, 262 (1990), doi:10.1016/0375-9601(90)90092-3"
 _KAHAN_LI = "W. Kahan and R.-C. Li, Math. Comput. 66, 1089 (1997), doi:10.1090/S0025-5718-97-00873-9"
 _PLANETS = "S. Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.apnum.2013.01.003"
+
+
+def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float, ...]) -> Sequence:
+    """Return an output's kicks at one place, by forces there, the last forces and the last force-gradient terms.
+
+    The terms are those of `TAKAHASHI_IMADA_PAIR`, whose displaced forces are magnified with alternating signs.
+    """
+    differences = tuple(w * (-1.0) ** (k + 1) * MAGNIFICATION for k, w in enumerate(gradients))
+    kicks: Sequence = ((KICK, new),) if new else ()
+    return *kicks, (LastForcesKick(last, differences), 1.0)
+
+
 _V2_DRIFT = symmetric("V2_drift", order=2, stages=1, first="drift", reference=_VERLET)
+
+# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/outputs.py.
+_OUTPUT_OF_PAIRS = (
+    (DRIFT, -0.25),
+    *_kicks_of_pairs(
+        0.0,
+        (-0.007447901427528911, -0.1181713330577214, 0.0428294257517002, -0.0047240486471881405),
+        (-0.6331805086302936, 0.2747037176496458, -0.2059795965560527),
+    ),
+    (DRIFT, -0.0744),
+    *_kicks_of_pairs(
+        0.052109225260373156,
+        (-0.06566526660321423, 0.08698891577240142, -0.02798798959499058, 0.0023419322920116654),
+        (0.5902076811589286, -0.3646383185309654, 0.21747100975141356),
+    ),
+    (DRIFT, 0.4261),
+    *_kicks_of_pairs(
+        0.039187035066509016,
+        (-0.016146143332472968, 0.027801309240057515, -0.013166933201644533, 0.002051772481707798),
+        (0.06903329115113452, 0.06315950119000789, -0.003474179618056593),
+    ),
+    (DRIFT, -0.1017),
+)
 
 _SCHEMES = (
     symmetric("V2", order=2, stages=1, first="kick", reference=_VERLET),
@@ -224,9 +267,9 @@ _SCHEMES = (
     ),
     corrected(_V2_DRIFT, 8, "V2_C17", (18, 2)),
     *FORCE_GRADIENT,
-    # Near the force-gradient scheme of this word that has order 4 and the smallest error constant there.
+    # Near the force-gradient scheme of this pattern that has order 4 and the smallest error constant there.
     force_gradient("W2_5", "BACACAB", order=2, a=(0.28756,), b=(0.09363,), e=(0.01434,), reference=_TUNED.format(2)),
-    # Of this word the one whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs per force.
+    # Of this pattern the one whose shadow energy is nearest to the energy for all modes of rigid water at 4 fs a force.
     force_gradient("W2_4g", "ABACABA", order=2, a=(0.08209,), b=(0.24119,), e=(0.025308,), reference=_CANONICAL),
     processed(
         _V2_DRIFT,
@@ -234,6 +277,13 @@ _SCHEMES = (
         order=2,
         a=(-0.2918450971448247, 0.133039607048561, 0.5269587335607733),
         b=(0.35848759687146087, -0.5502314684170239, -0.12290886225067651),
+        output=(
+            (DRIFT, -0.5),
+            (LastForcesKick((-0.15193744468101933, 0.14253477174144466, -0.0532982249395243)), 1.0),
+            (DRIFT, 1.0),
+            (LastForcesKick((0.24569831976847284, -0.2687832970183045, 0.08578587512893061)), 1.0),
+            (DRIFT, -0.5),
+        ),
         reference=_PROCESSOR.format(_VERLET),
     ),
     processed(
@@ -242,6 +292,7 @@ _SCHEMES = (
         order=4,
         a=(0.02714539223837513, -0.25270300298574777, 0.13444330399888596, -0.20566323079399654),
         b=(-0.10163873472468118, 0.21121696046811567, -0.06378770240239598, -0.11514340878370852),
+        output=_OUTPUT_OF_PAIRS,
         reference=_PROCESSOR.format(TAKAHASHI_IMADA.reference),
     ),
     # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².
@@ -261,18 +312,35 @@ def scheme(name: str | Scheme) -> Scheme:
         If the catalogue has none of this name.
     """
     found = _known(name)
-    if found is None and name in WITH_BATH:
-        raise ValueError(f"scheme {name} has a heat bath within it: ExactRigidBodyLangevinIntegrator takes it")
+    if found is None and name in WITH_THERMOSTAT:
+        raise ValueError(f"scheme {name} has a thermostat within it: ExactRigidBodyLangevinIntegrator takes it")
     if found is None:
         raise _unknown(str(name), [*CATALOGUE])
     return found
 
 
-def scheme_for_bath(name: str | Scheme) -> Scheme:
-    """Look a scheme up in the catalogue, or among those with a bath within them; see `scheme`."""
-    found = _known(name) or WITH_BATH.get(str(name))
+def scheme_for_thermostat(name: str | Scheme) -> Scheme:
+    """Look a scheme up in the catalogue, or among those with a thermostat within them; see `scheme`."""
+    found = _known(name) or WITH_THERMOSTAT.get(str(name))
     if found is None:
-        raise _unknown(str(name), [*WITH_BATH, *CATALOGUE])
+        raise _unknown(str(name), [*WITH_THERMOSTAT, *CATALOGUE])
+    return found
+
+
+def splitting(name: str | Scheme) -> Scheme:
+    """Look a splitting up that a thermostat can be joined to: one of the catalogue, or one with a thermostat within it.
+
+    Raises
+    ------
+    ValueError
+        If there is none of this name, or it is processed: a thermostat acts on the true state, at every step.
+    """
+    found = scheme_for_thermostat(name)
+    if found.processor:
+        raise ValueError(
+            f"scheme {found.name} runs in inner coordinates, but a thermostat acts on the true state at every step: "
+            "choose a scheme without a processor, such as S2_2"
+        )
     return found
 
 
@@ -289,8 +357,8 @@ def _known(name: str | Scheme) -> Scheme | None:
 
 
 def _unknown(name: str, names: list[str]) -> ValueError:
-    """Return what says that a name is none of those, and which was meant perhaps."""
+    """Return the error for a name that is none of these, with the nearest one."""
     by_capitals = {known.upper(): known for known in names}
     near = difflib.get_close_matches(name.upper(), by_capitals, 1)
-    hint = f"{by_capitals[near[0]]} was meant perhaps; " if near else ""
-    return ValueError(f"unknown scheme {name!r}: {hint}choose one of {', '.join(names)}")
+    hint = f"; did you mean {by_capitals[near[0]]!r}?" if near else "."
+    return ValueError(f"unknown scheme {name!r}{hint} Available: {', '.join(names)}")

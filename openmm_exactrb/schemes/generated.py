@@ -14,7 +14,8 @@ from fractions import Fraction
 import numpy as np
 
 from openmm_exactrb.schemes.scheme import Scheme, palindrome, symmetric
-from openmm_exactrb.schemes.word import DRIFT, KICK, merged
+from openmm_exactrb.schemes.sequence import merged
+from openmm_exactrb.substeps import DRIFT, KICK, Substep
 
 _LASKAR = "J. Laskar and P. Robutel, Celest. Mech. Dyn. Astron. 80, 39 (2001), doi:10.1023/A:1012098603882"
 
@@ -110,15 +111,15 @@ def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...
         for sign, order in ((1, -1), (-1, 1))
         for i in range(1, terms + 1)[::order]
     ]
-    word: list[tuple[str, float]] = []
+    processor: list[tuple[Substep, float]] = []
     for a, kick in turns:
-        word += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
+        processor += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
     return replace(
         kernel,
         name=name,
         order=min(generalised),
         generalised=generalised,
-        processor=merged(word),
+        processor=merged(processor),
         reference="J. Wisdom, M. Holman and J. Touma (1996); J. Wisdom (2006), doi:10.1086/500829",
     )
 

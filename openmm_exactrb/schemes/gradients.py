@@ -10,12 +10,14 @@ smaller. What forces are rounded to is multiplied too, so that the part is not a
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from openmm_exactrb.schemes.scheme import Scheme, palindrome
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, merged
+from openmm_exactrb.schemes.sequence import merged
+from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, Substep
 
 #: By what the change of forces is multiplied: with forces of single precision 8 shows in the energy, 4 does not.
 MAGNIFICATION = 4.0
@@ -30,7 +32,7 @@ _SCHAEFERS = (
 
 def force_gradient(
     name: str,
-    letters: str,
+    pattern: str,
     *,
     order: int,
     a: Sequence[float] = (),
@@ -39,13 +41,13 @@ def force_gradient(
     magnification: float = MAGNIFICATION,
     reference: str = "",
 ) -> Scheme:
-    """Build a scheme from its letters and its free coefficients.
+    """Build a scheme from the pattern of its substeps and its free coefficients.
 
     Parameters
     ----------
     name, order, reference
         As in `Scheme`.
-    letters : str
+    pattern : str
         Of a step, a palindrome such as "BACAB": drifts and kicks by turns, "C" kicks with a force-gradient term.
     a, b : sequence of float
         The coefficients of drifts, and of kicks of both sorts, before the one that sum(a) = 1 or sum(b) = 1 decides.
@@ -58,49 +60,40 @@ def force_gradient(
     Raises
     ------
     ValueError
-        If letters are no such palindrome, the coefficients are not as many as they leave free, or the magnification is
-        zero or not finite.
+        If the pattern is no such palindrome, the coefficients are not as many as it leaves free, or the magnification
+        is zero or not finite.
     """
-    drifts, kicks = letters[::2], letters[1::2]
-    if drifts[0] != DRIFT:
+    drifts, kicks = pattern[::2], pattern[1::2]
+    if drifts[0] != "A":
         drifts, kicks = kicks, drifts
-    if letters != letters[::-1] or {*drifts} != {DRIFT} or not {*kicks} <= {KICK, GRADIENT} or not kicks:
-        raise ValueError(f"scheme {name}: {letters!r} is no palindrome in which drifts A and kicks B or C take turns")
+    if pattern != pattern[::-1] or {*drifts} != {"A"} or not {*kicks} <= {"B", "C"} or not kicks:
+        raise ValueError(f"scheme {name}: {pattern!r} is no palindrome in which drifts A and kicks B or C take turns")
     half = (len(kicks) + 1) // 2
-    if kicks[:half].count(GRADIENT) != len(e):
-        raise ValueError(f"scheme {name}: give e for each C of the first half of {letters!r}, not {len(e)} numbers")
+    if kicks[:half].count("C") != len(e):
+        raise ValueError(f"scheme {name}: give e for each C of the first half of {pattern!r}, not {len(e)} numbers")
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")
-    displacements = iter(e)
-    named = list(kicks)
-    gradients: list[tuple[str, float]] = []
-    parts = {DRIFT: palindrome(name, "a", a, len(drifts)), KICK: palindrome(name, "b", b, len(kicks))}
-    for i in range(half):
-        if kicks[i] == GRADIENT:
-            letter = GRADIENT if len(e) == 1 else f"{GRADIENT}{len(gradients) + 1}"
-            named[i] = named[-1 - i] = letter
-            gradients.append((letter, next(displacements) / parts[KICK][i] ** 2))
-    rows = iter(zip(drifts, parts[DRIFT], strict=True)), iter(zip(named, parts[KICK], strict=True))
-    word = tuple(next(rows[letter != DRIFT]) for letter in letters)
-    return _magnified(Scheme(name, order, word, reference=reference, gradients=tuple(gradients)), magnification)
+    parts, displacements = palindrome(name, "b", b, len(kicks)), iter(e)
+    rows = [_kicks(kick, part, displacements, magnification) for kick, part in zip(kicks, parts[:half], strict=False)]
+    places = iter([*rows, *rows[: len(kicks) - half][::-1]])
+    times = iter(palindrome(name, "a", a, len(drifts)))
+    steps = ([(DRIFT, next(times))] if substep == "A" else next(places) for substep in pattern)
+    return Scheme(name, order, tuple(itertools.chain(*steps)), reference=reference)
 
 
-def _magnified(scheme: Scheme, k: float) -> Scheme:
-    """Return a scheme whose force-gradient kicks displace k times less: for b f(R + d) b (1 - k) f + b k f(R + d/k)."""
-    word: list[tuple[str, float]] = []
-    for letter, part in scheme.word:
-        gradient = letter.startswith(GRADIENT)
-        word += [(KICK, (1.0 - k) * part), (letter, k * part)] if gradient and k != 1.0 else [(letter, part)]
-    return replace(scheme, word=tuple(word), gradients=tuple((letter, s / k**3) for letter, s in scheme.gradients))
+def _kicks(kind: str, part: float, displacements: Iterator[float], k: float) -> list[tuple[Substep, float]]:
+    """Return the kicks of a place; b f(R + d) by displacements k times shorter is b (1 - k) f(R) + b k f(R + d/k)."""
+    if kind == "B":
+        return [(KICK, part)]
+    strength = next(displacements) / part**2 / k**3
+    plain: list[tuple[Substep, float]] = [(KICK, (1.0 - k) * part)] if k != 1.0 else []
+    return [*plain, (GradientKick(strength), k * part)]
 
 
 def in_pairs(first: Scheme, second: Scheme, name: str) -> Scheme:
     """Return half a step of one scheme and half a step of another one, which differ in their displacements."""
-    renamed = {letter: f"{letter}2" for letter, _ in second.gradients}
-    halves = *first.word, *((renamed.get(letter, letter), part) for letter, part in second.word)
-    word = merged((letter, 0.5 * part) for letter, part in halves)
-    gradients = *first.gradients, *((renamed[letter], strength) for letter, strength in second.gradients)
-    return replace(first, name=name, word=word, gradients=gradients)
+    halves = merged((substep, 0.5 * part) for substep, part in (*first.sequence, *second.sequence))
+    return replace(first, name=name, sequence=halves)
 
 
 def _takahashi_imada(name: str, magnification: float) -> Scheme:

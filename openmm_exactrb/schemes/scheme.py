@@ -1,4 +1,4 @@
-"""A splitting scheme: a word with promises, and the ways to build one from a table of coefficients.
+"""A splitting scheme: a sequence of substeps with promises, and the ways to build one from a table of coefficients.
 
 A step of size h alternates drifts, the flow of T over a_i h, with kicks, the flow of V over b_i h. A table holds the
 free coefficients only: each scheme is a palindrome, and sum(a) = sum(b) = 1 gives the rest.
@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from openmm_exactrb.schemes.word import DRIFT, GRADIENT, KICK, Word, count, inverse, is_kick, palindromic
+from openmm_exactrb.schemes.sequence import Sequence as Substeps
+from openmm_exactrb.schemes.sequence import inverse, palindromic
+from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, LastForcesKick, Substep
 
 Kind = Literal["general", "nystroem"]
 Outer = Literal["drift", "kick"]
-_NAMES = {DRIFT: "drift", KICK: "kick"}
 
 
 @dataclass(frozen=True)
@@ -28,45 +29,47 @@ class Scheme:
     name : str
     order : int
         Order in the step size.
-    word : Word
-        The letters of one step with their parts: "A" drifts, "B" kicks, and "C" kicks with a force-gradient term.
+    sequence : tuple of (Substep, float)
+        The substeps of one step with their parts of it.
     kind : {"general", "nystroem"}
         A Nyström scheme needs a kinetic energy that is quadratic in the momenta.
     reference : str
     generalised : tuple of int
         Generalised orders, where the scheme is made for a small V; else empty.
-    processor : Word
-        Letters that prepare the state before the first step; their inverse follows the last. Only then is the state
-        that of the problem, and its energy of the accuracy promised.
-    gradients : tuple of (letter, strength)
-        Of each letter that is a force-gradient kick: over the time tau it is the flow of
-        V - (strength/2) tau² f . M^-1 f, where f is the force of V and M the mass.
+    processor : tuple of (Substep, float)
+        Substeps before the first step, which change to the coordinates of the steps; their inverse changes back. Only
+        then the state is that of the problem, and its energy of the accuracy promised.
+    output : tuple of (Substep, float)
+        A cheaper way back, where there is one, for what is looked at while the run continues in the inner coordinates:
+        its error does not accumulate.
 
     Raises
     ------
     ValueError
-        If the word is empty, or has a force-gradient kick of no strength.
+        If the sequence is empty, or has something else than substeps in it.
     """
 
     name: str
     order: int
-    word: Word
+    sequence: Substeps
     kind: Kind = "general"
     reference: str = ""
     generalised: tuple[int, ...] = ()
-    processor: Word = ()
-    gradients: tuple[tuple[str, float], ...] = ()
+    processor: Substeps = ()
+    output: Substeps = ()
 
     def __post_init__(self) -> None:
-        if not self.word:
-            raise ValueError(f"scheme {self.name}: the word of a step is empty")
-        strengths = dict(self.gradients)
-        for letter, _ in self.word:
-            if letter.startswith(GRADIENT) and letter not in strengths:
-                raise ValueError(f"scheme {self.name}: give the strength of the force-gradient kick {letter!r}")
+        if not self.sequence:
+            raise ValueError(f"scheme {self.name}: the sequence of a step is empty")
+        for row in (*self.sequence, *self.processor, *self.output):
+            if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
+                raise ValueError(
+                    f"scheme {self.name}: a sequence has pairs of a Substep and its part of the step, not {row!r}; "
+                    'schemes.spelled("B A B") makes one of symbols'
+                )
 
     def __repr__(self) -> str:
-        """Return a line for people: the word itself is `word`."""
+        """Return a line for people."""
         orders = ", ".join(map(str, self.generalised or (self.order,)))
         kind = ", Nyström" if self.kind == "nystroem" else ""
         processed = ", processed" if self.processor else ""
@@ -76,13 +79,13 @@ class Scheme:
 
     @property
     def first(self) -> Outer:
-        """What a step starts and ends with, but for a bath."""
-        return "drift" if [letter for letter, _ in self._moves()][:1] == [DRIFT] else "kick"
+        """What a step starts and ends with, but for a thermostat."""
+        return "drift" if [substep for substep, _ in self._moves()][:1] == [DRIFT] else "kick"
 
     @property
     def a(self) -> tuple[float, ...]:
         """All coefficients of the drifts, in the order of their use."""
-        return tuple(part for letter, part in self.word if letter == DRIFT)
+        return tuple(part for substep, part in self.sequence if substep == DRIFT)
 
     @property
     def b(self) -> tuple[float, ...]:
@@ -92,49 +95,63 @@ class Scheme:
     @property
     def c(self) -> tuple[float, ...]:
         """Coefficients of force-gradient terms that go with the kicks, as f . M^-1 f over c_i h³; empty without any."""
-        strengths = dict(self.gradients)
-        terms = (math.fsum(-0.5 * strengths.get(letter, 0.0) * t**3 for letter, t in kicks) for kicks in self._kicks())
-        return tuple(terms) if strengths else ()
-
-    def _kicks(self) -> list[list[tuple[str, float]]]:
-        """Return the kicks of each place: those without a drift between them."""
-        places = itertools.groupby(self._moves(), lambda part: is_kick(part[0]))
-        return [list(group) for kicked, group in places if kicked]
-
-    def _moves(self) -> Word:
-        """Return the drifts and kicks: forces do not depend on what a bath does between them."""
-        return tuple(part for part in self.word if part[0] == DRIFT or is_kick(part[0]))
+        terms = tuple(math.fsum(map(_gradient_term, kicks)) for kicks in self._kicks())
+        return terms if any(terms) else ()
 
     @property
-    def sequence(self) -> tuple[tuple[str, float], ...]:
-        """The word with "drift" and "kick" for its letters."""
-        return tuple((_NAMES.get(letter, letter), part) for letter, part in self.word)
+    def has_gradients(self) -> bool:
+        """Whether there are force-gradient kicks."""
+        return any(isinstance(substep, GradientKick) for substep, _ in self.sequence)
+
+    def has(self, substep: Substep) -> bool:
+        """Return whether a step has a substep of this type."""
+        return any(isinstance(present, type(substep)) for present, _ in self.sequence)
+
+    def _kicks(self) -> list[list[tuple[Substep, float]]]:
+        """Return the kicks of each place: those without a drift between them."""
+        places = itertools.groupby(self._moves(), lambda row: row[0].kicks)
+        return [list(group) for kicked, group in places if kicked]
+
+    def _moves(self) -> Substeps:
+        """Return the drifts and kicks: forces do not depend on what a thermostat does between them."""
+        return tuple(row for row in self.sequence if row[0] == DRIFT or row[0].kicks)
 
     @property
     def stages(self) -> int:
         """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
         moves = self._moves()
-        return len(self._kicks()) - (bool(moves) and is_kick(moves[0][0]) and is_kick(moves[-1][0]))
+        return len(self._kicks()) - (bool(moves) and moves[0][0].kicks and moves[-1][0].kicks)
 
     @property
     def forces(self) -> int:
         """Force evaluations per step, where the force-gradient kicks take forces at displaced places."""
-        return self.stages + sum(count(self.word, letter) for letter, _ in self.gradients)
+        return self.stages + sum(substep.displaced_forces for substep, _ in self.sequence)
 
     @property
-    def postprocessor(self) -> Word:
+    def postprocessor(self) -> Substeps:
         """The inverse of the processor, for after the last step."""
         return inverse(self.processor)
 
     @property
     def processing(self) -> int:
-        """Force evaluations that the processor and its inverse cost, once a run or an output."""
-        return 2 * count(self.processor, KICK)
+        """Force evaluations that the processor and its inverse cost, once a run."""
+        return 2 * sum(substep.kicks for substep, _ in self.processor)
+
+    @property
+    def memory(self) -> tuple[int, int]:
+        """How many of the last kicks' forces the output needs, and how many differences of displaced ones."""
+        last = [substep for substep, _ in self.output if isinstance(substep, LastForcesKick)]
+        return max((len(s.weights) for s in last), default=0), max((len(s.differences) for s in last), default=0)
+
+    @property
+    def output_forces(self) -> int:
+        """Force evaluations that the output costs, for each call of the integrator's `step`."""
+        return sum(substep.kicks for substep, _ in self.output or self.processor)
 
     @property
     def symmetric(self) -> bool:
         """Whether a step back is the inverse of a step; a processor is symmetric to first order in V only."""
-        return not self.processor and palindromic(self.word)
+        return not self.processor and palindromic(self.sequence)
 
     @property
     def composes_verlet(self) -> bool:
@@ -142,9 +159,14 @@ class Scheme:
         halves = [0.0, *self.a, 0.0]
         return (
             self.first == "kick"
-            and not self.gradients
+            and not self.has_gradients
             and all(abs(b - 0.5 * (i + j)) < 1e-14 for b, i, j in zip(self.b, halves[:-1], halves[1:], strict=True))
         )
+
+
+def _gradient_term(row: tuple[Substep, float]) -> float:
+    substep, part = row
+    return -0.5 * substep.strength * part**3 if isinstance(substep, GradientKick) else 0.0
 
 
 def symmetric(
@@ -180,16 +202,23 @@ def symmetric(
     return Scheme(name, order, _alternating(*outer, *inner), kind, reference, generalised)
 
 
-def _alternating(first: str, outer: Sequence[float], second: str, inner: Sequence[float]) -> Word:
+def _alternating(first: Substep, outer: Sequence[float], second: Substep, inner: Sequence[float]) -> Substeps:
     """Return first, second, first, ... with their parts."""
-    word = [(first, outer[0])]
+    rows = [(first, outer[0])]
     for i, o in zip(inner, outer[1:], strict=True):
-        word += [(second, i), (first, o)]
-    return tuple(word)
+        rows += [(second, i), (first, o)]
+    return tuple(rows)
 
 
 def processed(
-    kernel: Scheme, name: str, *, order: int, a: Sequence[float], b: Sequence[float], reference: str
+    kernel: Scheme,
+    name: str,
+    *,
+    order: int,
+    a: Sequence[float],
+    b: Sequence[float],
+    output: Substeps = (),
+    reference: str,
 ) -> Scheme:
     """Return a scheme of the steps of another one in other coordinates, which its processor changes to.
 
@@ -201,10 +230,12 @@ def processed(
         As in `Scheme`, of the kernel and the processor together.
     a, b : sequence of float
         Drifts and kicks of the processor, by turns and a drift first, before the last ones, which make both sums zero.
+    output : tuple of (Substep, float), optional
+        As in `Scheme`.
     """
     drifts, kicks = ((*table, -math.fsum(table)) for table in (a, b))
     processor = tuple(itertools.chain(*zip(((DRIFT, x) for x in drifts), ((KICK, x) for x in kicks), strict=True)))
-    return replace(kernel, name=name, order=order, processor=processor, reference=reference)
+    return replace(kernel, name=name, order=order, processor=processor, output=output, reference=reference)
 
 
 def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tuple[float, ...]:

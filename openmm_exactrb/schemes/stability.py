@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 from openmm_exactrb import checks
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.word import BATH, DRIFT, Word
+from openmm_exactrb.schemes.sequence import Sequence
+from openmm_exactrb.substeps import Matrix
 
 
 def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
@@ -63,7 +64,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     A step turns the plane of q and p along ellipses. So a state of temperature T' has <p²> = kT'/kinetic and
     <q²> = kT'/potential: in a liquid, where fast and slow modes exchange this energy, those with a larger `kinetic`
     look colder. Of a symmetric scheme they are 1 + 2 b step² and 1 + 2 a step² up to step², where b and a belong to the
-    commutators of two kinetic and one potential energy, and of one and two. A bath within the word does nothing here.
+    commutators of two kinetic and one potential energy, and of one and two. A thermostat within the step is left out.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     A step is taken to turn the oscillator once at most.
     """
     step = checks.positive(step, "step")
-    (qq, qp), (pq, pp) = oscillated(scheme.word, scheme, step)
+    (qq, qp), (pq, pp) = oscillated(scheme.sequence, step)
     # 1 - ((qq + pp)/2)², the squared sine of the angle, without its cancellation: the determinant is 1.
     square = -qp * pq - (0.5 * (qq - pp)) ** 2
     if not square > 0.0:
@@ -93,30 +94,23 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 
 def _trace(scheme: Scheme, h: float) -> float:
     """Return the trace of the matrix of one step of q'' = -q."""
-    (qq, _), (_, pp) = oscillated(scheme.word, scheme, h)
+    (qq, _), (_, pp) = oscillated(scheme.sequence, h)
     return float(qq + pp)
 
 
-def oscillated(word: Word, scheme: Scheme, h: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
-    """Return the matrix of a word for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
+def oscillated(sequence: Sequence, h: Any) -> Matrix:
+    """Return the matrix of a sequence for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 
     Parameters
     ----------
-    word : Word
-        That of a step, or of the processor.
-    scheme : Scheme
-        Which says how strong force-gradient kicks are.
+    sequence : Sequence
+        That of a step, or of a processor.
     h : float or array
         Step sizes in units of 1/omega; entries have its shape.
     """
     zero = 0.0 * h
     (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)
-    strengths = dict(scheme.gradients)
-    for letter, part in word:
-        tau = part * h
-        if letter == DRIFT:
-            qq, qp = qq + tau * pq, qp + tau * pp
-        elif not letter.startswith(BATH):
-            tau = tau * (1.0 - strengths.get(letter, 0.0) * tau * tau)
-            pq, pp = pq - tau * qq, pp - tau * qp
+    for substep, part in sequence:
+        (aa, ab), (ba, bb) = substep.oscillator(part * h)
+        qq, qp, pq, pp = aa * qq + ab * pq, aa * qp + ab * pp, ba * qq + bb * pq, ba * qp + bb * pp
     return (qq, qp), (pq, pp)

@@ -1,29 +1,14 @@
-"""Advice for a user's own system: which scheme and step, at which energy error and cost.
+"""The cheapest scheme and step for an energy error on a user's own system.
 
-`tune` in `advice` is what a user calls, and ``python -m openmm_exactrb.tuning`` the same from a shell. It goes one way:
-`start` reads what was given, `thermal` brings it to a temperature, `scales` says how large and fast the system is; a
-`bench` runs `movers` from there, and `error` says what to expect of longer runs; `measurements` keeps points, `search`
-decides which to take, `curves` lie through them; of the `record` come `answers`, `text` and a `picture`, and a `result`
-is all of it. `proposals` is beside them: settings of hybrid Monte Carlo by what progress costs.
+`tune` in `advice` is built in three layers. Measurement: `initial_state` reads the arguments, `equilibrium` brings the
+system to a temperature and tells its characteristic times, `benchmark` runs the methods of `candidates`, `error`
+extrapolates their energy errors, and `measurements` keeps them. `search` decides what to measure. `result` is the
+answer, as an object, text, JSON and a `picture`.
 """
 
-from openmm_exactrb.tuning.advice import CANDIDATES, tune
-from openmm_exactrb.tuning.answers import UnreachableError
-from openmm_exactrb.tuning.curves import Point
-from openmm_exactrb.tuning.proposals import PROPOSERS, Proposal, progress, tune_proposals
-from openmm_exactrb.tuning.record import Choice, Record
-from openmm_exactrb.tuning.result import Tuning
+from openmm_exactrb.tuning.advice import tune
+from openmm_exactrb.tuning.candidates import CANDIDATES
+from openmm_exactrb.tuning.measurements import Point
+from openmm_exactrb.tuning.result import Choice, Tuning, UnreachableError
 
-__all__ = [
-    "CANDIDATES",
-    "PROPOSERS",
-    "Choice",
-    "Point",
-    "Proposal",
-    "Record",
-    "Tuning",
-    "UnreachableError",
-    "progress",
-    "tune",
-    "tune_proposals",
-]
+__all__ = ["CANDIDATES", "Choice", "Point", "Tuning", "UnreachableError", "tune"]

@@ -1,4 +1,4 @@
-"""Advice for a user's own system: which scheme and step, at which energy error and cost."""
+"""Advice for a user's own system: the cheapest scheme and step for an energy error."""
 
 from __future__ import annotations
 
@@ -10,44 +10,21 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.checks import positive, whole
-from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.context.nesting import AUTO, Nesting, nested_in
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.tuning.bench import Bench
-from openmm_exactrb.tuning.measurements import Measurements
-from openmm_exactrb.tuning.movers import NestedScheme, own_scheme, schemes_of
-from openmm_exactrb.tuning.record import Choice
-from openmm_exactrb.tuning.result import Tuning
-from openmm_exactrb.tuning.search import Found, search
-from openmm_exactrb.tuning.start import Start, start_of
-from openmm_exactrb.tuning.thermal import thermalised
+from openmm_exactrb.tuning.benchmark import Benchmark
+from openmm_exactrb.tuning.candidates import CANDIDATES, NESTED_CANDIDATES, Method, schemes_named
+from openmm_exactrb.tuning.equilibrium import thermalised
+from openmm_exactrb.tuning.initial_state import initial_state
+from openmm_exactrb.tuning.measurements import Measurements, Point
+from openmm_exactrb.tuning.result import Choice, Tuning
+from openmm_exactrb.tuning.search import search
 
-#: Schemes that are tried unless others are named: for each accuracy those that are the cheapest on some system. Schemes
-#: made for a small potential are not among them, nor compositions of Verlet steps, which others beat.
-CANDIDATES = (
-    "V2",
-    "W2_1",
-    "S2_2",
-    "S2_4",
-    "W2_4",
-    "W2_5",
-    "W4_4",
-    "W4_5",
-    "W4_6",
-    "SRKN4_6b",
-    "SRKN6_11b",
-    "SRKN6_14a",
-)
+__all__ = ["CANDIDATES", "progress", "tune"]
 
-#: Schemes that are tried with nested bonded forces unless others are named.
-NESTED_CANDIDATES = ("W2_1", "S2_2", "S2_3", "W2_4", "W2_5", "W4_4", "W4_5", "SRKN4_6b", "ABA_8_6_4")
-
-# Length of the runs of the survey in units of the system's time scale; of those for which errors are promised, in units
-# of that.
-_SURVEY, _LONGER = 100.0, 10.0
-# The survey of a horizon that is named is a tenth of it, up to so many times the usual one.
-_LONGEST = 4.0
+# Length of survey runs in characteristic times, and of production runs in survey runs. The survey of a named horizon
+# takes a tenth of it, up to this many times its usual length.
+_SURVEY, _LONGER, _LONGEST = 100.0, 10.0, 4.0
 
 
 def progress(line: str) -> None:
@@ -75,53 +52,51 @@ def tune(
 ) -> Tuning:
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
-    The error is the standard deviation of the total energy, its swing and its wandering or drift alike, in kJ/mol per
-    body (rigid bodies, and particles beside them), within an NVE run as long as the horizon. The survey runs
-    `duration`; how the variance grows from 1/8 of a run to all of it tells how it goes on. The recommended setting is
-    run over all of the horizon first. A wandering energy is known badly from one run, so that its error is raised by up
-    to a half. Short swings alone would not do: where a step is long against the vibrations, the energy wanders for
-    picoseconds, and near hard cores as a random walk does; what a scheme gains in short runs may be lost in longer
-    ones.
+    The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
+    (rigid bodies, and particles beside them); oscillations, random walks and drifts count alike. Survey runs are
+    shorter, as long as `duration`, and their errors are extrapolated from the growth of the variance with the length of
+    the run. The recommended setting is run over the whole horizon first, since short runs do not show everything: if a
+    step is long against the vibrations the energy wanders for picoseconds, and near hard cores it is a random walk.
 
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation gives its state, box, parameters, platform, force groups that act and bodies named by hand too.
+        A Simulation also provides its state, box, parameters, platform, force groups that act and bodies named by hand.
         Thermostats, barostats and motion removers are left out of the measurements.
     start : openmm.State or (n, 3) array or Quantity, optional
-        A State with positions and velocities, best of an equilibrated run; or positions, in nm if without a unit.
+        A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
     target : float, optional
-        Wanted standard deviation of the total energy in kJ/mol per body. Without one all levels are measured, and the
-        result is asked.
+        Wanted standard deviation of the total energy in kJ/mol per body. Without one all step sizes are measured; ask
+        the result for settings.
     schemes : sequence of str or Scheme, optional
-        `CANDIDATES` unless given. One of your own must have a name that is none of the catalogue's. OpenMM's
-        VerletIntegrator is measured beside them where constraints hold all bodies.
+        By default `CANDIDATES`. A scheme of your own needs a name that is not in the catalogue. OpenMM's
+        VerletIntegrator is measured too if constraints hold all bodies.
     velocities : (n, 3) array or Quantity, optional
-        Beside positions, in nm/ps if without a unit.
+        With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
-        In K: minimise positions that come without velocities, draw momenta and let them mix with the positions, 20
-        times or more within some periods, until they have it. Needed where all velocities are zero.
+        In K. Minimise positions without velocities, then draw momenta and let them exchange energy with the positions
+        in short runs, 20 times or more, until the temperature is reached. Required if all velocities are zero.
     platform : str or openmm.Platform, optional
-        That of OPENMM_DEFAULT_PLATFORM, else the fastest one here, unless given.
+        By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest.
     properties : mapping, optional
-        Of the platform; mixed precision where there is a choice, unless given.
+        Of the platform; by default mixed precision if there is a choice.
     bodies : sequence of sequences of int, optional
-        As in `ExactRigidBodyIntegrator`; those of the integrator of a Simulation unless given.
+        As in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
-        Length of the runs for which errors are promised, in ps if without a unit: that of your own runs, or 30 ps.
-        Wandering shows only in runs as long as this, which take their time. Ten times `duration` unless given.
+        Length of the production runs for which errors are promised, in ps without a unit; by default ten times
+        `duration`. Only runs as long as this show how the energy wanders, and they take their time.
     duration : float or Quantity, optional
-        Length of the runs of the survey, in ps if without a unit; 100 over the root mean square frequency of the
-        system unless given (1.5 ps for water), or a tenth of a named horizon, if that is longer, up to four times this.
+        Length of the survey runs, in ps without a unit. By default 100 over the root mean square frequency of the
+        system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this.
     nest : bool, optional
-        Whether schemes are tried with ``fast="bonded"`` too, where the System has bonds and angles that move: those
-        named, or `NESTED_CANDIDATES`. The others nest nothing.
+        Whether to try schemes with ``fast="bonded"`` too, if the System has bonds and angles that move: those of
+        `schemes`, or `NESTED_CANDIDATES`. The others do not nest anything.
     levels : int, optional
-        Most levels of the time a force evaluation, each sqrt(2) below the one before, from the largest stable one.
+        Largest number of step sizes, each smaller by sqrt(2), from the largest stable one on.
     seed : int, optional
         Of the momenta.
     report : callable, optional
-        Gets a line of text for each run, which goes to stderr if nothing is given; None for silence.
+        Gets a line of text per run, by default written to stderr; None for silence.
 
     Returns
     -------
@@ -131,83 +106,71 @@ def tune(
     ------
     ValueError
         If something is missing or does not fit, all velocities are zero without a temperature, the temperature is not
-        reached, or a scheme is unknown or cannot serve.
+        reached, or a scheme is unknown or cannot be used.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol per body")
-    chosen = schemes_of(CANDIDATES if schemes is None else schemes)
+    plain = schemes_named(CANDIDATES if schemes is None else schemes)
     levels = whole(levels, "levels", least=3)
-    length = None if duration is None else positive(stripped(duration, unit.picosecond), "duration", "ps")
-    named = None if horizon is None else positive(stripped(horizon, unit.picosecond), "horizon", "ps")
-    begin, notes = start_of(system, start, velocities, platform, properties, bodies)
+    survey = None if duration is None else positive(stripped(duration, unit.picosecond), "duration", "ps")
+    production = None if horizon is None else positive(stripped(horizon, unit.picosecond), "horizon", "ps")
+    state, notes = initial_state(system, start, velocities, platform, properties, bodies)
     if temperature is not None:
         kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
-        begin = thermalised(begin, kelvin, seed, minimise=not begin.velocities.any())
-        notes.append(
-            f"the start was brought to {kelvin:g} K in a short run: the State of an equilibrated one is better"
-        )
-    elif not begin.velocities.any():
+        state = thermalised(state, kelvin, seed, minimise=not state.velocities.any())
+        notes.append(f"the start was brought to {kelvin:g} K in a short run: prefer the State of an equilibrated one")
+    elif not state.velocities.any():
         raise ValueError(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
-    inner = _nested(begin, schemes) if nest else []
-    bench = Bench(begin)
-    if length is None:
-        usual = _SURVEY * bench.scales.time
-        length = usual if named is None else min(max(usual, named / _LONGER), _LONGEST * usual)
-    promised = _LONGER * length if named is None else named
-    measured = Measurements(bench, [*chosen, *inner], length, promised, report or (lambda line: None))
-    found = search(measured, wanted, levels)
-    return _result(measured, found, wanted, notes)
+    benchmark = Benchmark(state)
+    methods = [Method(scheme) for scheme in plain]
+    if nest and benchmark.nests:
+        nested = plain if schemes is not None else schemes_named(NESTED_CANDIDATES)
+        methods += [Method(scheme, nested=True) for scheme in nested]
+    if survey is None:
+        usual = _SURVEY * benchmark.characteristics.time
+        survey = usual if production is None else min(max(usual, production / _LONGER), _LONGEST * usual)
+    production = _LONGER * survey if production is None else production
+    measured = Measurements(benchmark, methods, survey, production, report or (lambda line: None))
+    floor, best = search(measured, wanted, levels)
+    return _result(measured, wanted, floor, best, notes)
 
 
-def _result(measured: Measurements, found: Found, target: float | None, notes: list[str]) -> Tuning:
-    start, scales = measured.bench.start, measured.bench.scales
-    own = {name: scheme for name, method in measured.methods.items() if (scheme := own_scheme(method))}
-    floor, best = found
-    if scales.time == scales.free:
+def _result(
+    measured: Measurements, target: float | None, floor: float | None, best: Point | None, notes: list[str]
+) -> Tuning:
+    state, (n_bodies, _, time, free) = measured.benchmark.state, measured.benchmark.characteristics
+    own = {name: scheme for name, method in measured.methods.items() if (scheme := method.own_scheme)}
+    chosen = None
+    if best is not None:
+        setting = best.method, best.step, best.error, best.cost
+        chosen = Choice(*setting, True, state.bodies, own.get(best.method), state.groups)
+    if time == free:
         notes.append(
             "at the start bodies hardly feel each other: what was measured says little about runs in which they meet"
         )
     if floor is not None and best is not None and best.error < 1.5 * floor:
         notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
-    if best is not None and (looks := _looks(measured, best.method)):
+    if best is not None and (scheme := measured.methods[best.method].scheme) and scheme.output_forces:
         notes.append(
-            f"{best.method} evaluates forces {looks} times more for each call of step, and so for each report: that is "
-            "not in its cost, so let reports be some hundred forces apart. Simulation.step calls it every ten steps"
+            f"{best.method} evaluates forces {scheme.output_forces} times more for each call of step, and so for each "
+            "report. The cost does not include these: let reports be some hundred forces apart. Simulation.step calls "
+            "it every ten steps"
         )
-    chosen = None
-    if best is not None:
-        setting = best.method, best.step, best.error, best.cost
-        chosen = Choice(*setting, True, start.bodies, own.get(best.method), start.groups)
     return Tuning(
         points=tuple(measured.points),
         seconds=measured.seconds,
         stages=measured.stages,
-        n_bodies=scales.n_bodies,
-        platform=start.platform,
+        n_bodies=n_bodies,
+        platform=state.platform,
         duration=measured.duration,
         horizon=measured.horizon,
         target=target,
         chosen=chosen,
         floor=floor,
         notes=tuple(notes),
-        bodies=start.bodies,
+        bodies=state.bodies,
         schemes=own,
-        groups=start.groups,
+        groups=state.groups,
     )
-
-
-def _looks(measured: Measurements, name: str) -> int:
-    """Return what a look at the state costs beside the steps, in force evaluations."""
-    method = measured.methods[name]
-    scheme = method.scheme if isinstance(method, NestedScheme) else method
-    return scheme.processing if isinstance(scheme, Scheme) else 0
-
-
-def _nested(start: Start, schemes: str | Scheme | Sequence[str | Scheme] | None) -> list[NestedScheme]:
-    """Return the nested schemes that can be tried."""
-    bodies = find_bodies(start.system, start.positions, start.bodies)
-    if nested_in(start.system, bodies, Nesting(AUTO)) is None:
-        return []
-    return [NestedScheme(scheme) for scheme in schemes_of(NESTED_CANDIDATES if schemes is None else schemes)]

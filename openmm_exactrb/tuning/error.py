@@ -1,74 +1,38 @@
-"""The energy error of a run, and what to expect of a longer one."""
+"""The energy error of a run, and how it grows in a longer one."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: A run is unstable once its energy is off by this part of the kinetic energy.
-LOST = 0.1
-
 _WINDOWS = (8, 4, 2, 1)
-# Into how many parts a run falls where a drift is looked for. Squares of the changes between parts are twice those of
-# what is left of them beside a line, where they scatter, and far less where they walk. A drift is that many errors of
-# itself, so that one walk in 25 is taken for one, and of the swings few.
-_PARTS, _SCATTER, _CLEAR_OF_SCATTER, _CLEAR_OF_WALK = 16, 1.5, 4.0, 4.0
-
-
-@dataclass(frozen=True)
-class Series:
-    """Energies of one run.
-
-    Attributes
-    ----------
-    energies : (n,) array
-        Total energy in kJ/mol per body.
-    interval : float
-        Time between two of them in ps.
-    stable : bool
-        Whether the run came to its end with its energy.
-    """
-
-    energies: Array
-    interval: float
-    stable: bool
-
-    def error(self, horizon: float) -> float:
-        """Return the standard deviation to expect within a run of a length in ps; see `expected_error`."""
-        return expected_error(self.energies, self.interval, horizon) if self.stable else math.inf
+# A drift is the slope of the means of this many parts of a run. Their differences tell how they scatter about a line:
+# the squared differences of independent means are twice their squared residuals, those of a random walk far less.
+_PARTS, _SCATTER = 16, 1.5
+# A slope is a drift above this many standard errors of its own. One random walk in 25 is mistaken for a drift, and few
+# oscillations are.
+_SIGNIFICANT = 4.0
 
 
 def expected_error(energies: Array, interval: float, horizon: float) -> float:
     """Extrapolate the standard deviation of an energy to a longer run.
 
-    A drift that cannot be chance is carried on as a line. Of what is left the
-    variance within windows of 1/8, 1/4, 1/2 and all of the run, as a power of their length, is carried on to the
-    horizon; the power is kept between 0 (the energy swings about a mean) and 1 (it wanders as a random walk does).
-
-    A walk is known badly from one run, so that its part is raised by up to a half. Of random walks that are known over
-    half the horizon 1 in 40 then exceeds twice the answer, and 1 in 10 of those that consist of ten jumps; over a tenth
-    of the horizon 1 in 8 and 1 in 4. What hides beneath a swing for now is not foreseen: of walks that are as large as
-    a swing about them by the end of a run of a tenth of the horizon 1 in 20 exceeds twice the answer, of those three
-    times as large 3 in 10.
+    A significant drift is extrapolated linearly. The variance of the rest within windows of 1/8, 1/4, 1/2 and all of
+    the run is fitted by a power of their length and extrapolated to the horizon. The power is kept between 0 (the
+    energy oscillates about a mean) and 1 (it is a random walk). A single run determines a random walk poorly, so its
+    part is raised by up to a half; how often longer runs still exceed the result is tabulated in the documentation
+    ("How long advice holds").
 
     Parameters
     ----------
     energies : (n,) array
-        n of 16 or more, at equal times.
-    interval : float
-        Time between two of them.
-    horizon : float
-        Length of the longer run, in the unit of `interval`.
-
-    Returns
-    -------
-    float
-        In the unit of `energies`.
+        At equal intervals; n is 16 or more.
+    interval, horizon : float
+        Time between two of them, and length of the longer run, in one unit.
     """
     n, longer = len(energies), max(horizon / (len(energies) * interval), 1.0)
     drift = _drift(energies)
@@ -84,10 +48,9 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
 
 
 def _drift(energies: Array) -> float:
-    """Return by how much an energy drifts within all of a run; zero where that may be chance.
+    """Return the drift of an energy over all of a run, zero if it is not significant.
 
-    The means of parts of the run scatter about a line, or they walk: the error of the slope is that of the one or the
-    other.
+    The standard error of the slope is that of independent means or that of a random walk, whichever they resemble.
     """
     m = len(energies) // _PARTS
     t = (np.arange(_PARTS) - 0.5 * (_PARTS - 1)) / _PARTS
@@ -95,10 +58,10 @@ def _drift(energies: Array) -> float:
     slope = (t @ means) / (t @ t)
     rest, steps = means - means.mean() - slope * t, np.diff(means)
     if (np.diff(rest) ** 2).sum() > _SCATTER * (rest @ rest):
-        clear = _CLEAR_OF_SCATTER * math.sqrt(rest @ rest / ((_PARTS - 2) * (t @ t)))
+        error = math.sqrt(rest @ rest / ((_PARTS - 2) * (t @ t)))
     else:
-        clear = _CLEAR_OF_WALK * _PARTS * float(steps.std(ddof=1)) / math.sqrt(len(steps))
-    return float(slope * len(energies) / (_PARTS * m)) if abs(slope) > clear else 0.0
+        error = _PARTS * float(steps.std(ddof=1)) / math.sqrt(len(steps))
+    return float(slope * len(energies) / (_PARTS * m)) if abs(slope) > _SIGNIFICANT * error else 0.0
 
 
 def _window_variance(energies: Array, m: int) -> float:

@@ -1,110 +1,136 @@
-"""Points of methods, each run when it is asked for and kept."""
+"""Measured points of methods, and the curves of error against cost through them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.tuning.bench import Bench
-from openmm_exactrb.tuning.curves import Point, is_flat, slope, stable_curve
-from openmm_exactrb.tuning.error import LOST
-from openmm_exactrb.tuning.movers import VERLET, Method, NestedScheme
+from openmm_exactrb.tuning.benchmark import Benchmark
+from openmm_exactrb.tuning.candidates import VERLET, Method
 
-# An evaluation is the same work in all schemes, one force, drift and kick: what is further above the fastest is noise.
+# A force evaluation with its drift and kick is the same work in all schemes: times above the least one times this are
+# noise.
 _SAME_WORK = 1.15
 
 
+@dataclass(frozen=True)
+class Point:
+    """One measured run."""
+
+    #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
+    method: str
+    #: Step of the whole scheme in ps.
+    step: float
+    #: Standard deviation in kJ/mol per body to expect over the horizon; infinite if the run was unstable.
+    error: float
+    #: Wall time in s per ps.
+    cost: float
+    #: Length of the run in ps.
+    duration: float
+
+
+def stable_points(points: Sequence[Point], method: str) -> list[Point]:
+    """Return the points of a method with steps below its smallest unstable one."""
+    own = [p for p in points if p.method == method]
+    limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
+    return [p for p in own if p.step < limit]
+
+
+def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
+    """Return the stable points of a method that no longer run contradicts, cheapest first.
+
+    A longer run with no larger step but a larger error contradicts a point: the shorter run did not show that error.
+    """
+    below = stable_points(points, method)
+    return sorted((p for p in below if not any(_contradicts(q, p) for q in below)), key=lambda p: p.cost)
+
+
+def _contradicts(longer: Point, point: Point) -> bool:
+    return longer.duration > point.duration and longer.step <= point.step and longer.error > point.error
+
+
+def cost_at(curve: Sequence[Point], error: float) -> float | None:
+    """Return the cost at which a curve reaches an error, log-linear between points; None if it does not reach it."""
+    i = next((i for i, point in enumerate(curve) if point.error <= error), None)
+    if not i:
+        return None if i is None else curve[0].cost
+    a, b = curve[i - 1], curve[i]
+    part = math.log(a.error / error) / math.log(a.error / b.error) if b.error < a.error else 1.0
+    return math.exp(math.log(a.cost) + min(max(part, 0.0), 1.0) * math.log(b.cost / a.cost))
+
+
+def step_at(curve: Sequence[Point], cost: float) -> float:
+    """Return the step with a cost, if a force evaluation takes as long as at the nearest point."""
+    nearest = min(curve, key=lambda p: abs(math.log(p.cost / cost)))
+    return nearest.step * (nearest.cost / cost)
+
+
 class Measurements:
-    """Points of methods, each run when it is asked for and kept.
+    """Points of methods, each run on request and kept.
 
-    Parameters
-    ----------
-    bench : Bench
-    schemes : sequence of Scheme or NestedScheme
-        OpenMM's Verlet integrator is measured beside them where it moves the same bodies.
-    duration, horizon : float
-        Length in ps of a run of the survey, and of those for which errors are promised.
-    report : callable
-        Gets a line of text for each run.
-
-    Attributes
-    ----------
-    methods : dict
-        Scheme, plain or nested, or `VERLET`, by name.
-    stages : dict
-        Force evaluations per step by name.
-    seconds : dict
-        Wall time of a force evaluation in s by name, once `time` was called.
-    points : list of Point
+    The baseline is added to the methods if it moves the same bodies. A survey run takes `duration`, a production run,
+    for which errors are promised, the `horizon`, both in ps. `report` gets a line of text per run.
     """
 
     def __init__(
         self,
-        bench: Bench,
-        schemes: Sequence[Scheme | NestedScheme],
+        benchmark: Benchmark,
+        methods: Sequence[Method],
         duration: float,
         horizon: float,
         report: Callable[[str], None],
     ) -> None:
-        self.bench, self._report = bench, report
-        self.duration, self.horizon = duration, horizon
-        self.methods: dict[str, Method] = {s.name: s for s in schemes}
-        if bench.has_baseline:
-            self.methods[VERLET] = VERLET
-        self.stages = {name: bench.mover(method).stages for name, method in self.methods.items()}
+        self.benchmark, self.duration, self.horizon, self._report = benchmark, duration, horizon, report
+        self.methods = {method.name: method for method in (*methods, *[Method()] * benchmark.has_baseline)}
+        self.stages = {name: method.stages for name, method in self.methods.items()}
+        #: Wall time of a force evaluation in s by method, measured by `time`.
         self.seconds: dict[str, float] = {}
-        self._shares: dict[tuple[str, float], float] = {}  # nested evaluations for one of the others, at a step
-        self._plain_seconds = self._nested_seconds = math.nan  # of a force evaluation, and of a nested one
         self.points: list[Point] = []
+        self._shares: dict[tuple[str, float], float] = {}  # nested evaluations per other evaluation, at a step
+        self._plain_seconds = self._nested_seconds = math.nan  # per force evaluation, and per nested one
 
     def at(self, name: str, interval: float, duration: float | None = None) -> Point:
-        """Return the point of a method at a time a force evaluation in ps, run if it was not yet for as long.
-
-        Parameters
-        ----------
-        name : str
-        interval : float
-        duration : float, optional
-            Length of the run in ps, that of the survey unless given.
-        """
-        step, duration = self.stages[name] * interval, self.duration if duration is None else duration
+        """Return the point of a method at a time per force evaluation in ps; it is run if no run was as long."""
+        method, step = self.methods[name], self.stages[name] * interval
+        duration = self.duration if duration is None else duration
         for known in self.points:
             if known.method == name and math.isclose(known.step, step, rel_tol=1e-9):
                 if known.duration >= duration or math.isinf(known.error):
                     return known
                 self.points.remove(known)
                 break
-        error = self.bench.run(self.methods[name], step, duration).error(self.horizon)
-        self._shares[name, step] = self.bench.mover(self.methods[name]).fast_share
-        error = error if error < LOST * self.bench.scales.kinetic else math.inf
-        point = self._priced(Point(name, step, error, math.nan, duration))
+        error = self.benchmark.error(method, step, duration, self.horizon)
+        self._shares[name, step] = self.benchmark.under_test(method).fast_share
+        point = self._with_cost(Point(name, step, error, math.nan, duration))
         self.points.append(point)
         shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol per body"
         self._report(f"{name}, {1e3 * interval:.3g} fs per evaluation: {shown}")
         return point
 
     def time(self, interval: float) -> None:
-        """Time all methods at a time a force evaluation in ps; points learn what they cost."""
-        times = self.bench.seconds_per_evaluation(list(self.methods.values()), interval)
+        """Measure the wall time of all methods at a time per force evaluation in ps, and set the costs of the points.
+
+        The time of a nested evaluation is the least that the excess over plain schemes allows.
+        """
+        times = self.benchmark.seconds_per_evaluation(list(self.methods.values()), interval)
         self.seconds = dict(zip(self.methods, times, strict=True))
-        nested = [name for name, method in self.methods.items() if isinstance(method, NestedScheme)]
+        nested = [name for name, method in self.methods.items() if method.nested]
         plain = [name for name in self.methods if name != VERLET and name not in nested]
         least = min(self.seconds[name] for name in plain)
         for name in plain:
             self.seconds[name] = min(self.seconds[name], _SAME_WORK * least)
-        shares = {name: self.bench.mover(self.methods[name]).fast_share for name in nested}
-        more = [max(0.0, self.seconds[name] - least) / shares[name] for name in nested]
-        self._plain_seconds, self._nested_seconds = least, min(more, default=0.0)
+        shares = {name: self.benchmark.under_test(self.methods[name]).fast_share for name in nested}
+        excess = [max(0.0, self.seconds[name] - least) / shares[name] for name in nested]
+        self._plain_seconds, self._nested_seconds = least, min(excess, default=0.0)
         for name in nested:
             self.seconds[name] = least + shares[name] * self._nested_seconds
-        self.points = [self._priced(p) for p in self.points]
+        self.points = [self._with_cost(p) for p in self.points]
 
-    def _priced(self, point: Point) -> Point:
-        """Return a point with its cost: that of its force evaluations, and of the nested ones that it had."""
+    def _with_cost(self, point: Point) -> Point:
+        """Return a point with the cost of its force evaluations, nested ones included."""
         seconds = self.seconds.get(point.method, math.nan)
-        if isinstance(self.methods[point.method], NestedScheme):
+        if self.methods[point.method].nested:
             seconds = self._plain_seconds + self._shares[point.method, point.step] * self._nested_seconds
         return replace(point, cost=seconds * self.stages[point.method] / point.step)
 
@@ -113,24 +139,27 @@ class Measurements:
         return [name for name in self.methods if name != VERLET and self.curve(name)]
 
     def curve(self, name: str) -> list[Point]:
-        """Return the stable points of a method that no longer run refutes, cheapest first."""
-        return stable_curve([p for p in self.points if p.method == name])
-
-    def order(self, name: str) -> int:
-        """Return the order of a method."""
-        method = self.methods[name]
-        return 2 if isinstance(method, str) else method.order
+        """Return the stable points of a method that no longer run contradicts, cheapest first."""
+        return stable_curve(self.points, name)
 
     def slope(self, name: str) -> float:
-        """Return the power with which the error of a method falls with the cost; see `curves.slope`."""
-        return slope(self.curve(name), self.order(name))
+        """Return the power by which the error falls with the cost at the finest points; the order, of one point."""
+        curve = self.curve(name)
+        if len(curve) < 2:
+            return float(self.methods[name].order)
+        a, b = curve[-2:]
+        return math.log(a.error / b.error) / math.log(b.cost / a.cost)
 
     def is_flat(self, name: str) -> bool:
-        """Tell whether the error of a method no longer falls from level to level; see `curves.is_flat`."""
-        return is_flat([p for p in self.curve(name) if p.duration == self.duration], self.order(name))
+        """Return whether the survey's error stopped falling: by less than a third of the order, over two step sizes."""
+        curve = [p for p in self.curve(name) if p.duration == self.duration]
+        if len(curve) < 3:
+            return False
+        a, b = curve[-3], curve[-1]
+        return math.log(a.error / b.error) < self.methods[name].order / 3.0 * math.log(b.cost / a.cost)
 
     def holds(self, name: str, target: float) -> bool:
-        """Tell whether the finest point of a method has an error of the target or less, and no longer run has more."""
+        """Return whether the finest point of a method meets the target and no longer run of it misses it."""
         curve = self.curve(name)
         failed = any(p.error > target and p.duration > self.duration for p in curve)
         return bool(curve) and curve[-1].error <= target and not failed

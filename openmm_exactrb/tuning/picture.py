@@ -1,23 +1,22 @@
-"""A picture of energy error over cost."""
+"""The picture of energy error against cost."""
 
 from __future__ import annotations
 
-import math
-import os
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from openmm_exactrb.tuning.movers import VERLET
-from openmm_exactrb.tuning.record import Record
+from openmm_exactrb.tuning.candidates import VERLET
+from openmm_exactrb.tuning.measurements import Point
 
-# Of Okabe and Ito, and of Tol: told apart by colour-blind readers, each with a marker of its own.
+# From the palettes of Okabe and Ito, and of Tol, for colour-blind readers; each colour has its own marker.
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#882255")
 _MARKERS = "sD^vpPX*"
 
 
-def draw(record: Record, file: str | os.PathLike[str]) -> None:
-    """Draw energy error over cost; see `Tuning.draw`."""
+def new_figure(**settings: Any) -> tuple[Any, Any]:
+    """Return an empty figure, and its axes with settings; ModuleNotFoundError without matplotlib."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -27,57 +26,25 @@ def draw(record: Record, file: str | os.PathLike[str]) -> None:
         ) from None
     figure = Figure(figsize=(8.5, 5.0), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    _curves(axes, record)
-    _marks(axes, record)
-    _frame(axes, record)
-    figure.savefig(file, dpi=150)
+    axes = figure.add_subplot(xscale="log", yscale="log", **settings)
+    axes.grid(True, alpha=0.3)
+    axes.xaxis.set_major_formatter("{x:.3g}")
+    axes.xaxis.set_minor_formatter("{x:.3g}")
+    axes.xaxis.get_minor_locator().set_params(subs=(2.0, 5.0))
+    return figure, axes
 
 
-def _curves(axes: Any, record: Record) -> None:
-    """Draw the schemes that are the best at some cost each in a colour, the others in grey."""
-    curves = {method: record.curve(method) for method in record.seconds}
+def draw_curves(axes: Any, curves: Mapping[str, Sequence[Point]]) -> None:
+    """Draw the schemes that are the best at some cost in colours, other schemes in grey and the baseline in black."""
+    lines = {method: np.array([(p.cost, p.error) for p in curve]).T for method, curve in curves.items() if curve}
     points = [(p.cost, p.error, method) for method, curve in curves.items() if method != VERLET for p in curve]
     best = {name for cost, error, name in points if not any(c < cost and e < error for c, e, _ in points)}
-    shown = [method for method in curves if method in best][: len(_COLOURS)]
-    for method, curve in curves.items():
-        if method not in (*shown, VERLET) and curve:
-            axes.loglog(*_of(curve), color="0.8", lw=1.0, zorder=1)
+    shown = [method for method in lines if method in best][: len(_COLOURS)]
+    for method in lines.keys() - {*shown, VERLET}:
+        axes.plot(*lines[method], color="0.8", lw=1.0, zorder=1)
     if len(curves) > len(shown) + 1:
         axes.plot([], [], color="0.8", lw=1.0, label="other schemes")
     for method, colour, marker in zip(shown, _COLOURS, _MARKERS, strict=False):
-        axes.loglog(*_of(curves[method]), color=colour, marker=marker, label=method, ms=6, mec="white", mew=0.5, lw=1.8)
-    if curves.get(VERLET):
-        axes.loglog(*_of(curves[VERLET]), color="black", ls="--", marker="o", label=VERLET, ms=5, mew=0.5, lw=1.5)
-
-
-def _of(curve: Any) -> Any:
-    return np.array([(p.cost, p.error) for p in curve]).T
-
-
-def _marks(axes: Any, record: Record) -> None:
-    """Draw the target, the floor and the choice."""
-    if record.target is not None:
-        axes.axhline(record.target, color="0.4", lw=0.8, ls=(0, (6, 3)), label="target", zorder=0)
-    if record.floor is not None:
-        floor = record.floor
-        axes.axhspan(1e-3 * floor, floor, color="0.85", label="below the floor", zorder=0)
-    if record.chosen is not None:
-        at = record.chosen.cost, record.chosen.error
-        label = f"chosen: {record.chosen.method}, {1e3 * record.chosen.step:.3g} fs"
-        axes.loglog(*at, "o", ms=14, mfc="none", mec="black", mew=1.5, ls="", label=label)
-
-
-def _frame(axes: Any, record: Record) -> None:
-    from matplotlib.ticker import LogLocator
-
-    errors = [p.error for name in record.seconds for p in record.curve(name)]
-    axes.set_ylim(bottom=0.4 * min([*errors, record.target or math.inf], default=1.0))
-    axes.set_xlabel("wall time (s per ps)")
-    axes.set_ylabel(f"std of total energy over {record.horizon:.3g} ps (kJ/mol per body)")
-    axes.set_title(f"{record.n_bodies} bodies, {record.platform} platform")
-    axes.grid(True, alpha=0.3)
-    for kind in ("major", "minor"):
-        getattr(axes.xaxis, f"set_{kind}_formatter")("{x:.3g}")
-    axes.figure.legend(loc="outside right upper", fontsize=9)
-    axes.xaxis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        axes.plot(*lines[method], color=colour, marker=marker, label=method, ms=6, mec="white", mew=0.5, lw=1.8)
+    if VERLET in lines:
+        axes.plot(*lines[VERLET], color="black", ls="--", marker="o", label=VERLET, ms=5, mew=0.5, lw=1.5)

@@ -1,36 +1,115 @@
-"""What a user gets: all that was measured, asked, printed, kept and drawn."""
+"""The result of tuning: all measurements, and the settings that follow from them."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from dataclasses import asdict, dataclass
+import textwrap
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
+import openmm
+
 from openmm_exactrb.checks import positive
-from openmm_exactrb.tuning import answers, picture, text
-from openmm_exactrb.tuning.record import Choice, Record
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.tuning import picture
+from openmm_exactrb.tuning.candidates import NESTED, VERLET
+from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, stable_points, step_at
+
+
+class UnreachableError(ValueError):
+    """No measured setting has so small an error or cost."""
 
 
 @dataclass(frozen=True)
-class Tuning(Record):
-    """What was measured, and the advice that follows; its attributes are those of `Record`."""
+class Choice:
+    """A scheme and a step."""
+
+    #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
+    method: str
+    #: Step of the whole scheme in ps.
+    step: float
+    #: Standard deviation of the total energy in kJ/mol per body to expect over the horizon.
+    error: float
+    #: Wall time in s per ps.
+    cost: float
+    #: Whether this setting itself was run; otherwise it is interpolated.
+    confirmed: bool
+    #: Argument of the integrator.
+    bodies: list[list[int]] | None = None
+    #: The scheme of the method if it is not in the catalogue.
+    scheme: Scheme | None = None
+    #: Bits of the force groups that act.
+    groups: int = -1
+
+    def integrator(self) -> openmm.Integrator:
+        """Return a new integrator with this scheme and step."""
+        if self.method == VERLET:
+            integrator = openmm.VerletIntegrator(self.step)
+        else:
+            integrator = ExactRigidBodyIntegrator(self.step, bodies=self.bodies, **self.options())
+        integrator.setIntegrationForceGroups(self.groups)
+        return integrator
+
+    def options(self) -> dict[str, Any]:
+        """Return the arguments `scheme` and `fast` of an integrator of this package with this setting."""
+        nested = self.method.endswith(NESTED)
+        return {"scheme": self.scheme or self.method.removesuffix(NESTED), "fast": "bonded" if nested else None}
+
+    def __str__(self) -> str:
+        return (
+            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol per body, "
+            f"{self.cost:.3g} s per ps ({86.4 / self.cost:.3g} ns per day)"
+        )
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The measured points of all methods, and the recommended setting."""
+
+    points: tuple[Point, ...]
+    #: Wall time of a force evaluation in s by method, for nested schemes including the nested forces at a short step.
+    seconds: Mapping[str, float]
+    #: Force evaluations per step by method, not counting those of nested forces.
+    stages: Mapping[str, int]
+    n_bodies: int
+    platform: str
+    #: Length of a survey run in ps.
+    duration: float
+    #: Length in ps of the production runs for which errors are promised.
+    horizon: float
+    #: Wanted error in kJ/mol per body.
+    target: float | None = None
+    #: The cheapest setting that meets the target.
+    chosen: Choice | None = None
+    #: Error due to the noise of the forces, in kJ/mol per body: smaller steps do not lower it.
+    floor: float | None = None
+    notes: tuple[str, ...] = ()
+    bodies: list[list[int]] | None = field(default=None, repr=False)
+    #: Schemes that are not in the catalogue, by method.
+    schemes: Mapping[str, Scheme] = field(default_factory=dict, repr=False)
+    #: Bits of the force groups that act.
+    groups: int = -1
+
+    # -- settings ---------------------------------------------------------------------------------------------------
 
     def best(self, target: float | None = None) -> Choice:
-        """Return the cheapest scheme and its step for an energy error.
+        """Return the cheapest scheme and step for an energy error.
 
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol per body within a run as long as the horizon. For the
-            target that was tuned for, and without one, the choice was confirmed by a run over all of the horizon;
-            others are interpolated with `cheapest`.
+            Standard deviation of the total energy in kJ/mol per body within a run as long as the horizon; by default
+            the target of `tune`. For that target the setting was confirmed by a run over the whole horizon. For others
+            it is interpolated; see `cheapest`.
 
         Raises
         ------
         UnreachableError
-            With the smallest error that was found.
+            With the smallest error found.
         """
         target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
@@ -38,102 +117,208 @@ class Tuning(Record):
         if target != self.target:
             return self.cheapest(target)
         if self.chosen is None:
-            raise answers.UnreachableError(answers.unreachable(self, target))
+            raise UnreachableError(self._why_unreachable(target))
         return self.chosen
 
     def cheapest(self, target: float, method: str | None = None) -> Choice:
-        """Return the cheapest setting for an energy error, between those measured.
+        """Return the cheapest setting for an energy error, interpolated between measured ones.
 
         Parameters
         ----------
         target : float
-            As for `best`.
+            As in `best`.
         method : str, optional
-            A scheme, or "VerletIntegrator"; all schemes unless given.
+            A scheme, or "VerletIntegrator"; by default all schemes.
 
         Raises
         ------
         UnreachableError
-            With the smallest error that was found.
+            With the smallest error found.
         ValueError
             If the method was not measured or the target is not positive.
         """
-        return answers.cheapest(self, positive(target, "target", "kJ/mol per body"), method)
-
-    def error_at(self, cost: float, method: str | None = None) -> Choice:
-        """Return the setting with the least energy error at a cost, and the error with it.
-
-        Parameters
-        ----------
-        cost : float
-            Wall time in s per ps.
-        method : str, optional
-            As for `cheapest`.
-
-        Raises
-        ------
-        UnreachableError
-            If every stable setting costs more.
-        ValueError
-            If the method was not measured or the cost is not positive.
-        """
-        return answers.least_error(self, positive(cost, "cost", "s per ps"), method)
+        target = positive(target, "target", "kJ/mol per body")
+        found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
+        if not found:
+            raise UnreachableError(self._why_unreachable(target, method))
+        return min(found, key=lambda choice: choice.cost)
 
     def largest_stable_step(self, method: str) -> float:
-        """Return the largest step in ps of a scheme that kept its energy to a tenth of the kinetic energy.
+        """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
 
-        Steps were tried up to the first unstable one, 19 % above it or less, or as far as free bodies turn by a radian
-        between two forces.
+        Steps were tried up to the first unstable one, at most 19 % above, or up to the one in which free bodies turn by
+        a radian between two forces.
 
         Raises
         ------
         ValueError
             If the method was not measured, or no step of it was stable.
         """
-        (name,) = self.methods(method)
-        step = self.largest_stable(name)
+        (name,) = self._methods(method)
+        step = self._largest_stable(name)
         if step is None:
-            raise answers.UnreachableError(f"no step of {name} that was tried is stable")
+            raise UnreachableError(f"no step of {name} that was tried is stable")
         return step
 
+    def curve(self, method: str) -> list[Point]:
+        """Return the stable points of a method that no longer run contradicts, cheapest first."""
+        return stable_curve(self.points, method)
+
+    def _methods(self, method: str | None) -> list[str]:
+        """Return one method, which must have been measured, or all schemes."""
+        if method is None:
+            return [name for name in self.seconds if name != VERLET]
+        if method not in self.seconds:
+            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.seconds)}")
+        return [method]
+
+    def _largest_stable(self, method: str) -> float | None:
+        return max((p.step for p in stable_points(self.points, method)), default=None)
+
+    def _choice(self, method: str, target: float) -> Choice | None:
+        """Return the cheapest setting of a method with an error, or None."""
+        curve = self.curve(method)
+        cost = cost_at(curve, target)
+        if cost is None:
+            return None
+        measured = curve[0].error <= target  # already with the largest stable step
+        error, step = curve[0].error if measured else target, step_at(curve, cost)
+        return Choice(method, step, error, cost, measured, self.bodies, self.schemes.get(method), self.groups)
+
+    def _why_unreachable(self, target: float, method: str | None = None) -> str:
+        points = [p for name in self._methods(method) for p in self.curve(name)]
+        if not points:
+            return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
+        least = min(points, key=lambda p: p.error)
+        failed = [p for p in points if p.duration >= self.horizon and p.error > target]
+        if least.error <= target and failed:
+            nearest = min(failed, key=lambda p: p.error)
+            return (
+                f"an error of {target:.3g} kJ/mol per body was not held: runs of {self.horizon:.3g} ps came down to "
+                f"{nearest.error:.2g}, with {nearest.method} and a step of {1e3 * nearest.step:.3g} fs"
+            )
+        text = (
+            f"an error of {target:.3g} kJ/mol per body was not reached: the smallest found is {least.error:.2g}, with "
+            f"{least.method} and a step of {1e3 * least.step:.3g} fs"
+        )
+        return text + ("; smaller steps were not tried" if self.floor is None else f". {self._about_floor()}")
+
+    # -- text, JSON and picture -------------------------------------------------------------------------------------
+
     def __str__(self) -> str:
-        return text.summary(self)
+        head = (
+            f"{self.n_bodies} bodies on {self.platform}. Error: standard deviation of the total energy in kJ/mol per "
+            f"body, within {self.horizon:.3g} ps\n"
+            f"(extrapolated from {self.duration:.3g} ps). Cost: wall time in s per ps."
+        )
+        return "\n".join([head, "", self._tables(), "", *(textwrap.fill(line, 120) for line in self._conclusions())])
 
-    def table(self) -> str:
-        """Return the errors of all methods over the time a force evaluation, as text."""
-        return text.table(self)
+    def _tables(self) -> str:
+        """Return the errors of all methods by the time per force evaluation; nested schemes have their own table."""
+        nested = [method for method in self.seconds if method.endswith(NESTED)]
+        plain = [method for method in self.seconds if method not in nested]
+        return "\n\n".join(self._table(methods) for methods in (plain, nested) if methods)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return all of it as plain numbers, strings and lists.
+    def _table(self, methods: list[str]) -> str:
+        contradicted, cells = self._contradicted(), {}
+        for p in self.points:
+            text = "unstable" if math.isinf(p.error) else f"({p.error:.1e})" if p in contradicted else f"{p.error:.1e}"
+            cells[float(f"{p.step / self.stages[p.method]:.6g}"), p.method] = text
+        intervals = sorted({interval for interval, method in cells if method in methods}, reverse=True)
+        rows = [
+            ["fs per evaluation", *methods],
+            *([f"{1e3 * t:.4g}", *(cells.get((t, method), "") for method in methods)] for t in intervals),
+            ["largest step, fs", *(f"{1e3 * (self._largest_stable(method) or math.nan):.4g}" for method in methods)],
+            ["ms per evaluation", *(f"{1e3 * self.seconds[method]:.3g}" for method in methods)],
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
-        Errors of unstable runs are None, and costs where nothing was stable, so that nothing was timed.
-        """
-        content = asdict(self)
-        for point in content["points"]:
-            point |= {name: _finite(point[name]) for name in ("error", "cost")}
-        content["largest_stable_steps"] = {name: self.largest_stable(name) for name in self.seconds}
-        content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
-        return content
+    def _contradicted(self) -> set[Point]:
+        """Return the stable points that a longer run contradicts."""
+        return {p for name in self.seconds for p in {*stable_points(self.points, name)}.difference(self.curve(name))}
+
+    def _conclusions(self) -> Iterable[str]:
+        if self._contradicted():
+            yield "In brackets: a longer run of a smaller step had a larger error."
+        if self.floor is not None and (self.target is None or self.chosen is not None):
+            yield self._about_floor()
+        if self.target is not None:
+            yield f"target {self.target:.3g}: {self.chosen or self._why_unreachable(self.target)}"
+        if self.chosen is not None and VERLET in self.seconds and self.curve(VERLET):
+            yield self._comparison(self.chosen)
+        yield from (f"note: {note}" for note in self.notes)
+
+    def _about_floor(self) -> str:
+        return (
+            f"Below {self.floor:.1e} kJ/mol per body smaller steps do not lower the error: the rest comes from the "
+            "forces (single precision, a cutoff without a switch, a loose ewaldErrorTolerance), not from the scheme. "
+            "Take the Reference platform or double precision, or smoother forces"
+        )
+
+    def _comparison(self, chosen: Choice) -> str:
+        """Return a sentence that compares a choice with OpenMM's Verlet integrator."""
+        last, about = self.curve(VERLET)[-1], ""
+        cost = cost_at(self.curve(VERLET), chosen.error)
+        if cost is None:  # extrapolate: Verlet is of order 2
+            cost, about = last.cost * (last.error / chosen.error) ** 0.5, "about "
+        ratio, step = cost / chosen.cost, 1e3 * self.seconds[VERLET] / cost
+        if ratio < 1.0:
+            return f"{VERLET} is cheaper here: the same error at {about}{ratio:.2g} times the cost ({step:.3g} fs)"
+        return f"{VERLET} needs {about}{ratio:.2g} times the cost for the same error ({step:.3g} fs)"
 
     def to_json(self) -> str:
-        """Return all of it as JSON."""
-        return json.dumps(self.as_dict(), indent=1, allow_nan=False)
+        """Return all attributes as JSON.
+
+        Errors of unstable runs are null, and so are costs if nothing was stable, since then nothing was timed.
+        """
+        content = asdict(replace(self, schemes={}, chosen=self.chosen and replace(self.chosen, scheme=None)))
+        content["schemes"] = {name: _in_words(scheme) for name, scheme in self.schemes.items()}
+        if self.chosen is not None and self.chosen.scheme is not None:
+            content["chosen"]["scheme"] = _in_words(self.chosen.scheme)
+        for point in content["points"]:
+            point |= {name: point[name] if math.isfinite(point[name]) else None for name in ("error", "cost")}
+        content["largest_stable_steps"] = {name: self._largest_stable(name) for name in self.seconds}
+        content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
+        return json.dumps(content, indent=1, allow_nan=False)
 
     def draw(self, file: str | os.PathLike[str]) -> None:
-        """Draw energy error over cost; needs matplotlib.
+        """Draw energy error against cost; needs matplotlib.
 
         Parameters
         ----------
         file : str or path
-            With the ending of a format that matplotlib writes.
+            With the suffix of a format that matplotlib writes.
 
         Raises
         ------
         ModuleNotFoundError
             Without matplotlib.
         """
-        picture.draw(self, file)
+        figure, axes = picture.new_figure(
+            title=f"{self.n_bodies} bodies, {self.platform} platform",
+            xlabel="wall time (s per ps)",
+            ylabel=f"std of total energy over {self.horizon:.3g} ps (kJ/mol per body)",
+        )
+        curves = {method: self.curve(method) for method in self.seconds}
+        picture.draw_curves(axes, curves)
+        errors = [p.error for curve in curves.values() for p in curve]
+        axes.set_ylim(bottom=0.4 * min([*errors, self.target or math.inf], default=1.0))
+        if self.target is not None:
+            axes.axhline(self.target, color="0.4", lw=0.8, ls=(0, (6, 3)), label="target", zorder=0)
+        if self.floor is not None:
+            axes.axhspan(1e-3 * self.floor, self.floor, color="0.85", label="below the floor", zorder=0)
+        if self.chosen is not None:
+            label = f"chosen: {self.chosen.method}, {1e3 * self.chosen.step:.3g} fs"
+            at = self.chosen.cost, self.chosen.error
+            axes.plot(*at, "o", ms=14, mfc="none", mec="black", mew=1.5, ls="", label=label)
+        figure.legend(loc="outside right upper", fontsize=9)
+        figure.savefig(file, dpi=150)
 
 
-def _finite(number: float) -> float | None:
-    return number if math.isfinite(number) else None
+def _in_words(scheme: Scheme) -> dict[str, Any]:
+    """Return the fields of a scheme for JSON: a substep is the expression that makes it."""
+    content = {of.name: getattr(scheme, of.name) for of in fields(scheme)}
+    for name in ("sequence", "processor", "output"):
+        content[name] = [[repr(substep), part] for substep, part in content[name]]
+    return content

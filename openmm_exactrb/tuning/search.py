@@ -1,53 +1,31 @@
-"""The search: level by level of the time a force evaluation, then longer runs near the target."""
+"""The search: all methods at ever smaller step sizes, then runs of the production length near the target."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
-from openmm_exactrb.tuning.curves import Point, cost_at, step_at
-from openmm_exactrb.tuning.measurements import Measurements
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.candidates import VERLET
+from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, step_at
 
-# The time a force evaluation at level 0, and at which evaluations are timed, in units of the system's time scale.
-_COARSE, _TIMED_AT = 0.4, 0.1
-_RATIO = 2.0**0.5  # between two levels
-_SEARCHED = 8  # levels on either side of 0 where a scheme may become unstable
+# Time per force evaluation at level 0, and the one at which wall times are measured, in units of the characteristic
+# time. From one level to the next it falls by the ratio.
+_COARSE, _TIMED_AT, _RATIO = 0.4, 0.1, 2.0**0.5
+_SEARCHED = 8  # levels on either side of 0 at which a method may become unstable
 _UNCERTAIN = 4  # stable points of a method before it may be given up
 
 
-class Found(NamedTuple):
-    """What a search found.
+def search(measured: Measurements, target: float | None, levels: int) -> tuple[float | None, Point | None]:
+    """Measure all methods from their largest stable steps downwards, until the target is met or nothing is gained.
 
-    Attributes
-    ----------
-    floor : float or None
-        The error below which smaller steps do not bring it, in kJ/mol per body.
-    chosen : Point or None
-        The cheapest that holds the target.
-    """
-
-    floor: float | None = None
-    chosen: Point | None = None
-
-
-def search(measured: Measurements, target: float | None, levels: int) -> Found:
-    """Measure all methods from their largest stable steps on, until the target is held or nothing is gained.
-
-    Parameters
-    ----------
-    measured : Measurements
-    target : float or None
-        Standard deviation of the total energy in kJ/mol per body.
-    levels : int
-        Most levels.
+    At most this many levels of step sizes are measured. The error due to the noise of the forces is returned if it was
+    reached, and the cheapest point that meets the target if there is one.
     """
     first = {name: level for name in measured.methods if (level := _first_stable(measured, name)) is not None}
     if not first:
-        return Found()
-    scale = measured.bench.scales.time
-    measured.time(min(_TIMED_AT * scale, _interval(measured, max(first.values()))))
+        return None, None
+    time = measured.benchmark.characteristics.time
+    measured.time(min(_TIMED_AT * time, _interval(measured, max(first.values()))))
     live, floor, chosen = set(first), None, None
     for level in range(min(first.values()), min(first.values()) + levels):
         for name in measured.methods:
@@ -58,28 +36,19 @@ def search(measured: Measurements, target: float | None, levels: int) -> Found:
         floor = _floor(measured) or floor
         if chosen is not None or not live - {VERLET}:
             break
-    return Found(floor, chosen)
+    return floor, chosen
 
 
 def _interval(measured: Measurements, level: float) -> float:
-    """Return the time a force evaluation of a level in ps."""
-    return float(_COARSE * measured.bench.scales.time * _RATIO**-level)
+    """Return the time per force evaluation at a level in ps."""
+    return float(_COARSE * measured.benchmark.characteristics.time * _RATIO**-level)
 
 
-# -- where a method is stable -------------------------------------------------------------------------------------
-
-
-def _is_stable(measured: Measurements, name: str, level: float) -> bool:
-    return math.isfinite(measured.at(name, _interval(measured, level)).error)
-
-
-def _is_bounded(measured: Measurements, level: float) -> bool:
-    """Tell whether free bodies turn by no more than a radian between two forces: beyond, they see nothing of them."""
-    return _interval(measured, level) <= measured.bench.scales.free
+# -- largest stable steps -----------------------------------------------------------------------------------------
 
 
 def _first_stable(measured: Measurements, name: str) -> int | None:
-    """Find the first stable level of a method, and try half a level more."""
+    """Return the coarsest stable level of a method, after a run half a level coarser."""
     level = 0
     if _is_stable(measured, name, level):
         while level > -_SEARCHED and _is_bounded(measured, level - 1) and _is_stable(measured, name, level - 1):
@@ -95,7 +64,16 @@ def _first_stable(measured: Measurements, name: str) -> int | None:
     return level
 
 
-# -- which methods are worth smaller steps ------------------------------------------------------------------------
+def _is_stable(measured: Measurements, name: str, level: float) -> bool:
+    return math.isfinite(measured.at(name, _interval(measured, level)).error)
+
+
+def _is_bounded(measured: Measurements, level: float) -> bool:
+    """Return whether free bodies turn by at most a radian between two forces: in longer steps they miss each other."""
+    return _interval(measured, level) <= measured.benchmark.characteristics.free
+
+
+# -- methods worth smaller steps ----------------------------------------------------------------------------------
 
 
 def _survivors(measured: Measurements, live: set[str], target: float | None) -> set[str]:
@@ -108,9 +86,9 @@ def _survivors(measured: Measurements, live: set[str], target: float | None) -> 
 
 
 def _beaten(measured: Measurements, last: Mapping[str, Point]) -> set[str]:
-    """Return the methods that will not overtake: three times the error of one of their order, falling no faster.
+    """Return the methods that will not win: three times the error of one of their order or above, falling no faster.
 
-    Next to the largest stable step errors fall much faster than by their order: the first points say nothing.
+    Close to the largest stable step errors fall much faster than the order says, so the first points prove nothing.
     """
     beaten = set()
     for name, mine in last.items():
@@ -118,13 +96,13 @@ def _beaten(measured: Measurements, last: Mapping[str, Point]) -> set[str]:
             theirs = last[other]
             worse = mine.error > 3.0 * theirs.error and mine.cost > 0.9 * theirs.cost
             sure = len(measured.curve(name)) > _UNCERTAIN and measured.slope(name) <= measured.slope(other) + 0.5
-            if worse and sure and measured.order(name) <= measured.order(other):
+            if worse and sure and measured.methods[name].order <= measured.methods[other].order:
                 beaten.add(name)
     return beaten
 
 
 def _floor(measured: Measurements) -> float | None:
-    """Return the least error, if those of two schemes, or of the only one, no longer fall near to it."""
+    """Return the smallest error if the errors of two schemes, or of the only one, stopped falling close to it."""
     names = measured.schemes()
     least = min((p.error for name in names for p in measured.curve(name)), default=math.inf)
     at_floor = [name for name in names if measured.is_flat(name) and measured.curve(name)[-1].error < 2.0 * least]
@@ -135,7 +113,7 @@ def _floor(measured: Measurements) -> float | None:
 
 
 def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> Point | None:
-    """Run the cheapest settings near the target longer, and return the cheapest that holds it."""
+    """Run the cheapest settings near the target for the production length, and return the cheapest that meets it."""
     reached = {name: cost_at(measured.curve(name), target) for name in measured.schemes()}
     costs = {name: cost for name, cost in reached.items() if cost is not None}
     for name in sorted(costs, key=costs.__getitem__)[:3]:
@@ -145,9 +123,9 @@ def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> P
 
 
 def _approached(measured: Measurements, name: str, cost: float, target: float, chosen: Point | None) -> Point | None:
-    """Run a method longer at a cost, and at higher ones until it holds the target or is no longer the best."""
-    slope = max(measured.slope(name), float(measured.order(name)))
-    curve = measured.curve(name)  # before longer runs show steps of it to be unstable
+    """Raise the cost of a method until a run of the production length meets the target or another one is cheaper."""
+    slope = max(measured.slope(name), float(measured.methods[name].order))
+    curve = measured.curve(name)  # before longer runs turn out unstable
     for _ in range(5):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None

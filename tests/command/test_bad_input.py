@@ -1,44 +1,46 @@
 """What is wrong with a command line is told in one line, with status 2, and no file is touched."""
 
+import sys
+
 import openmm
 import pytest
 from openmm import app, unit
-from processes_of_command import finish
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.boxes import topology_of
+from openmm_exactrb.command.inputs import topology_of
 from openmm_exactrb.command.main import main
+from peptides import PEPTIDE
 
 CASES = [
     (["droplet.pdb"], "name the force field"),
     (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
-    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA has a heat bath within it"),
-    (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has one within it"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA has a thermostat within it"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has a thermostat"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
-    (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water is it? Add --water"),
+    (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water model? Add --water"),
     (["cut.pdb", "--forcefield", "tip3p.xml"], "there is no line END"),
     (["system.xml"], "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
     ([], "there is nothing to run"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
-    (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file: choose another folder"),
+    (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),
 ]
 PDB = ["droplet.pdb", "--forcefield", "tip3p.xml"]
 XML = ["system.xml", "state.xml"]
 IDLE = [
-    ([*XML, "--constraints", "HBonds"], "--constraints: a System has its forces and constraints already"),
+    ([*XML, "--constraints", "HBonds"], "--constraints: a System has its forces"),
     ([*XML, "--cutoff", "0.9"], "--cutoff: a System has its"),
     ([*XML, "--ewald-tolerance", "1e-5"], "--ewald-tolerance: a System has its"),
     ([*XML, "--water", "tip3p"], "--water: a System has its"),
     (
         [*XML, "--ensemble", "nvt", "--equilibration", "0.001"],
-        "--equilibration: a State with velocities is taken as it",
+        "--equilibration: a State with velocities",
     ),
-    ([*XML, "--temperature", "310"], "--temperature: a State with velocities is taken as it is"),
+    ([*XML, "--temperature", "310"], "--temperature: a State with velocities"),
     ([*PDB, "--cutoff", "0.4"], "--cutoff: there is no cutoff without a periodic box"),
     ([*PDB, "--ewald-tolerance", "1e-4"], "--ewald-tolerance: there is no cutoff"),
     ([*PDB, "--water", "tip3p"], "--water: it is the water of --solvate"),
@@ -82,8 +84,8 @@ def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, mes
         (["--step", "4kg"], "'4kg' is not a positive time"),
         (["--duration=-1"], "'-1' is not a positive time"),
         (["--temperature", "nan"], "'nan' is not a positive number"),
-        (["--solvate", "2.5"], "'2.5' is not a number"),
-        (["--seed", "0"], "'0' is not a whole number of at least 1"),
+        (["--solvate", "2.5"], "'2.5' is not a whole number of at least 1"),
+        (["--seed", "0"], "'0' is not a whole number from 1 to"),
         (["--seed", "2147483648"], "'2147483648' is not a whole number from 1 to 2147483647"),
         (["--equilibration=-1ps"], "'-1ps' is not a time of at least 0"),
         (["--equilibration", "1kg"], "'1kg' is not a time of at least 0"),
@@ -111,13 +113,15 @@ def test_a_barostat_of_the_system_is_not_one_of_the_command(tmp_path, capsys):
     assert "take the MonteCarloBarostat out of the System" in capsys.readouterr().err
 
 
-def test_a_run_is_not_replaced(serialised, tmp_path):
-    command = "run", *serialised, "--step", "2fs", "--duration", "0.004", "--platform", "Reference", "--no-picture"
-    assert finish(*command, "--out", tmp_path / "out")[0] == 0
+def test_a_run_is_not_replaced(serialised, tmp_path, capsys):
+    command = ["run", *map(str, serialised), "--step", "2fs", "--duration", "0.004", "--platform", "Reference"]
+    command += ["--no-picture", "--quiet", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    capsys.readouterr()
     before = {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()}
-    status, _, errors = finish(*command, "--out", tmp_path / "out")
-    assert status == 2
-    assert "add --overwrite" in errors
+    assert main(command) == 2
+    errors = capsys.readouterr().err
+    assert "--overwrite" in errors
     assert (errors.count("\n"), "Traceback" in errors) == (1, False)
     assert {file.name: file.read_bytes() for file in (tmp_path / "out").iterdir()} == before
 
@@ -133,6 +137,22 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     assert f"{name} is of an earlier run" in errors
     assert errors.count("\n") == 1
     assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
+
+
+def test_flexible_molecules_without_numba_are_refused_before_the_equilibration(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    options = "--constraints", "HBonds", "--platform", "Reference", "--out", str(tmp_path / "out")
+    assert main(["run", str(PEPTIDE), "--forcefield", "amber14-all.xml", *options]) == 2
+    errors = capsys.readouterr().err
+    assert errors.startswith("exactrb run: flexible molecules with constraints need numba: python -m pip install ")
+    assert errors.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_rigid_molecules_run_without_numba(serialised, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    options = "--step", "2fs", "--duration", "4fs", "--no-picture", "--quiet", "--platform", "Reference"
+    assert main(["run", *map(str, serialised), *options, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("nothing", [None, 3, b"state.xml"])

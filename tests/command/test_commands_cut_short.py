@@ -5,7 +5,7 @@ import time
 
 import pytest
 from openmm import app
-from processes_of_command import finish, launch
+from processes_of_command import launch
 
 from openmm_exactrb.command.main import main
 from openmm_exactrb.runs.lock import only_process
@@ -70,7 +70,7 @@ def test_a_step_may_change_until_it_was_measured(run, tmp_path, capsys):
     killed_before_the_first_step(out)
     (out / "step.json").write_text('{"scheme": "S2_2", "fast": null, "step": 0.0005}')
     _, _, errors = carry_out(capsys, *run, *BRIEF, "--resume")
-    assert "command.json is of another command: setting step is 0.0005 in it, but " in errors
+    assert "command.json is of another run: setting step is 0.0005 in it, but " in errors
 
 
 @pytest.mark.parametrize("other", ["setting temperature", "setting seed", "System", "start"])
@@ -87,7 +87,7 @@ def test_what_another_command_prepared_is_refused(run, droplet, tmp_path, capsys
             app.PDBFile.writeFile(content.topology, 1.01 * content.positions, out)
     status, said, errors = carry_out(capsys, *run, *BRIEF, *options, "--resume")
     assert (status, said, errors.count("\n")) == (2, "", 1)
-    assert f"command.json is of another command: {other} is " in errors
+    assert f"command.json is of another run: {other} is " in errors
     assert (tmp_path / "out" / "start.xml").read_bytes() == before
 
 
@@ -97,7 +97,7 @@ def test_a_description_that_is_damaged_is_refused(run, tmp_path, capsys):
     (tmp_path / "out" / "command.json").write_text("[1")
     status, _, errors = carry_out(capsys, *run, *BRIEF, "--resume")
     assert (status, errors.count("\n")) == (2, 1)
-    assert "command.json is damaged: begin anew" in errors
+    assert "command.json is damaged:" in errors
 
 
 def test_a_run_that_was_to_be_overwritten_does_not_come_back(run, tmp_path, capsys):
@@ -122,18 +122,18 @@ def test_a_second_command_in_a_folder_prepares_nothing(run, tmp_path, capsys):
     with only_process(out):
         for options in ((), ("--resume",), ("--overwrite",)):
             status, said, errors = carry_out(capsys, *run, *LONG, *options)
-            assert (status, said, errors) == (2, "", f"exactrb run: another process is at work in {out}\n")
+            assert (status, said, errors) == (2, "", f"exactrb run: another process is running in {out}\n")
     assert list(out.iterdir()) == []
 
 
-def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard):
+def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     process = launch(*run, *LONG)
     wait(process, (tmp_path / "out").exists)
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert (process.returncode, said) == (130, "")
-    assert errors == "exactrb run: SIGINT: stopped: go on with the same command and --resume\n"
-    assert finish(*run, *BRIEF, "--resume")[0] == 0
+    assert errors == "exactrb run: SIGINT: stopped; resume it by the same command and --resume\n"
+    assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
 
 
 def test_ctrl_c_in_a_tuning_is_one_line(serialised, heard):

@@ -18,7 +18,7 @@ def test_info_names_what_there_is(capsys):
         assert name in said
 
 
-def test_tune_is_that_of_the_module(serialised, capsys):
+def test_a_target_out_of_reach_has_a_status_of_its_own(serialised, capsys):
     assert main(["tune", *map(str, serialised), *BRIEF, "--quiet"]) == 1
     out, errors = capsys.readouterr()
     assert "was not reached" in " ".join(out.split())

@@ -13,11 +13,10 @@ from openmm import app, unit
 from processes_of_command import finish, launch
 
 import openmm_exactrb as rb
-from openmm_exactrb.command.ensembles import couple, integrator_of, pace
+from openmm_exactrb.command.equilibration import candidates
 from openmm_exactrb.command.main import main
-from openmm_exactrb.command.prepared import _schemes
-from openmm_exactrb.tuning.advice import CANDIDATES
-from openmm_exactrb.tuning.record import Choice
+from openmm_exactrb.command.setup import couple, integrator_of, pace
+from openmm_exactrb.tuning import CANDIDATES, Choice
 
 
 def carry_out(capsys, *arguments):
@@ -31,10 +30,10 @@ SHORT = "--step", "2fs", "--scheme", "S2_2", "--interval", "4fs", *PLAIN
 
 
 @pytest.mark.parametrize("trajectory", ["dcd", "xtc"])
-def test_a_pdb_file_becomes_a_trajectory(droplet, tmp_path, trajectory):
+def test_a_pdb_file_becomes_a_trajectory(droplet, tmp_path, capsys, trajectory):
     out = tmp_path / "out"
     options = "--duration", "0.04", "--equilibration", "0.02", "--trajectory", trajectory, "--out", out
-    status, said, errors = finish("run", droplet, "--forcefield", "tip3p.xml", *SHORT, *options)
+    status, said, errors = carry_out(capsys, "run", droplet, "--forcefield", "tip3p.xml", *SHORT, *options)
     assert (status, errors) == (0, "")
     assert "ns/day" in said
     frames = mdtraj.load(str(out / f"trajectory.{trajectory}"), top=str(out / "topology.pdb"))
@@ -103,15 +102,15 @@ def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
     assert f"{kept['step']:g} ps" in said
 
 
-def test_no_scheme_is_measured_that_a_bath_would_refuse():
+def test_no_scheme_is_measured_that_a_thermostat_would_refuse():
     for ensemble, scheme in itertools.product(("nvt", "npt"), CANDIDATES):
         args = Namespace(ensemble=ensemble, rotor="exact", temperature=300.0, friction=1.0, seed=3, scheme=None)
-        if scheme in _schemes(args):
+        if scheme in candidates(args):
             integrator_of(args, {"scheme": scheme}, 0.004)
         else:
             with pytest.raises(ValueError, match="choose a scheme without a processor"):
                 integrator_of(args, {"scheme": scheme}, 0.004)
-    assert len(_schemes(args)) > 6
+    assert len(candidates(args)) > 6
 
 
 @pytest.mark.parametrize("ensemble", ["nve", "nvt"])
@@ -122,7 +121,7 @@ def test_a_measured_choice_is_run_as_it_was_measured(ensemble, method, fast):
     choice = Choice(method, 0.004, 0.01, 1.0, True)
     integrator = integrator_of(args, choice.options(), choice.step)
     assert integrator.getScheme().name == choice.method.split()[0]
-    assert (integrator.getNesting() and integrator.getNesting().fast) == fast
+    assert getattr(integrator.getMultipleTimeSteps(), "fast", None) == fast
 
 
 def test_water_is_made_in_a_box(tmp_path, capsys):
@@ -217,7 +216,7 @@ def test_a_few_lines_of_energies_have_no_deviation(serialised, tmp_path, capsys,
     status, said, _ = carry_out(capsys, "run", *serialised, *SHORT, *options)
     assert status == 0
     assert "standard deviation" not in said
-    assert f"that is of {lines} of energies.csv" in said
+    assert f"energies.csv has {lines}, too few" in said
 
 
 def test_an_equilibration_has_units(droplet, tmp_path, capsys):

@@ -95,7 +95,7 @@ def test_positions_far_from_the_constraints_are_refused():
     context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.0005), REFERENCE)
     x[3] += [0.0, 0.0, 5.0]
     context.setPositions(x)
-    with pytest.raises(ValueError, match=r"the cluster of particles 0, 1, 2, 3 is .* away from its shape"):
+    with pytest.raises(ValueError, match=r"particles 0, 1, 2, 3 is .* away from its shape"):
         context.getIntegrator().step(1)
 
 
@@ -227,9 +227,9 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     topology = pdb.topology
     topology.setPeriodicBoxVectors(3.0 * np.eye(3) * unit.nanometer)
     system = FORCE_FIELD.createSystem(topology, nonbondedMethod=app.CutoffPeriodic, constraints=app.HBonds)
-    for bath in (openmm.MonteCarloBarostat(1.0, 300.0, 1), openmm.AndersenThermostat(300.0, 100.0)):
-        bath.setRandomNumberSeed(1)
-        system.addForce(bath)
+    for update in (openmm.MonteCarloBarostat(1.0, 300.0, 1), openmm.AndersenThermostat(300.0, 100.0)):
+        update.setRandomNumberSeed(1)
+        system.addForce(update)
     _, _, x = peptide()
     integrator, context = moving(system, x)
     box = context.getState().getPeriodicBoxVolume()._value
@@ -240,18 +240,18 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     assert slip < 1e-13
 
 
-def test_the_device_is_refused_for_clusters_and_nesting():
+def test_the_device_is_refused_for_clusters_and_for_multiple_time_steps():
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyIntegrator(0.0005, engine="device")
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(x)
-    with pytest.raises(ValueError, match="a motion of its own, which the device does not follow"):
+    with pytest.raises(ValueError, match="a motion of its own"):
         integrator.step(1)
     with pytest.raises(ValueError, match="fast="):
         rb.ExactRigidBodyIntegrator(0.0005, fast="bonded", engine="device")
 
 
-def test_steps_that_the_host_would_nest_are_not_made_on_the_device_without_a_word():
+def test_steps_with_inner_steps_on_the_host_are_not_made_on_the_device_without_a_word():
     system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
     for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
         system.addParticle(mass)
@@ -266,9 +266,9 @@ def test_steps_that_the_host_would_nest_are_not_made_on_the_device_without_a_wor
     none.setStepSize(0.002)  # who nests nothing may have them
     none.step(1)
     integrator, _other = moving(system, x, engine="device")
-    with pytest.raises(ValueError, match=r"bonded forces are nested at this step .* or fast=None, which nests nothing"):
+    with pytest.raises(ValueError, match=r"bonded forces have inner steps .* fast=None"):
         integrator.setStepSize(0.002)
     assert integrator.getStepSize()._value == 0.0005
     integrator.step(1)
-    with pytest.raises(ValueError, match="bonded forces are nested at this step"):
+    with pytest.raises(ValueError, match="bonded forces have inner steps at this step"):
         moving(system, x, 0.002, engine="device")

@@ -1,7 +1,8 @@
 """Forces are those of the places, the box and the parameters of the moment, and are evaluated once for each."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import openmm
@@ -13,9 +14,11 @@ import openmm_exactrb as rb
 from few_dipoles import REFERENCE, simulation_of
 from force_laws import context_of, evaluated
 from openmm_exactrb.context import arrays
-from openmm_exactrb.context.forces import Forces, Places
+from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.motion.state import State
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.substeps import DRIFT, KICK, Substep
 
 
 def water_with_a_barostat(scheme, pressure=1e3, n=64):
@@ -34,20 +37,33 @@ def water_with_a_barostat(scheme, pressure=1e3, n=64):
     return simulation
 
 
+@dataclass
 class Watch:
-    """A letter that notes the box before every step, and how far forces are from those of a new Context."""
+    """What a substep saw: the box before every step, and how far forces are from those of a new Context."""
 
-    def __init__(self, context):
-        self.context, self.boxes, self.worst = context, [], 0.0
+    context: openmm.Context = None
+    boxes: list = field(default_factory=list)
+    worst: float = 0.0
 
-    def __call__(self, parts, letters):
-        return dict.fromkeys(letters, lambda state, tau: self.look(parts, state))
 
-    def look(self, parts, state):
-        self.boxes.append(arrays.box(self.context.getState()))
-        for got, expected in zip(parts.forces(state), anew(self.context, parts.bodies, state), strict=True):
-            self.worst = max(self.worst, np.abs(got - expected).max() / np.abs(expected).max())
-        return state
+@dataclass(frozen=True)
+class Look(Substep):
+    """A substep that notes what it sees, and changes nothing."""
+
+    watch: Watch = field(hash=False, compare=False)
+
+    moves: ClassVar[bool] = False
+
+    def bind(self, environment):
+        watch, forces = self.watch, environment.forces()
+
+        def flow(state, tau):
+            watch.boxes.append(arrays.box(watch.context.getState()))
+            for got, expected in zip(forces(state), anew(watch.context, environment.bodies, state), strict=True):
+                watch.worst = max(watch.worst, np.abs(got - expected).max() / np.abs(expected).max())
+            return state
+
+        return flow
 
 
 def anew(context, bodies, state):
@@ -61,9 +77,9 @@ def anew(context, bodies, state):
 @pytest.mark.parametrize(("name", "n"), [("V2", 30), ("SRKN4_6b", 20)])
 def test_an_accepted_move_of_a_barostat_costs_one_evaluation_and_no_step_uses_forces_of_the_old_box(name, n):
     scheme = rb.SCHEMES[name]
-    simulation = water_with_a_barostat(replace(scheme, word=(("W", 0.0), *scheme.word)))
-    watch = Watch(simulation.context)
-    simulation.integrator.addLetter("W", watch)
+    watch = Watch()
+    simulation = water_with_a_barostat(replace(scheme, sequence=((Look(watch), 0.0), *scheme.sequence)))
+    watch.context = simulation.context
     simulation.integrator.step(n)
     boxes = [*watch.boxes, arrays.box(simulation.context.getState())]
     accepted = [box != before for before, box in pairwise(boxes)]
@@ -74,49 +90,113 @@ def test_an_accepted_move_of_a_barostat_costs_one_evaluation_and_no_step_uses_fo
     assert watch.worst < 1e-12
 
 
-def test_forces_are_kept_while_places_box_and_parameters_are_the_same():
+def forces_of(simulation, groups=1):
+    """Return forces of a Context, their positions, the state of the bodies and what counts the evaluations."""
+    bodies, state = simulation.integrator.fullState()
+    x = arrays.positions(simulation.context.getState(positions=True))
+    positions, timings = Positions(simulation.context, bodies, x), Timings()
+    return ContextForces(positions, groups, timings), positions, state, timings
+
+
+def test_forces_are_evaluated_once_for_each_version_of_the_positions():
     simulation = simulation_of(4)
-    integrator, context = simulation.integrator, simulation.context
-    bodies, state = integrator.fullState()
-    timings = Timings()
-    forces = Forces(Places(context, bodies, arrays.positions(context.getState(positions=True))), 1, timings)
+    forces, positions, state, timings = forces_of(simulation)
     value = forces(state)
     assert forces(state._replace(P=2.0 * state.P, m=2.0 * state.m)) is value
+    assert forces(State(*(a.copy() for a in state))) is value
     assert timings.evaluations == 1
-    context.setParameter("soft_repulsion", 9.0)
+    simulation.context.setParameter("soft_repulsion", 9.0)
+    positions.moved()
     assert np.abs(forces(state)[0] - value[0]).max() > 1e-3
-    context.setParameter("soft_repulsion", 4.0)
+    simulation.context.setParameter("soft_repulsion", 4.0)
+    positions.moved()
     np.testing.assert_array_equal(forces(state)[0], value[0])
     moved = state._replace(R=state.R + 0.01)
+    positions.version += 1
     assert np.abs(forces(moved)[0] - value[0]).max() > 1e-4
     assert timings.evaluations == 4
 
 
-def test_twins_of_forces_forget_nothing_of_each_other_and_groups_add_up():
+def test_forces_elsewhere_leave_those_here_known_and_groups_add_up():
     simulation = simulation_of(4)
     for group, force in enumerate(simulation.system.getForces()):
         force.setForceGroup(group)
     simulation.context.reinitialize(preserveState=True)
-    bodies, state = simulation.integrator.fullState()
-    timings = Timings()
-    x = arrays.positions(simulation.context.getState(positions=True))
-    forces = Forces(Places(simulation.context, bodies, x), 0b11, timings)
-    twin, there = forces.twin(), State(state.R + 0.1, *state[1:])
-    here = forces(state)
-    twin(there)
+    forces, _, state, timings = forces_of(simulation, 0b11)
+    here, there = forces(state), State(state.R + 0.1, *state[1:])
+    assert np.abs(forces.at(there)[0] - here[0]).max() > 1e-3
     assert forces(state) is here
     assert timings.evaluations == 2
-    parts = [forces.of(1 << group)(state)[0] for group in range(2)]
+    parts = [forces.of(1 << group)(state)[0] for group in range(2)]  # the Context is brought back to here for them
     assert min(np.abs(part).max() for part in parts) > 1e-3
     np.testing.assert_allclose(sum(parts), here[0], rtol=0.0, atol=1e-12 * np.abs(here[0]).max())
     assert not forces.of(0b100)(state)[0].any()
+
+
+@dataclass(frozen=True)
+class Copies(Substep):
+    """A substep that changes no number, and says nothing else of it or that it moves the bodies."""
+
+    says: bool
+
+    def bind(self, environment):
+        return lambda state, tau: State(*(a.copy() for a in state))
+
+    @property
+    def moves(self):
+        return self.says
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_forces_are_evaluated_again_behind_a_substep_that_says_it_moves_and_behind_no_other(moves):
+    """What counts is what a substep says: new arrays with the same numbers cost nothing."""
+    n, h = 5, 0.02
+    sequence = ((KICK, 0.5), (Copies(moves), 1.0), (DRIFT, 1.0), (Copies(moves), 1.0), (KICK, 0.5))
+    with_copies, plain = (simulation_of(4, h, scheme) for scheme in (Scheme("copies", 2, sequence), "V2"))
+    between = Scheme("between", 2, ((KICK, 0.25), (Copies(moves), 1.0), (KICK, 0.25), (DRIFT, 1.0), (KICK, 0.5)))
+    kicked_twice = simulation_of(4, h, between)
+    for simulation in (with_copies, plain, kicked_twice):
+        simulation.integrator.step(n)
+    for a, b in zip(with_copies.integrator.fullState()[1], plain.integrator.fullState()[1], strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert with_copies.integrator.timings.evaluations == plain.integrator.timings.evaluations == n + 1
+    assert kicked_twice.integrator.timings.evaluations == n + 1 + (n if moves else 0)
+
+
+@dataclass(frozen=True)
+class Shift(Substep):
+    """A substep that moves all bodies, as one of another package might."""
+
+    by: float
+
+    def bind(self, environment):
+        def flow(state, tau):
+            R = state.R.copy()
+            R[0] += self.by
+            return state._replace(R=R)
+
+        return flow
+
+
+def test_a_substep_that_moves_bodies_is_followed_by_kicks_of_the_forces_there():
+    """To and fro between two kicks: the kicks are those of a droplet that began elsewhere, in a trap that stands."""
+    to_and_fro = ((Shift(0.2), 1.0), (KICK, 1.0), (Shift(-0.2), 1.0))
+    simulation = simulation_of(4, 0.02, Scheme("shifted", 1, ((KICK, 0.5), *to_and_fro, (KICK, 0.5))))
+    forces, positions, state, _ = forces_of(simulation)
+    elsewhere = State(state.R + np.array([0.2, 0.0])[:, None, None], *state[1:])
+    expected = state.P[0] + 0.02 * (forces(state)[0] + forces.at(elsewhere)[0])
+    positions.show(state)
+    simulation.integrator.step(1)
+    np.testing.assert_allclose(simulation.integrator.bodyState()[1].P, expected, rtol=0.0, atol=1e-13)
+    assert np.abs(forces.at(elsewhere)[0] - forces(state)[0]).max() > 1e-3
+    assert simulation.integrator.timings.evaluations == 3
 
 
 def strength_at(t):
     return 300.0 * (1.0 + 0.5 * np.cos(40.0 * t))
 
 
-def end_under_a_force_of_time(scheme, n, **nested):
+def end_under_a_force_of_time(scheme, n, **inner):
     """Return where a particle is after n steps in 0.2 ps, whose force is a function of place and time.
 
     Beside it, in a group of its own, is a constant force of a trap.
@@ -133,7 +213,7 @@ def end_under_a_force_of_time(scheme, n, **nested):
     trap.addParticle(0)
     system.addForce(of_time)
     system.addForce(trap)
-    integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme, **nested)
+    integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme, **inner)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions([[0.1, 0.2, -0.1]])
     integrator.step(n)
@@ -143,14 +223,14 @@ def end_under_a_force_of_time(scheme, n, **nested):
     return state.getPositions(asNumpy=True)._value[0]
 
 
-@pytest.mark.parametrize("nested", [{}, {"fast": (1,), "inner": "S6_10", "innerSteps": 4}], ids=["plain", "nested"])
+@pytest.mark.parametrize("inner", [{}, {"fast": (1,), "inner": "S6_10", "innerSteps": 4}], ids=["plain", "nested"])
 @pytest.mark.parametrize(("scheme", "order"), [("V2", 2), ("V2_drift", 2), ("SRKN4_6b", 4), ("S6_10", 6)])
-def test_forces_that_depend_on_time_keep_the_order(scheme, order, nested):
+def test_forces_that_depend_on_time_keep_the_order(scheme, order, inner):
     """Within a call of `step` too time goes on, with the drifts."""
     start = [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]
     equations = lambda t, y: [*y[3:], *(-(strength_at(t) + 200.0) * y[:3])]  # noqa: E731
     exact = solve_ivp(equations, (0.0, 0.2), start, method="DOP853", rtol=1e-13, atol=1e-15).y[:3, -1]
     steps = {2: (64, 128), 4: (24, 48), 6: (12, 18)}[order]
-    errors = [np.abs(end_under_a_force_of_time(scheme, n, **nested) - exact).max() for n in steps]
+    errors = [np.abs(end_under_a_force_of_time(scheme, n, **inner) - exact).max() for n in steps]
     measured = np.log(errors[0] / errors[1]) / np.log(steps[1] / steps[0])
     assert measured == pytest.approx(order, abs=0.3), errors

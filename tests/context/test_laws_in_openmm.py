@@ -8,7 +8,7 @@ from openmm import app
 import charts
 import openmm_exactrb as rb
 from few_dipoles import REFERENCE, energies, simulation_of, snapshot
-from openmm_exactrb.motion.state import BodyState
+from openmm_exactrb.mechanics.state import BodyState
 from orders import slope
 
 #: Kick first and drift first, low and high order, exact and not.

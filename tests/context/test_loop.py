@@ -1,4 +1,6 @@
-"""The integrator is the loop over the letters of a word, bit for bit, and nothing else."""
+"""The integrator is the loop over the substeps of a sequence, bit for bit, and nothing else."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import openmm
@@ -6,10 +8,10 @@ import pytest
 
 from few_dipoles import REFERENCE, simulation_of, snapshot
 from openmm_exactrb.context import arrays
-from openmm_exactrb.motion.engine import run
-from openmm_exactrb.motion.kick import gradient_kick, kick
-from openmm_exactrb.motion.kinetic import rigid
+from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.rotors import rotor_of_sums
+from openmm_exactrb.schemes.sequence import run
+from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, LastForcesKick, gradient_kick, kick
 
 
 class OpenMMForces:
@@ -19,15 +21,39 @@ class OpenMMForces:
         self.context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
         self.bodies, self.x, self.evaluations = bodies, x.copy(), 0
         self.places, self.value = (None, None), None
+        self.forget()
+
+    def forget(self):
+        """Forget the last forces and differences of displaced ones, which begin with the most recent one."""
+        self.memory, self.watched = SimpleNamespace(forces=[], differences=[], add_difference=self.differ), True
+
+    def differ(self, difference):
+        if self.watched:
+            self.memory.differences.insert(0, difference)
+
+    def at(self, state):
+        self.context.setPositions(self.bodies.positions(state.rounded, self.x))
+        self.context.computeVirtualSites()
+        self.evaluations += 1
+        return self.bodies.forces(state.rounded, arrays.forces(self.context.getState(forces=True)))
 
     def __call__(self, state):
         if not (state.R is self.places[0] and state.q is self.places[1]):
-            self.context.setPositions(self.bodies.positions(state.rounded, self.x))
-            self.context.computeVirtualSites()
-            forces = arrays.forces(self.context.getState(forces=True))
-            self.places, self.value = (state.R, state.q), self.bodies.forces(state.rounded, forces)
-            self.evaluations += 1
+            self.places, self.value = (state.R, state.q), self.at(state)
+            if self.watched:
+                self.memory.forces.insert(0, self.value)
         return self.value
+
+
+def flows_of(scheme, forces, kinetic, inertia):
+    """Return the flows of all substeps of a scheme."""
+    flows = {DRIFT: kinetic.drift, KICK: kick(forces)}
+    for substep, _ in (*scheme.sequence, *scheme.output):
+        if isinstance(substep, GradientKick):
+            flows[substep] = gradient_kick(forces, kinetic, inertia, substep.strength)
+        elif isinstance(substep, LastForcesKick):
+            flows[substep] = substep.bind(forces)  # it looks at the memory alone
+    return flows
 
 
 def test_the_integrator_is_the_loop_bit_for_bit(pairing):
@@ -36,24 +62,27 @@ def test_the_integrator_is_the_loop_bit_for_bit(pairing):
     simulation = simulation_of(4, h, scheme, method)
     x, _ = snapshot(simulation)
     bodies, state = simulation.integrator.fullState()
-    forces, displaced = (OpenMMForces(simulation.system, bodies, x) for _ in range(2))
-    kinetic = rigid(bodies.mass, rotor_of_sums(method, bodies.inertia))
-    word = scheme.processor + scheme.word * n + scheme.postprocessor
-    flows = {"A": kinetic.drift, "B": kick(forces)}
-    for letter, strength in scheme.gradients:
-        flows[letter] = gradient_kick(forces, displaced, kinetic, bodies.inertia.T, strength)
+    forces = OpenMMForces(simulation.system, bodies, x)
+    flows = flows_of(scheme, forces, rigid(bodies.mass, rotor_of_sums(method, bodies.inertia)), bodies.inertia.T)
     with np.errstate(all="ignore"):
-        end = run(word, flows, state, h)
+        inner = run(scheme.processor, flows, state, h)
+        forces.forget()
+        inner = run(scheme.sequence * n, flows, inner, h)
+        forces.watched = False
+        end = run(scheme.output or scheme.postprocessor, flows, inner, h)
 
     simulation.integrator.step(n)
     for ours, theirs in zip(end, simulation.integrator.fullState()[1], strict=True):
         np.testing.assert_array_equal(theirs, ours)
+    if scheme.processor:
+        for ours, theirs in zip(inner, simulation.integrator._propagator.sync.inner, strict=True):  # noqa: SLF001
+            np.testing.assert_array_equal(theirs, ours)
     massive = np.concatenate([kind.particles.ravel() for kind in bodies.kinds])
     for ours, theirs in zip((bodies.positions, bodies.velocities), snapshot(simulation), strict=True):
         np.testing.assert_array_equal(theirs[massive], ours(end.rounded, np.zeros_like(x))[massive])
-    evaluations = forces.evaluations + displaced.evaluations
-    assert simulation.integrator.timings.evaluations == evaluations
-    assert evaluations == n * scheme.forces + (scheme.first == "kick") + scheme.processing
+    assert simulation.integrator.timings.evaluations == forces.evaluations
+    around = scheme.processing // 2 + scheme.output_forces
+    assert forces.evaluations == n * scheme.forces + (scheme.first == "kick") + around
     assert simulation.integrator.forceEvaluationsPerStep == scheme.forces
     assert np.abs(end.R[0] - state.R[0]).max() > 1e-3
 

@@ -6,7 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from force_laws import positions_of
-from openmm_exactrb.motion.minimise import MinimisationWarning
+from openmm_exactrb.mechanics.minimise import MinimisationWarning
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 

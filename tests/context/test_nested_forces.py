@@ -1,8 +1,11 @@
-"""Forces of some groups within the drifts: what may be nested, what it keeps, and pairs that become bonded forces."""
+"""Multiple time steps: which forces may be fast, what they keep, and pairs that become bonded forces."""
 
 import copy
 import itertools
 import pickle
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import openmm
@@ -13,9 +16,21 @@ import openmm_exactrb as rb
 from openmm_exactrb.context.excerpt import bonded_excerpt
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.stiffness import fastest
-from openmm_exactrb.device import choice
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes.sequence import spelled
+from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide, positions_of
+
+
+@dataclass(frozen=True)
+class Rest(Substep):
+    """A substep of one's own, which does nothing and has a symbol that looks like that of a kick."""
+
+    symbol: ClassVar[str] = "Bx"
+
+    def bind(self, environment):
+        return lambda state, tau: state
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "None"])
@@ -57,7 +72,7 @@ def test_a_step_that_bonds_do_not_bear_is_borne_when_they_are_nested():
         try:
             integrator.step(100)
             errors.append(abs(integrator.totalEnergy()._value - before))
-        except rb.NonFiniteError:
+        except rb.IntegrationError:
             errors.append(np.inf)
     assert errors[1] < 1.0
     assert errors[0] > 20.0 * errors[1]
@@ -111,20 +126,20 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
         ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
     ],
 )
-def test_what_is_no_nesting_is_refused(options, message):
+def test_what_makes_no_multiple_time_steps_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         rb.ExactRigidBodyIntegrator(0.001, **options)
 
 
 @pytest.mark.parametrize(("given", "name"), [(None, "NoneType"), (app.Topology(), "Topology")])
 def test_only_a_system_has_bonded_forces(given, name):
-    with pytest.raises(ValueError, match=rf"takes an openmm\.System, before a Simulation .* not {name}"):
+    with pytest.raises(ValueError, match=rf"takes an openmm\.System.* not {name}"):
         rb.separate_bonded(given)
 
 
 def test_groups_may_be_whole_numbers_of_numpy():
     integrator = rb.ExactRigidBodyIntegrator(0.001, fast=np.array([2, 1, 2]))
-    assert integrator.getNesting().fast == (1, 2)
+    assert integrator.getMultipleTimeSteps().fast == (1, 2)
 
 
 def test_exceptions_are_moved_or_not():
@@ -135,7 +150,7 @@ def test_exceptions_are_moved_or_not():
 def test_copies_nest_as_the_original_does():
     integrator = rb.ExactRigidBodyIntegrator(0.002, fast=(1, 2), inner="V2", innerSteps=3)
     for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
-        assert twin.getNesting() == integrator.getNesting()
+        assert twin.getMultipleTimeSteps() == integrator.getMultipleTimeSteps()
 
 
 # -- the default ------------------------------------------------------------------------------------------------
@@ -183,13 +198,13 @@ def test_the_default_conserves_energy_where_nothing_nested_does_not():
                 integrator.step(5)
                 energies.append(integrator.totalEnergy()._value)
             spread[fast] = np.std(energies)
-        except rb.NonFiniteError:
+        except rb.IntegrationError:
             spread[fast] = np.inf
     assert spread["auto"] < 0.3 * spread[None]
 
 
 def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
-    """Rigid bodies, forces that are all bonded or of unknown speed, words that name groups, and letters of your own."""
+    """Rigid bodies, forces that are all bonded or of unknown speed, kicks by group, and substeps of your own."""
     _, water, positions = rb.rigid_water(2, nonbondedMethod=app.NoCutoff)
     bond = openmm.HarmonicBondForce()
     bond.addBond(0, 1, 0.09, 4e5)  # within a rigid molecule
@@ -209,17 +224,15 @@ def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
             unknown.removeForce(i)
     assert not nests(unknown, x, 0.004)
 
-    grouped = rb.schemes.Scheme("grouped", 2, (("B0", 0.5), ("A", 1.0), ("B0", 0.5)))
+    grouped = Scheme("grouped", 2, ((Kick(0), 0.5), (DRIFT, 1.0), (Kick(0), 0.5)))
     assert not nests(system, x, 0.002, grouped)
-    with pytest.raises(
-        ValueError, match=r"kicks force groups by themselves \(B0\).*name what is nested by a group that no"
-    ):
+    with pytest.raises(ValueError, match=r"kicks force groups .*\(0\)"):
         nests(system, x, 0.002, grouped, fast="bonded")
 
-    integrator, _context = moving(system, x, 0.004)
-    integrator.addLetter("B", lambda parts, letters: dict.fromkeys(letters, lambda state, tau: state))
-    integrator.step(1)
-    assert integrator.timings.fast_evaluations == 0
+    assert not nests(system, x, 0.004, Scheme("own", 2, ((Rest(), 0.5), (DRIFT, 1.0), (Rest(), 0.5))))
+    beside = Scheme("beside", 2, ((Rest(), 1.0), *rb.SCHEMES["S2_2"].sequence))
+    assert not nests(system, x, 0.004, beside)
+    assert nests(system, x, 0.004, "S2_2")
 
 
 def test_forces_that_do_not_act_are_not_nested():
@@ -361,23 +374,25 @@ def test_exceptions_with_parameters_of_the_context_stay():
     (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     nonbonded.addGlobalParameter("scale", 1.0)
     nonbonded.addExceptionParameterOffset("scale", 0, 0.1, 0.0, 0.0)
-    with pytest.raises(ValueError, match=r"parameter offsets.*leave exceptions=True away"):
+    with pytest.raises(ValueError, match=r"parameter offsets.*exceptions=True"):
         rb.separate_bonded(system, exceptions=True)
 
 
-def test_where_steps_are_nested_the_host_is_better_than_a_device():
-    """Which has no such steps; asked on Reference, since what decides is the System and the step."""
+def test_the_device_is_refused_exactly_where_there_would_be_inner_steps():
+    """It has none; asked on Reference, since what decides is the System and the step."""
     _, system, x = peptide("None")
-    for h, reason in ((0.004, "bonded forces are nested at this step"), (0.0005, None)):
-        integrator, context = moving(system, x, h)
-        found = choice.against_steps(context, integrator, integrator.getNesting())
-        assert found == reason or found.startswith(reason)
-        assert choice.against_steps(context, integrator, None) is None
+    for h, fast, refused in ((0.004, "auto", True), (0.0005, "auto", False), (0.004, None, False)):
+        integrator = rb.ExactRigidBodyIntegrator(h, "S2_2", fast=fast, engine="device")
+        context = openmm.Context(system, integrator, REFERENCE)
+        context.setPositions(x)
+        with pytest.raises(ValueError, match="inner steps at this step size") if refused else nullcontext():
+            integrator.step(0)
+        assert context.getStepCount() == 0
 
 
 @pytest.mark.parametrize("scheme", ["V2", "S2_2", "W2_3"])
-def test_baths_nest_at_the_steps_at_which_constant_energy_does(scheme):
-    """From 1.5 fs a force: the letters of a bath are no kicks."""
+def test_thermostats_nest_at_the_steps_at_which_constant_energy_does(scheme):
+    """From 1.5 fs a force: the substeps of a thermostat are no kicks."""
     _, system, x = peptide()
     stages = rb.SCHEMES[scheme].stages
     for often, nested in ((0.0017, True), (0.0013, False)):
@@ -402,7 +417,7 @@ def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
     """Thousands of inner steps would be made before an outer kick looks at what they did."""
     _, system, x = peptide()
     integrator, context = moving(system, x, h, scheme)
-    with pytest.raises(rb.NonFiniteError, match=r"numbers without a unit are ps"):
+    with pytest.raises(rb.IntegrationError, match=r"numbers without a unit are ps"):
         integrator.step(10)
     assert integrator.timings.fast_evaluations < 3000
     assert np.abs(positions_of(context) - x).max() < 1e-6
@@ -474,7 +489,7 @@ def test_bonds_of_a_formula_are_as_fast_as_they_are():
 def test_a_scheme_without_kicks_runs():
     """Free motion alone, of which nothing can be nested."""
     _, system, x = peptide()
-    assert not nests(system, x, 0.01, rb.schemes.Scheme("free", 2, (("A", 1.0),)))
+    assert not nests(system, x, 0.01, Scheme("free", 2, ((DRIFT, 1.0),)))
 
 
 @pytest.mark.parametrize("options", [{}, {"fast": "bonded"}, {"innerSteps": 4}])
@@ -486,7 +501,7 @@ def test_steps_of_no_time_leave_all_where_it_is(options):
     np.testing.assert_allclose(positions_of(context), before, rtol=0.0, atol=1e-15)
 
 
-def test_a_group_that_a_letter_kicks_is_not_nested_too():
+def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
     """It would act twice."""
     system, places = openmm.System(), [[0.1, 0.0, 0.0]]
     system.addParticle(1.0)
@@ -495,14 +510,13 @@ def test_a_group_that_a_letter_kicks_is_not_nested_too():
         force.addParticle(0)
         force.setForceGroup(group)
         system.addForce(force)
-    word = (("B0", 0.5), ("B1", 0.5), ("A", 1.0), ("B1", 0.5), ("B0", 0.5))
-    groups = rb.schemes.Scheme("groups", 2, word)
+    groups = Scheme("groups", 2, spelled("B0 B1 A B1 B0"))
     integrator, _ = moving(system, places, 0.001, groups, fast=(1,), innerSteps=2)
-    with pytest.raises(ValueError, match=r"kicks by itself what is nested in its drifts \(B1\).*act twice"):
+    with pytest.raises(ValueError, match="kicks group 1 by itself, which is fast too"):
         integrator.step(1)
 
 
-def test_letters_of_ones_own_may_have_any_name():
+def test_substeps_of_ones_own_may_have_any_symbol():
     system = openmm.System()
     system.addParticle(1.0)
     force = openmm.CustomExternalForce("50*x^2")
@@ -512,8 +526,7 @@ def test_letters_of_ones_own_may_have_any_name():
     system.addParticle(1.0)
     bond.addBond(0, 1, 0.1, 1e4)
     system.addForce(bond)
-    scheme = rb.schemes.Scheme("own", 2, (("Bx", 0.5), ("A", 1.0), ("Bx", 0.5)))
+    scheme = Scheme("own", 2, ((Rest(), 0.5), (DRIFT, 1.0), (Rest(), 0.5)))
     integrator, context = moving(system, [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]], 0.001, scheme)
-    integrator.addLetter("B", lambda parts, letters: {letter: lambda state, tau: state for letter in letters})
     integrator.step(1)
     assert context.getStepCount() == 1

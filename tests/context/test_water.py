@@ -243,7 +243,7 @@ def periodic_water(n=216, **options):
 
 
 def test_a_barostat_moves_whole_molecules():
-    topology, system, positions = periodic_water()
+    topology, system, positions = periodic_water(125)
     barostat = openmm.MonteCarloBarostat(1.0 * unit.bar, 300.0 * unit.kelvin, 3)
     barostat.setRandomNumberSeed(1)
     system.addForce(barostat)
@@ -275,10 +275,10 @@ def test_a_barostat_does_not_tear_bodies_named_by_hand():
         return simulation
 
     barostat.setScaleMoleculesAsRigid(False)
-    with pytest.raises(ValueError, match=r"MonteCarloBarostat would scale the bodies .*AsRigid\(True\)"):
+    with pytest.raises(ValueError, match=r"MonteCarloBarostat .*AsRigid\(True\)"):
         fresh().step(1)
     barostat.setScaleMoleculesAsRigid(True)
-    with pytest.raises(ValueError, match=r"tear body 0 \(particles 0, 1, 2\).* join its particles by bonds"):
+    with pytest.raises(ValueError, match=r"tear body 0 .* by bonds"):
         fresh().step(1)
     bonds = openmm.HarmonicBondForce()
     for oxygen, *hydrogens in named:
@@ -292,7 +292,7 @@ def test_a_barostat_does_not_tear_bodies_named_by_hand():
 
 
 def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():
-    topology, system, positions = periodic_water()
+    topology, system, positions = periodic_water(125)
     simulation = start(topology, system, positions, platform=CPU)
     simulation.step(1)
     _, before = simulation.integrator.bodyState()
@@ -305,10 +305,10 @@ def test_a_shift_by_the_barostat_keeps_attitudes_to_the_bit():
 
 
 def test_the_motion_remover_of_create_system_changes_nothing_but_the_drift():
-    topology, system, positions = periodic_water(removeCMMotion=True)
+    topology, system, positions = periodic_water(125, removeCMMotion=True)
     simulation = start(topology, system, positions, platform=CPU)
     simulation.step(5)
-    assert simulation.integrator.degreesOfFreedom() == (3 * 216 - 3, 3 * 216)
+    assert simulation.integrator.degreesOfFreedom() == (3 * 125 - 3, 3 * 125)
     _, state = simulation.integrator.bodyState()
     # The remover works on particles in float64; what is left is its roundoff and one step's noise of float32 forces.
     assert np.abs(state.P.sum(axis=1)).max() < 1e-3
@@ -349,9 +349,8 @@ def test_only_the_integration_force_groups_act():
 
 @pytest.mark.parametrize("platform", [REFERENCE, CPU], ids=["Reference", "CPU"])
 def test_a_step_far_too_large_names_the_bodies_and_keeps_the_last_good_state(platform):
-    simulation = start(*periodic_water(125), h=0.5, scheme="SRKN4_6b", platform=platform)
-    message = r"step (\d+), after [\d.]+ ps: not finite or faster than light: body"
-    with pytest.raises(rb.NonFiniteError, match=message) as error:
+    simulation = start(*rb.rigid_water(27), h=0.5, scheme="SRKN4_6b", platform=platform)
+    with pytest.raises(rb.IntegrationError, match=r"bodies \d+ and \d+") as error:
         simulation.step(50)
     assert error.match(f"step {simulation.context.getStepCount() + 1},")
     assert np.isfinite(positions_of(simulation)).all()
@@ -455,6 +454,7 @@ def opencl_properties():
     return "OpenCL" in names
 
 
+@pytest.mark.opencl
 @pytest.mark.skipif(not opencl_properties(), reason="no OpenCL: apt-get install pocl-opencl-icd ocl-icd-libopencl1")
 @pytest.mark.parametrize("precision", ["mixed", "double"])
 def test_opencl_agrees_with_reference_and_keeps_the_state_in_float64(precision):
@@ -537,6 +537,7 @@ def check_equilibrium(n, starts, picoseconds, cutoff):
     assert ours_rdf.mean(axis=0).max() > 2.0
 
 
+@pytest.mark.validate
 def test_water_stays_in_equilibrium():
     check_equilibrium(125, 16, 0.24, 0.7)
 

@@ -9,6 +9,8 @@ import pytest
 import openmm_exactrb as rb
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
+# A scheme for each structure of rows: kick first, drift first, displaced places, a processor, and both of these.
+STRUCTURES = ("V2", "PEFRL", "Chin4A", "V2_C17", "W4_4")
 
 
 def opencl():
@@ -42,10 +44,10 @@ def pair(*arguments, **options):
     return tuple(context_of(*arguments, engine, **options) for engine in ("host", "device"))
 
 
-def seeded(bath):
+def seeded(force):
     """Return a thermostat or barostat of OpenMM with a seed: whether a test passes is no matter of luck."""
-    bath.setRandomNumberSeed(1)
-    return bath
+    force.setRandomNumberSeed(1)
+    return force
 
 
 def shown(context):

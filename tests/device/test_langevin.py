@@ -61,7 +61,7 @@ def test_the_flow_is_that_of_ornstein_and_uhlenbeck():
     integrator.step(1)
     second = integrator.bodyState()[1]
     fade, spread = np.exp(-friction * h), np.sqrt(KT * bodies.mass[:, None] * (1.0 - np.exp(-2.0 * friction * h)))
-    # Each of the rows B A, O A, B of a step draws, whether a bath is in it or not.
+    # Each of the rows B A, O A, B of a step draws, whether a thermostat is in it or not.
     draws, state = [], streams(3, 7)
     for _ in range(6):
         *draw, state = gaussians(state)
@@ -88,14 +88,14 @@ def test_the_generators_are_those_of_wichmann_and_hill():
 
 
 @pytest.mark.parametrize("scheme", ["S2_2", "Chin4A"])
-def test_without_friction_it_is_the_dynamics_without_a_bath(scheme):
+def test_without_friction_it_is_the_dynamics_without_a_thermostat(scheme):
     _, system, positions = rb.rigid_water(3)
     plain = openmm.Context(
         copy.deepcopy(system), rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device"), REFERENCE
     )
     plain.setPositions(positions)
-    bath = langevin(system, positions, 0.0, scheme=scheme)
-    np.testing.assert_array_equal(stepped(bath, 5), stepped(plain, 5))
+    frictionless = langevin(system, positions, 0.0, scheme=scheme)
+    np.testing.assert_array_equal(stepped(frictionless, 5), stepped(plain, 5))
 
 
 def test_all_replicas_get_the_same_noise_and_axes_that_are_none_get_none():
@@ -246,14 +246,14 @@ def test_a_temperature_that_is_set_in_plain_openmm():
     integrator.setGlobalVariableByName("exactrb_kT", 0.0)
     integrator.setGlobalVariableByName("exactrb_changed", 1.0)
     openmm.CustomIntegrator.step(integrator, 1)
-    # The bath is the last letter of a step: nothing moves behind it.
+    # The thermostat is the last substep of a step: nothing moves behind it.
     assert np.abs(shown(context)[1]).max() < 1e-3 * np.sqrt(KT)
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match="Langevin's bath only, not velocity rescaling: take engine='host'"):
+    with pytest.raises(ValueError, match="Langevin thermostat only, not StochasticRescaling; use engine='host'"):
         rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.001, engine="device")
-    with pytest.raises(ValueError, match="Langevin's bath only, not hybrid Monte Carlo: take engine='host'"):
+    with pytest.raises(ValueError, match="Langevin thermostat only, not HybridMonteCarlo; use engine='host'"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.001, engine="device")
     _, system, positions = rb.rigid_water(2)
     context = langevin(system, positions)
@@ -267,6 +267,7 @@ def test_copies_keep_the_engine():
     assert copy.copy(integrator).getEngine() == "device"
 
 
+@pytest.mark.opencl
 @pytest.mark.parametrize("scheme", ["W2_3m", "BAOAB"])
 def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions(scheme):
     system, positions = free_water(125)

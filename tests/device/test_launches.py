@@ -13,6 +13,7 @@ from devices import opencl
 import openmm_exactrb as rb
 
 HERE = Path(__file__).parent
+pytestmark = pytest.mark.opencl
 
 
 @pytest.fixture(scope="module")
@@ -44,28 +45,13 @@ def enqueued(shim, kind, scheme):
     return {name.removeprefix("launch "): count / 10.0 for name, count in many.items() if count}
 
 
-@pytest.mark.parametrize(("kind", "scheme"), [("plain", "S2_2"), ("plain", "PEFRL"), ("langevin", "S2_2")])
-def test_three_kernels_a_stage_and_one_a_step_two_sums_and_nothing_sent(shim, kind, scheme):
-    counts, stages = enqueued(shim, kind, scheme), rb.SCHEMES[scheme].stages
-    assert counts["computePerDof"] == 3 * stages + 1
-    assert counts["computeBondedForces"] == 2 * stages
-    assert counts["computeNonbonded"] == stages
-    assert "upload" not in counts
-    assert "read" not in counts
-
-
-def test_the_remover_of_the_motion_of_the_centre_of_mass_costs_one_sum_a_step(shim):
-    counts = enqueued(shim, "remover", "S2_2")
-    assert counts["computePerDof"] == 3 * 2 + 1 + 2
-    assert counts["computeBondedForces"] == 2 * 2 + 1
-    assert "upload" not in counts
-    assert "read" not in counts
-
-
-def test_a_displaced_place_costs_another_stage(shim):
-    counts = enqueued(shim, "plain", "Chin4A")
-    forces = rb.SCHEMES["Chin4A"].forces
+@pytest.mark.parametrize(("kind", "scheme"), [("langevin", "S2_2"), ("remover", "S2_2"), ("plain", "Chin4A")])
+def test_three_kernels_and_two_sums_for_each_force_one_kernel_a_step_and_nothing_sent(shim, kind, scheme):
+    """The remover of the motion of the centre of mass costs a sum, and two kernels for it."""
+    counts, forces = enqueued(shim, kind, scheme), rb.SCHEMES[scheme].forces
+    removes = kind == "remover"
+    assert counts["computePerDof"] == 3 * forces + 1 + 2 * removes
+    assert counts["computeBondedForces"] == 2 * forces + removes
     assert counts["computeNonbonded"] == forces
-    assert counts["computePerDof"] == 3 * forces + 1
-    assert counts["computeBondedForces"] == 2 * forces
     assert "upload" not in counts
+    assert "read" not in counts

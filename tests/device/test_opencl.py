@@ -3,10 +3,12 @@
 import numpy as np
 import openmm
 import pytest
-from devices import all_kinds, context_of, opencl, pair, seeded, shown, stepped
+from devices import STRUCTURES, all_kinds, context_of, opencl, pair, seeded, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
+
+pytestmark = pytest.mark.opencl
 
 
 @pytest.fixture(scope="module")
@@ -26,23 +28,17 @@ def test_all_kinds_of_bodies_in_double_precision(platform):
     np.testing.assert_allclose(stepped(device, 20)[0], stepped(host, 20)[0], rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", ["tip4pew", "dipoles"])
-def test_virtual_sites_in_double_precision(model, platform):
-    if model == "dipoles":
-        _, system, positions = rb.dipole_fluid(8, kernel="openmm")
-        options = {"h": 0.005, "kelvin": 100.0}
-    else:
-        _, system, positions = rb.rigid_water(8, model=model)
-        options = {}
-    both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", **options)
+def test_dipoles_in_double_precision(platform):
+    _, system, positions = rb.dipole_fluid(8, kernel="openmm")
+    both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", h=0.005, kelvin=100.0)
     one, other = (stepped(context, 20) for context in both)
     np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
     energies = [context.getState(energy=True).getPotentialEnergy()._value for context in both]
     assert abs(energies[1] - energies[0]) < 1e-5
 
 
-@pytest.mark.parametrize("scheme", ["Chin4A", "V2_C17"])
-def test_virtual_sites_at_displaced_places_and_in_processed_schemes(scheme, platform):
+@pytest.mark.parametrize("scheme", STRUCTURES)
+def test_virtual_sites_in_every_structure_of_rows(scheme, platform):
     _, system, positions = rb.rigid_water(4, model="tip4pew")
     both = pair(system, positions, platform=platform, precision="double", scheme=scheme)
     one, other = (stepped(context, 5) for context in both)
@@ -103,9 +99,3 @@ def test_a_barostat_moves_whole_bodies(platform):
         edges.append(context.getState().getPeriodicBoxVectors()[0][0] / unit.nanometer)
         np.testing.assert_allclose(np.linalg.norm(x[1::3] - x[::3], axis=1), 0.09572, rtol=0.0, atol=1e-7)
     assert len(set(edges)) > 2
-
-
-def test_single_precision_is_refused(platform):
-    _, system, positions = rb.rigid_water(4)
-    with pytest.raises(ValueError, match="set Precision to mixed or double"):
-        context_of(system, positions, "device", platform=platform, precision="single")

@@ -31,34 +31,71 @@ def test_the_number_of_bodies_is_not_bound_to_blocks(rng):
             np.testing.assert_array_equal(np.array(one), many)
 
 
+#: A process in which numba cannot be imported, or is not to be used; `step` makes two steps of a System.
+STEP = """
+import sys
+import numpy as np, openmm, openmm_exactrb as rb
+
+def step(system, positions):
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(100.0, 1)
+    integrator.step(2)
+    assert np.isfinite(integrator.totalEnergy()._value)
+"""
+RIGID = """
+rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1)
+_, system, positions = rb.rigid_water(4)
+step(system, positions)
+_, system, positions = rb.dipole_fluid(4, trap=0.5)
+step(system, positions)
+"""
+FLEXIBLE = """
+system = openmm.System()
+for mass in (12.0, 1.0, 1.0):
+    system.addParticle(mass)
+system.addConstraint(0, 1, 0.1)
+system.addConstraint(0, 2, 0.1)
+"""
+
+
+def test_rigid_bodies_need_no_numba():
+    python("import sys; sys.modules['numba'] = None" + STEP + RIGID)
+
+
 def test_numba_can_be_refused():
-    code = (
-        "import sys, openmm_exactrb as rb\n"
-        "rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1)\n"
-        "rb.rigid_water(4)\n"
-        "assert 'numba' not in sys.modules"
+    python(STEP + RIGID + "assert 'numba' not in sys.modules", **{kernels.SWITCH: "0"})
+
+
+def test_flexible_molecules_without_numba_are_refused_before_the_first_step():
+    positions = "[[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]"
+    code = f"""
+try:
+    step(system, {positions})
+except ModuleNotFoundError as error:
+    assert error.name == "numba"
+    print(error)
+"""
+    done = python("import sys; sys.modules['numba'] = None" + STEP + FLEXIBLE + code)
+    assert done.stdout.strip() == (
+        'flexible molecules with constraints need numba: python -m pip install "openmm-exactrb[fast]"'
     )
-    python(code, **{kernels.SWITCH: "0"})
+
+
+def test_flexible_molecules_take_the_compiled_kernel_also_where_others_are_refused():
+    python(STEP + FLEXIBLE + "step(system, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])", **{kernels.SWITCH: "0"})
 
 
 def test_what_is_missing_is_said(monkeypatch):
     monkeypatch.setattr(kernels, "find_spec", lambda name: None)
     assert not kernels.available()
-    with pytest.raises(ModuleNotFoundError, match="compiled kernels need numba: python -m pip install numba"):
+    with pytest.raises(
+        ModuleNotFoundError, match=r"compiled kernels need numba: python -m pip install .openmm-exactrb\[fast\]"
+    ):
         rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1, method="exact_compiled")
     q, _ = rb.free_rotor([1, 2, 3], [1, 0, 0, 0], [1, 1, 1], 0.1)
     assert np.isfinite(q).all()
-
-
-def test_compiled_code_is_kept_between_processes(tmp_path):
-    code = (
-        "from openmm_exactrb.kernels.compiled.sums import advance\n"  # the smallest one
-        "print(sum(advance.stats.cache_hits.values()))"
-    )
-    runs = [python(code, NUMBA_CACHE_DIR=str(tmp_path)) for _ in range(2)]
-    assert [run.stdout.strip() for run in runs] == ["0", "1"]
-    assert "compiling kernels" in runs[0].stderr
-    assert not runs[1].stderr
 
 
 def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path):

@@ -80,9 +80,9 @@ def test_a_boundary_is_a_value():
         rb.Ewald().cutoff = 1.0
 
 
-def test_recipes_take_boundaries():
+def test_jobs_take_boundaries():
     def key(boundary):
-        return ensemble.Recipe(ensemble.energies, build=rb.dipole_fluid, boundary=boundary, step=0.1, duration=1.0).key
+        return ensemble.Job(ensemble.energies, build=rb.dipole_fluid, boundary=boundary, step=0.1, duration=1.0).key
 
     assert key(rb.Ewald()) == key(rb.Ewald(tolerance=1e-4)) != key(rb.Ewald(tolerance=1e-3))
     assert key(rb.Ewald()) != key(rb.ReactionField())

@@ -199,7 +199,7 @@ def test_the_force_is_lawful(kernel, periodic, rng):
         ({"box": (2.0, 2.0), "boundary": rb.ReactionField()}, "three positive edges"),
         ({"box": 2.0, "boundary": rb.ReactionField()}, "three positive edges"),
         ({"box": (2.0, 2.0, 2.0) * unit.nanometer, "boundary": rb.ReactionField()}, "without a unit"),
-        ({"box": (2.0, 2.0, 0.0), "boundary": rb.ReactionField()}, "each edge of the box must be a positive number"),
+        ({"box": (2.0, 2.0, 0.0), "boundary": rb.ReactionField()}, "each edge of the box"),
     ],
 )
 def test_wrong_options_get_one_sentence(options, message):
@@ -211,7 +211,7 @@ def test_wrong_options_get_one_sentence(options, message):
 @pytest.mark.parametrize(
     ("arrows", "message"),
     [
-        ([(0, 1, 2), (3, 4, 5)], r"a pair of particles, centre and tip, such as \(0, 1\), not \(0, 1, 2\)"),
+        ([(0, 1, 2), (3, 4, 5)], r"a pair of particles.* not \(0, 1, 2\)"),
         ([(0,), (1,)], "a pair of particles"),
         ([(0, 1), (-1, 3)], "a pair of particles"),
         ([(0, 1), (0, 3)], "particle 0 is in two arrows"),
@@ -253,14 +253,14 @@ def test_auto_takes_the_compiled_kernel_where_numba_is_installed(monkeypatch):
     assert isinstance(potential(rb.dipole_fluid(2)[1]), openmm.PythonForce)
     monkeypatch.setitem(sys.modules, "numba", None)
     assert isinstance(potential(rb.dipole_fluid(2)[1]), openmm.CustomCompoundBondForce)
-    with pytest.raises(ModuleNotFoundError, match="python -m pip install numba"):
+    with pytest.raises(ModuleNotFoundError, match=r"openmm-exactrb\[fast\]"):
         rb.dipole_fluid(2, kernel="compiled")
 
 
 def test_a_system_read_without_numba_says_what_is_missing(monkeypatch):
     context, _ = fluid(2, kernel="compiled")
     monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(Exception, match="python -m pip install numba"):
+    with pytest.raises(Exception, match=r"openmm-exactrb\[fast\]"):
         context.getState(energy=True)
 
 

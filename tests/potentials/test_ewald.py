@@ -290,5 +290,5 @@ def test_the_kernel_needs_a_box_too():
 
 def test_without_numba_there_is_no_sum(monkeypatch):
     monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install numba"):
+    with pytest.raises(ModuleNotFoundError, match=r"openmm-exactrb\[fast\]"):
         rb.dipole_fluid(2, boundary=rb.Ewald(), density=0.1)

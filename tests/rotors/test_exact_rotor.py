@@ -34,7 +34,7 @@ def twin(request):
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("regime", oracle.REGIMES)
 def test_error_is_roundoff(regime, steps, pytestconfig):
-    n = 100 if pytestconfig.getoption("--validate") else 30
+    n = 100 if pytestconfig.getoption("--validate") else 15
     inertia, m = oracle.random_bodies(regime, n)
     rng = np.random.default_rng(n)
     rate = np.exp(rng.uniform(*np.log(STEPS[steps]), n))
@@ -51,14 +51,13 @@ def test_one_step_of_five_has_an_error_below_2e_14():
     assert largest_errors(inertia, q, m, np.full(200, 5.0)).max() < 2e-14
 
 
-@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e-80, 1e80, 1e150])
-def test_momenta_of_any_size_are_solved(scale, twin):
+def test_momenta_of_any_size_are_solved(twin):
     inertia, m = oracle.random_bodies("generic", 20, seed=6)
-    t = 0.2 / scale
-    q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, t, method=twin)
     q_unit, m_unit = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.2, method=twin)
-    np.testing.assert_allclose(m1 / scale, m_unit, rtol=0.0, atol=3e-15)
-    np.testing.assert_allclose(q, q_unit, rtol=0.0, atol=3e-15)
+    for scale in (1e-300, 1e-160, 1e-80, 1e80, 1e150):
+        q, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, 0.2 / scale, method=twin)
+        np.testing.assert_allclose(m1 / scale, m_unit, rtol=0.0, atol=3e-15)
+        np.testing.assert_allclose(q, q_unit, rtol=0.0, atol=3e-15)
 
 
 def test_a_momentum_beside_an_axis_in_denormal_numbers_turns_about_it(twin):
@@ -102,8 +101,13 @@ def assert_random_walk(n_steps, method):
     assert np.abs(drift[:-1].mean(axis=1)).max() < 10.0 * walk / np.sqrt(drift.shape[1])
 
 
+def test_invariants_walk_randomly_over_many_steps(twin):
+    assert_random_walk(3000, twin)
+
+
+@pytest.mark.validate
 @pytest.mark.parametrize(("method", "steps"), [("exact_numpy", 10_000), ("exact_compiled", 100_000)])
-def test_invariants_walk_randomly_over_many_steps(method, steps):
+def test_invariants_walk_randomly_over_more_steps(method, steps):
     assert_random_walk(steps, method)
 
 

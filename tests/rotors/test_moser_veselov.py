@@ -39,10 +39,10 @@ def test_bodies_that_do_not_converge_are_nan_and_counted(method):
 
 
 @pytest.mark.parametrize("method", DMV)
-@pytest.mark.parametrize("h", [0.1, 0.34, 1.0, 2.0, 5.0, 100.0])
-def test_no_answer_is_a_wrong_root(method, h, rng):
+def test_no_answer_is_a_wrong_root(method, rng):
     """The wrong root turns by the supplement of the angle; the error of the series stays below it."""
     inertia, m = physical_bodies(rng, 2000)
+    h = rng.choice([0.1, 0.34, 1.0, 2.0, 5.0, 100.0], 2000)
     q1, m1 = quiet(inertia, [1, 0, 0, 0], m, h, method=method)
     q2, m2 = rb.free_rotor(inertia, [1, 0, 0, 0], m, h)
     answered = np.isfinite(m1).all(axis=1) & np.isfinite(q1).all(axis=1)
@@ -73,12 +73,12 @@ def test_every_body_converges_up_to_the_largest_angle(method, rng):
 
 
 @pytest.mark.parametrize("method", DMV)
-def test_energy_and_norm_are_kept_over_many_steps(method, rng):
+@pytest.mark.parametrize("n", [200, pytest.param(2000, marks=pytest.mark.validate)])
+def test_energy_and_norm_are_kept_over_many_steps(method, n, rng):
     inertia, m = physical_bodies(rng, 50)
     flow = rb.rotors.rotor(method, inertia)
     h = 0.5 * inertia.min(axis=1)
     q, v = np.tile([1.0, 0.0, 0.0, 0.0], (50, 1)).T.copy(), m.T.copy()
-    n = 2000
     for _ in range(n):
         q, v = flow(q, v, h)
     # A random walk of a few roundings a step.
@@ -89,13 +89,13 @@ def test_energy_and_norm_are_kept_over_many_steps(method, rng):
 
 
 @pytest.mark.parametrize("method", DMV)
-@pytest.mark.parametrize("scale", [1e-300, 1e-160, 1e100, 1e300])
-def test_momenta_of_any_size_are_solved(method, scale, rng):
+def test_momenta_of_any_size_are_solved(method, rng):
     inertia, m = physical_bodies(rng, 20)
-    q1, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, 0.05 / scale, method=method)
     q2, m2 = rb.free_rotor(inertia, [1, 0, 0, 0], m, 0.05, method=method)
-    np.testing.assert_allclose(m1 / scale, m2, rtol=0.0, atol=2e-15)
-    np.testing.assert_allclose(q1, q2, rtol=0.0, atol=2e-15)
+    for scale in (1e-300, 1e-160, 1e100, 1e300):
+        q1, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m * scale, 0.05 / scale, method=method)
+        np.testing.assert_allclose(m1 / scale, m2, rtol=0.0, atol=2e-15)
+        np.testing.assert_allclose(q1, q2, rtol=0.0, atol=2e-15)
 
 
 @pytest.mark.parametrize("method", DMV)

@@ -29,10 +29,10 @@ def test_a_damaged_checkpoint_is_refused(half):
     content = file.read_bytes()
     for length in [*range(0, 200, 7), *range(200, len(content), 97), len(content) - 1]:
         file.write_bytes(content[:length])
-        refused(half, "no checkpoint|truncated")
+        refused(half, "damaged")
     for place in range(0, len(content), 101):
         file.write_bytes(content[:place] + bytes([content[place] ^ 16]) + content[place + 1 :])
-        refused(half, "no checkpoint|truncated|another version")
+        refused(half, "damaged|another version")
     file.write_bytes(content)
     go_on(half)
 
@@ -42,10 +42,10 @@ def test_a_damaged_checkpoint_is_refused(half):
     [
         ({"n": 5}, "another run: System is 20 particles"),
         ({"trap": 0.6}, "another run: System is 20 particles"),
-        ({"scheme": "S2_2"}, "integrator is .* V2, exact in it, but .* S2_2, exact now"),
-        ({"rotor": "mclachlan_reich"}, "V2, exact in it, but .* V2, mclachlan_reich now"),
-        ({"groups": {0, 2}}, r"V2, exact in it, but .* force groups 0b101, V2, exact now"),
-        ({"h": 0.006}, r"step 0.005 ps, .* step 0.006 ps"),
+        ({"scheme": "S2_2"}, "integrator scheme is V2, .* in it, but S2_2"),
+        ({"rotor": "mclachlan_reich"}, "integrator rotor is .*exact.* in it, but .*mclachlan_reich"),
+        ({"groups": {0, 2}}, "integrator IntegrationForceGroups is -1 in it, but 5 now"),
+        ({"h": 0.006}, "integrator stepSize is 0.005 in it, but 0.006 now"),
         ({"platform": "CPU"}, "platform is Reference in it, but CPU now"),
         ({"options": {"interval": 5}}, "DCDReporter every 7 steps in it, but DCDReporter every 5 steps now"),
         ({"options": {"settings": {"seed": 1}}}, "setting seed is not there in it, but 1 now"),
@@ -61,7 +61,7 @@ def test_a_checkpoint_of_another_version_is_refused(half, monkeypatch):
         refused(half, "openmm is .* in it, but 7.0 now")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT", b"99")
-        refused(half, "another version of openmm-exactrb, in format 4")
+        refused(half, "another version of openmm-exactrb, in format 5")
     go_on(half)
 
 
@@ -77,7 +77,7 @@ def test_a_file_that_was_cut_since_is_refused(half):
 def test_files_are_not_replaced_unasked(tmp_path, name, resume):
     (tmp_path / name).write_text("precious")
     error = ValueError if resume and name == "checkpoint" else FileExistsError
-    refused(tmp_path, "precious|earlier run|no checkpoint", error, {"resume": resume})
+    refused(tmp_path, "earlier run|damaged", error, {"resume": resume})
 
 
 def test_overwrite_replaces_and_resume_comes_first(half):
@@ -90,7 +90,7 @@ def test_overwrite_replaces_and_resume_comes_first(half):
 
 def test_two_processes_do_not_work_in_one_folder(half):
     with lock.only_process(half):
-        refused(half, "another process is at work", BlockingIOError)
+        refused(half, "another process is running", BlockingIOError)
     go_on(half)
 
 
@@ -115,7 +115,8 @@ def with_integrator(integrator):
 
 
 def own_scheme(weight):
-    return rb.schemes.Scheme("mine", 2, (("A", weight), ("B", 0.5), ("A", 1 - 2 * weight), ("B", 0.5), ("A", weight)))
+    """Return a scheme whose name does not tell the weight of its outer drifts."""
+    return rb.schemes.symmetric("mine", order=2, stages=2, first="drift", a=(weight,))
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def own_scheme(weight):
 def test_a_run_of_other_settings_that_a_name_does_not_tell_is_refused(tmp_path, make_integrator, values):
     half_of(tmp_path, with_integrator(make_integrator(values[0])))
     half_of(tmp_path, with_integrator(make_integrator(values[0])))  # the same goes on
-    with pytest.raises(ValueError, match="another run: integrator is"):
+    with pytest.raises(ValueError, match="another run: integrator"):
         half_of(tmp_path, with_integrator(make_integrator(values[1])))
 
 

@@ -20,17 +20,17 @@ def tops():
     return problem, (np.ascontiguousarray(quaternions.random(rng, n).T), rng.standard_normal((3, n)))
 
 
-def measured_order(problem, state, scheme, method, steps, T=4.0):
+def measured_order(problem, state, scheme, method, steps, T=2.0):
     """Return the slope of the error of the final momentum over the step sizes."""
     return slope(lambda k: integrate(problem, state, T / k, k, scheme, method)[1], steps)
 
 
 # Force evaluations by order, enough for the leading term of the error and few enough to stay above roundoff.
-EVALUATIONS = {2: 240, 4: 300, 6: 150, 8: 160}
+EVALUATIONS = {2: 120, 4: 150, 6: 75, 8: 80}
 
 
 def step_numbers(scheme):
-    return [round(EVALUATIONS[scheme.order] / scheme.stages * factor) for factor in (1.0, 1.35, 1.8, 2.4)]
+    return [round(EVALUATIONS[scheme.order] / scheme.stages * factor) for factor in (1.0, 1.4, 2.0)]
 
 
 def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
@@ -39,7 +39,7 @@ def test_measured_order_with_the_exact_rotor_is_the_declared_one(tops, scheme):
 
 
 def test_measured_order_with_mclachlan_reich_is_two_but_for_compositions(tops, scheme):
-    steps = step_numbers(scheme) if scheme.composes_verlet else (20, 28, 40, 56)
+    steps = step_numbers(scheme) if scheme.composes_verlet else (10, 14, 20)
     order = measured_order(*tops, scheme, "mclachlan_reich", steps)
     assert abs(order - (scheme.order if scheme.composes_verlet else 2.0)) < 0.35
 
@@ -49,8 +49,8 @@ def test_steps_are_reversible(tops, pairing):
     if not scheme.symmetric:
         pytest.skip("does not claim it")
     problem, (q, m) = tops
-    q1, m1 = integrate(problem, (q, m), 0.1, 50, scheme, method)
-    q2, m2 = integrate(problem, (q1, -m1), 0.1, 50, scheme, method)
+    q1, m1 = integrate(problem, (q, m), 0.1, 20, scheme, method)
+    q2, m2 = integrate(problem, (q1, -m1), 0.1, 20, scheme, method)
     np.testing.assert_allclose(-m2, m, rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(np.abs((q2 * q).sum(axis=0)), 1.0, rtol=0.0, atol=1e-12)
 
@@ -87,7 +87,7 @@ def test_the_momentum_along_the_field_is_kept(tops, pairing):
         return (field * m).sum(axis=0)
 
     np.testing.assert_allclose(
-        along(*integrate(problem, (q, m), 0.1, 50, scheme, method)), along(q, m), rtol=0.0, atol=1e-12
+        along(*integrate(problem, (q, m), 0.1, 20, scheme, method)), along(q, m), rtol=0.0, atol=1e-12
     )
 
 

@@ -11,7 +11,8 @@ import openmm_exactrb as rb
 from openmm_exactrb import schemes
 from openmm_exactrb.schemes import Scheme, force_gradient, saba, sbab, symmetric
 from openmm_exactrb.schemes import scheme as look_up
-from words import advanced
+from openmm_exactrb.substeps import DRIFT, KICK, Kick
+from sequences import advanced, gradient_kicks
 
 
 def test_coefficients_sum_to_one_and_are_palindromes(scheme):
@@ -53,11 +54,14 @@ def test_a_table_of_the_wrong_length_is_refused():
         symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))
 
 
-def test_a_word_that_is_empty_or_has_a_kick_of_no_strength_is_refused():
-    with pytest.raises(ValueError, match="scheme mine: the word of a step is empty"):
+def test_a_sequence_that_is_empty_or_has_something_else_than_substeps_is_refused():
+    with pytest.raises(ValueError, match="scheme mine: the sequence of a step is empty"):
         Scheme("mine", 2, ())
-    with pytest.raises(ValueError, match="give the strength of the force-gradient kick 'C'"):
-        Scheme("mine", 2, (("A", 0.5), ("C", 1.0), ("A", 0.5)))
+    for wrong in (("A", 1.0), DRIFT, (DRIFT, 0.5, 0.5), (Kick, 1.0)):
+        with pytest.raises(ValueError, match="scheme mine: a sequence has pairs of a Substep"):
+            Scheme("mine", 2, ((DRIFT, 0.5), wrong, (DRIFT, 0.5)))
+        with pytest.raises(ValueError, match="scheme mine: a sequence has pairs of a Substep"):
+            Scheme("mine", 2, ((DRIFT, 1.0),), processor=(wrong,))
 
 
 @given(
@@ -85,8 +89,8 @@ def test_nodes_are_generated_for_any_number():
     for n in range(1, 30):
         for name in (f"SABA_{n}", f"SBAB_{n}"):
             scheme = look_up(name)
-            times = np.cumsum([c if flow == "drift" else 0.0 for flow, c in scheme.sequence])
-            kicks = np.array([c if flow == "kick" else 0.0 for flow, c in scheme.sequence])
+            times = np.cumsum([c if substep == DRIFT else 0.0 for substep, c in scheme.sequence])
+            kicks = np.array([c if substep == KICK else 0.0 for substep, c in scheme.sequence])
             assert scheme.stages == n
             for power in range(2 * n):
                 np.testing.assert_allclose(kicks @ times**power, 1.0 / (power + 1), rtol=1e-12)
@@ -100,15 +104,21 @@ def test_nodes_are_generated_for_any_number():
 def test_unknown_schemes_are_refused(name):
     assume(name not in rb.SCHEMES)
     assume(not name.startswith("S"))
-    with pytest.raises(ValueError, match="choose one of"):
+    with pytest.raises(ValueError, match=r"(?s)unknown scheme .* Available: V2, V2_drift"):
         look_up(name)
 
 
-def test_stages_and_forces_of_words_with_more_letters():
+@pytest.mark.parametrize(("name", "meant"), [("v2", "V2"), ("W2-4", "W2_4"), ("SRKN46b", "SRKN4_6b")])
+def test_the_nearest_scheme_is_named_to_who_misspells_it(name, meant):
+    with pytest.raises(ValueError, match=f"did you mean '{meant}'"):
+        look_up(name)
+
+
+def test_stages_and_forces_of_sequences_with_more_substeps():
     """Kicks of two groups at one place are one stage, and a force-gradient kick takes forces at one place more."""
-    bath = Scheme("BAOAB", 2, schemes.word.spelled("B A O A B"))
-    assert (bath.stages, bath.first) == (1, "kick")
-    groups = Scheme("groups", 2, (("B0", 0.5), ("B1", 0.5), ("A", 1.0), ("B1", 0.5), ("B0", 0.5)))
+    thermostatted = Scheme("BAOAB", 2, schemes.spelled("B A O A B"))
+    assert (thermostatted.stages, thermostatted.first) == (1, "kick")
+    groups = Scheme("groups", 2, schemes.spelled("B0 B1 A B1 B0"))
     assert groups.stages == 1
     takahashi = rb.SCHEMES["TI2"]
     assert (takahashi.stages, takahashi.forces) == (1, 2)
@@ -117,31 +127,34 @@ def test_stages_and_forces_of_words_with_more_letters():
     assert rb.SCHEMES["G4_7"].forces == 7
 
 
-def test_force_gradients_are_built_from_the_letters():
+def test_force_gradients_are_built_from_the_pattern_of_a_step():
     numbers = {"order": 2, "a": (0.2,), "b": (0.1, 0.3), "e": (0.02, 0.03)}
     twice = force_gradient("twice", "CABACABAC", **numbers, magnification=1.0)
-    assert [letter for letter, _ in twice.word] == ["C1", "A", "B", "A", "C2", "A", "B", "A", "C1"]
+    outer, middle = gradient_kicks(twice)
+    half = [outer, DRIFT, KICK, DRIFT]
+    assert [substep for substep, _ in twice.sequence] == [*half, middle, *half[::-1]]
     assert twice.a == pytest.approx((0.2, 0.3, 0.3, 0.2))
     assert twice.b == pytest.approx((0.1, 0.3, 0.2, 0.3, 0.1))
-    assert dict(twice.gradients) == pytest.approx({"C1": 0.02 / 0.1**2, "C2": 0.03 / 0.2**2})
+    assert [kick.strength for kick in (outer, middle)] == pytest.approx([0.02 / 0.1**2, 0.03 / 0.2**2])
     magnified = force_gradient("twice", "CABACABAC", **numbers, magnification=8.0)
     for ours, theirs in ((magnified.a, twice.a), (magnified.b, twice.b), (magnified.c, twice.c)):
         assert ours == pytest.approx(theirs, rel=1e-14)
     assert magnified.forces == twice.forces
-    displaced = [magnified.gradients[i][1] * 8.0**2 * b**2 for i, b in enumerate(twice.b[0:3:2])]
+    kicks = zip(gradient_kicks(magnified), twice.b[0:3:2], strict=True)
+    displaced = [kick.strength * 8.0**2 * b**2 for kick, b in kicks]
     assert displaced == pytest.approx([0.02 / 8.0, 0.03 / 8.0])
-    for letters in ("BACA", "BBACABB", "A", "BAXAB"):
-        with pytest.raises(ValueError, match=f"'{letters}' is no palindrome in which drifts A and kicks B or C take"):
-            force_gradient("wrong", letters, order=2)
+    for pattern in ("BACA", "BBACABB", "A", "BAXAB"):
+        with pytest.raises(ValueError, match=f"'{pattern}' is no palindrome"):
+            force_gradient("wrong", pattern, order=2)
     for magnification in (0.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="magnification must be a finite number other than 0"):
+        with pytest.raises(ValueError, match="magnification must be"):
             force_gradient("wrong", "ACA", order=2, e=(0.1,), magnification=magnification)
-    with pytest.raises(ValueError, match="give e for each C of the first half of 'BACAB', not 2 numbers"):
+    with pytest.raises(ValueError, match=r"give e for each C .* not 2 numbers"):
         force_gradient("wrong", "BACAB", order=2, b=(0.1,), e=(0.1, 0.2))
 
 
 @pytest.mark.parametrize(
-    ("word", "stages", "first"),
+    ("text", "stages", "first"),
     [
         ("O B A B O", 1, "kick"),
         ("O A B A O", 1, "drift"),
@@ -153,10 +166,10 @@ def test_force_gradients_are_built_from_the_letters():
         ("O", 0, "kick"),
     ],
 )
-def test_a_bath_at_the_ends_of_a_step_needs_no_forces(word, stages, first):
+def test_a_thermostat_at_the_ends_of_a_step_needs_no_forces(text, stages, first):
     """The places are those of the kick before it: counted by those at which a long run is kicked."""
-    scheme = Scheme(word, 2, schemes.word.spelled(word))
+    scheme = Scheme(text, 2, schemes.spelled(text))
     assert (scheme.stages, scheme.forces, scheme.first) == (stages, stages, first)
-    places = itertools.accumulate(letter == "A" for letter in word.split() * 100)
-    kicked = {place for letter, place in zip(word.split() * 100, places, strict=True) if letter == "B"}
+    places = itertools.accumulate(symbol == "A" for symbol in text.split() * 100)
+    kicked = {place for symbol, place in zip(text.split() * 100, places, strict=True) if symbol == "B"}
     assert 100 * stages <= len(kicked) <= 100 * stages + 1

@@ -56,10 +56,20 @@ def simulation_of(topology, system, positions, integrator=None, minimise=10, pla
     return simulation
 
 
-def water(integrator=None, minimise=10, **options):
-    """Return a Simulation of the box of TIP3P."""
+@functools.cache
+def relaxed(minimise):
+    """Return positions (nm) of the box of TIP3P after some iterations of OpenMM's minimiser."""
     topology, positions = solvent()
-    return simulation_of(topology, water_system(topology, **options), positions, integrator, minimise=minimise)
+    return coordinates(
+        simulation_of(topology, water_system(topology), positions, openmm.VerletIntegrator(0.001), minimise)
+    )
+
+
+def water(integrator=None, minimise=10, **options):
+    """Return a Simulation of the box of TIP3P; it is minimised once, with the options of `water_system`."""
+    topology, positions = solvent()
+    start = relaxed(minimise) if minimise else positions
+    return simulation_of(topology, water_system(topology, **options), start, integrator, minimise=0)
 
 
 def coordinates(simulation):

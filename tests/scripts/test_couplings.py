@@ -39,12 +39,14 @@ def sides(simulation):
 
 @pytest.mark.parametrize("name", BAROSTATS)
 def test_a_barostat_changes_the_box_and_no_molecule(name):
+    """Its moves are a random walk of the box, which OpenMM's seed does not repeat: the widest point counts."""
     simulation = in_a_barostat(name, 2)
-    before = sides(simulation)
+    before, changes = sides(simulation), []
     for _ in range(10):
         quietly(simulation.step, 2)
         assert misfit(simulation) < 1e-6
-    assert np.abs(sides(simulation) - before).max() > 1e-4
+        changes.append(np.abs(sides(simulation) - before).max())
+    assert max(changes) > 1e-4
     assert np.isfinite(simulation.integrator.totalEnergy()._value)
 
 

@@ -24,7 +24,7 @@ def one_sentence(message, call, error=ValueError):
 @pytest.mark.parametrize("bodies", [[0, 1, 2], "abc", 5, [["a", "b"]], [[0.5, 1.5]], np.arange(3)])
 def test_bodies_are_lists_of_particles(bodies):
     one_sentence(
-        r"^bodies must be lists of numbers of particles, such as \[\[0, 1, 2\], \[3, 4, 5\]\], not",
+        r"^bodies must be lists .* \[\[0, 1, 2\],",
         lambda: rb.ExactRigidBodyIntegrator(0.002, bodies=bodies),
     )
 
@@ -33,7 +33,7 @@ def test_a_scheme_is_a_name_that_the_integrator_accepts():
     for wrong in (None, "S3", ["V2"]):
         with pytest.raises(ValueError, match="scheme") as caught:
             rb.ExactRigidBodyIntegrator(0.002, scheme=wrong)
-        offered = [name for name in str(caught.value).replace(",", " ").replace(":", " ").split() if "_" in name]
+        offered = [name for name in str(caught.value).replace(",", " ").replace(":", " ").split() if name in rb.SCHEMES]
         assert len(offered) > 10
         for name in offered:
             integrator = rb.ExactRigidBodyIntegrator(0.0001, scheme=name)
@@ -50,7 +50,7 @@ def test_a_scheme_is_a_name_that_the_integrator_accepts():
 )
 def test_the_arguments_of_a_thermostat_are_told_apart(arguments):
     one_sentence(
-        "takes a step size and the name of a scheme.* ExactRigidBodyLangevinIntegrator takes those",
+        "ExactRigidBodyLangevinIntegrator takes those",
         lambda: rb.ExactRigidBodyIntegrator(*arguments),
     )
 
@@ -95,7 +95,7 @@ def test_energies_of_another_integrator_are_refused_and_nothing_is_left(tmp_path
     verlet = water(openmm.VerletIntegrator(2 * FEMTOSECONDS), minimise=0)
     alone = rb.EnergyReporter(tmp_path / "alone.csv", 1)
     verlet.reporters.append(alone)
-    message = "this Simulation has a VerletIntegrator: use openmm.app.StateDataReporter"
+    message = "use openmm.app.StateDataReporter"
     one_sentence(message, lambda: verlet.step(1))
     verlet.reporters.clear()
     alone.close()
@@ -136,7 +136,7 @@ def test_a_script_is_told_keywords_and_a_command_line_options(tmp_path):
     for _ in range(2):
         run = rb.Run(tmp_path / "out", overwrite=True)
         quietly(run.advance, water(), 1)
-    one_sentence("add resume=True .* or add overwrite=True", lambda: rb.Run(tmp_path / "out"), FileExistsError)
+    one_sentence("resume=True or .*overwrite=True or", lambda: rb.Run(tmp_path / "out"), FileExistsError)
     command = (
         "import argparse, openmm_exactrb as rb; parser = argparse.ArgumentParser(); "
         "rb.Run.add_options(parser); rb.Run.from_options(parser.parse_args())"
@@ -144,9 +144,10 @@ def test_a_script_is_told_keywords_and_a_command_line_options(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", command, "--out", tmp_path / "out"], capture_output=True, text=True, check=False
     )
-    assert "add --resume where there is a checkpoint to go on from, or add --overwrite" in done.stderr
+    assert "--resume" in done.stderr
+    assert "--overwrite" in done.stderr
     (tmp_path / "out" / "checkpoint").write_text("nothing")
-    one_sentence("or with overwrite=True", lambda: rb.Run(tmp_path / "out", resume=True))
+    one_sentence("damaged.* overwrite", lambda: rb.Run(tmp_path / "out", resume=True))
 
 
 # -- ensembles and tuning ---------------------------------------------------------------------------------------
@@ -155,11 +156,11 @@ def test_a_script_is_told_keywords_and_a_command_line_options(tmp_path):
 def test_a_worker_killed_while_it_starts_is_told(tmp_path):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
-    recipes = [ensemble.Recipe(os.path.basename, p="a/b")]
+    jobs = [ensemble.Job(os.path.basename, p="a/b")]
     with dask.config.set({"distributed.worker.preload": [str(killer)]}):
         one_sentence(
             "a worker process ended while it started",
-            lambda: list(ensemble.as_completed(recipes, tmp_path / "out", workers=1, progress=False)),
+            lambda: list(ensemble.as_completed(jobs, tmp_path / "out", workers=1, progress=False)),
             RuntimeError,
         )
 

@@ -4,15 +4,14 @@ import json
 import math
 from dataclasses import replace
 
-import numpy as np
 import openmm
 import pytest
-from equilibrium import equilibrated, long_run
+from equilibrium import equilibrated, long_run, typical_long_run
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb import tuning
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb import substeps, tuning
+from openmm_exactrb.tuning.candidates import VERLET
 
 FEW = ("V2", "S2_2", "SRKN4_6b")
 
@@ -32,18 +31,17 @@ def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
     assert choice.confirmed
     assert choice.error <= 1e-3
     assert tuned.horizon == pytest.approx(10.0 * tuned.duration)
-    # An energy that wanders does so differently in every run: one of twelve was beyond twice the promise.
-    runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
-    assert np.median([long_run(run, tuned, *droplet, "Reference") for run in runs]) < 2.0 * choice.error
+    assert typical_long_run(choice, tuned, *droplet, "Reference") < 2.0 * choice.error
 
 
 def test_a_processed_scheme_is_advised_with_what_looks_at_it_cost(droplet):
-    result = rb.tune(*droplet, target=1e-3, schemes=["V2", "W4_4"], platform="Reference", report=None)
+    some = {"duration": 0.5, "platform": "Reference", "report": None}
+    result = rb.tune(*droplet, target=1e-3, schemes=["V2", "W4_4"], **some)
     choice = result.best()
     assert choice.method == "W4_4"
     (note,) = (note for note in result.notes if "W4_4" in note)
-    assert "evaluates forces 10 times more for each call of step" in note
-    assert long_run(choice, result, *droplet, "Reference") < 2.0 * choice.error
+    assert "evaluates forces 2 times more for each call of step" in note
+    assert typical_long_run(choice, result, *droplet, "Reference") < 2.0 * choice.error
 
 
 def named_horizon(droplet):
@@ -67,8 +65,7 @@ def test_promises_for_a_named_horizon_hold(droplet):
     for _ in range(10):
         result = named_horizon(droplet)
         choice = result.best()
-        runs = [replace(choice, step=choice.step * (1.0 + 1e-7 * k)) for k in range(5)]
-        kept += np.median([long_run(run, result, *droplet, "Reference") for run in runs]) < 1.5 * choice.error
+        kept += typical_long_run(choice, result, *droplet, "Reference") < 1.5 * choice.error
     assert kept >= 9
 
 
@@ -81,14 +78,10 @@ def test_a_choice_builds_its_integrator(tuned):
     assert isinstance(tuned.cheapest(1e-2, VERLET).integrator(), openmm.VerletIntegrator)
 
 
-def test_smaller_errors_cost_more_and_more_cost_gives_smaller_errors(tuned):
+def test_smaller_errors_cost_more(tuned):
     loose, tight = tuned.cheapest(1e-2), tuned.cheapest(1.5e-3)
     assert loose.cost < tight.cost
     assert loose.error <= 1e-2
-    least = tuned.error_at(0.9 * loose.cost), tuned.error_at(tight.cost)
-    assert least[0].error > least[1].error
-    assert least[1].cost <= tight.cost * (1.0 + 1e-12)
-    assert least[1].error <= 1.5e-3 * (1.0 + 1e-9)
 
 
 def test_the_largest_stable_step_lies_below_an_unstable_one(tuned):
@@ -124,8 +117,6 @@ def test_an_error_out_of_reach_is_said_with_the_smallest_found(tuned):
     with pytest.raises(tuning.UnreachableError) as error:
         tuned.best(1e-9)
     assert f"the smallest found is {smallest:.2g}" in str(error.value)
-    with pytest.raises(ValueError, match="no stable setting costs"):
-        tuned.error_at(1e-9)
 
 
 def test_the_floor_of_single_precision_is_named(droplet):
@@ -160,17 +151,16 @@ def recorded(**more):
     return tuning.Tuning(**({"points": tuple(points), "seconds": {"V2": 0.004}, "stages": {"V2": 1}} | plain | more))
 
 
-def test_what_longer_runs_refuted_is_not_promised():
+def test_what_longer_runs_contradict_is_not_promised():
     result = recorded()
-    with pytest.raises(tuning.UnreachableError, match=r"was not held: runs of 10 ps came down to 0.0015, with V2"):
+    with pytest.raises(tuning.UnreachableError, match=r"was not held: .* 0.0015"):
         result.best()
     assert "came down to 0.0015" in " ".join(str(result).split())
-    assert result.error_at(1.05).error >= 1.5e-3
     between = result.cheapest(1.2e-3)
     assert 1.11 < between.cost < 2.0
     assert not between.confirmed
     assert result.largest_stable_step("V2") == 0.008
-    assert "(5.0e-04)" in result.table()
+    assert "(5.0e-04)" in str(result)
     assert "In brackets: a longer run" in str(result)
 
 
@@ -185,11 +175,13 @@ def test_json_has_no_nan_where_nothing_was_stable():
 def test_a_scheme_of_ones_own_comes_back_as_itself(droplet):
     own = replace(rb.SCHEMES["S2_2"], name="own")
     result = rb.tune(*droplet, schemes=[own, "V2"], duration=0.05, levels=3, platform="Reference", report=None)
-    choice = result.error_at(result.curve("own")[0].cost, "own")
+    choice = result.cheapest(result.curve("own")[0].error, "own")
     assert choice.integrator().getScheme() == own
     assert choice.options() == {"scheme": own, "fast": None}
     assert result.cheapest(0.5, "V2").options() == {"scheme": "V2", "fast": None}
-    assert json.loads(result.to_json())["schemes"]["own"]["word"] == [list(part) for part in own.word]
+    content = json.loads(replace(result, chosen=choice).to_json())
+    for scheme in (content["schemes"]["own"], content["chosen"]["scheme"]):
+        assert tuple((eval(substep, vars(substeps)), part) for substep, part in scheme["sequence"]) == own.sequence
 
 
 # -- long ones --------------------------------------------------------------------------------------------------

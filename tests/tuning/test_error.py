@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from openmm_exactrb.tuning.error import Series, expected_error
+from openmm_exactrb.tuning.error import expected_error
 
 
 def test_the_error_of_a_swing_does_not_grow_with_the_run(rng):
@@ -38,7 +38,3 @@ def test_walks_exceed_twice_the_answer_as_often_as_is_told(rng, known, least, mo
     walks = np.cumsum(rng.standard_normal((600, 3000)), axis=1)
     answers = np.array([expected_error(walk[:known], 1.0, 3000.0) for walk in walks])
     assert least < (walks.std(axis=1) > 2.0 * answers).mean() < most
-
-
-def test_an_unstable_run_has_no_error():
-    assert math.isinf(Series(np.array([]), 0.1, False).error(1.0))

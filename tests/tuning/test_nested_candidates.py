@@ -8,7 +8,7 @@ from equilibrium import equilibrated
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.tuning.movers import VERLET
+from openmm_exactrb.tuning.candidates import VERLET
 
 PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"
 
@@ -64,11 +64,11 @@ def test_nested_evaluations_have_their_price(nested):
 def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):
     result, _ = nested
     point = result.curve("S2_2 nested")[0]
-    choice = result.error_at(point.cost, "S2_2 nested")
+    choice = result.cheapest(point.error, "S2_2 nested")
     assert choice.step == pytest.approx(point.step, rel=1e-12)
     integrator = choice.integrator()
     assert integrator.getScheme().name == "S2_2"
-    assert integrator.getNesting().fast == "bonded"
+    assert integrator.getMultipleTimeSteps().fast == "bonded"
 
 
 def test_nothing_is_nested_that_nobody_wants(peptide):

@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 
 from openmm_exactrb.kernels.build import inner, inner_reordered
-from openmm_exactrb.kernels.plain.clusters import TO_GRID
+
+#: Adding and subtracting it rounds numbers between -1 and 1 to multiples of 2^-26.
+TO_GRID = 1.5 * 2.0**26
 
 
 @inner

@@ -1,7 +1,24 @@
-"""The free flow of clusters with distance constraints, compiled: the twin of `kernels.plain.clusters`.
+"""The free flow of clusters with distance constraints, and the projection of their momenta, compiled.
 
-Clusters of one kind are advanced in blocks, see `cluster_rows`. Formulas, names and arguments are explained in the
-twin.
+With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 for a = j and else 0,
+
+    x_a'' = sum_c s_ca F_c / m_a,  F_c = lambda_c r_c,  r_c'' = sum_d B_cd F_d,  B_cd = sum_a s_ca s_da / m_a.
+
+That closes in the r_c. Their power series, in the time of the drift as a unit, with w = (k + 1)(k + 2):
+
+    r_c,k+2 = sum_d B_cd F_d,k / w,   F_c,k = lambda_c,k r_c,0 + sum_(j < k) lambda_c,j r_c,k-j.
+
+The multipliers follow from r_c.r_c = d_c², order by order, with one matrix A_cd = B_cd r_c,0.r_d,0 for all of them:
+
+    sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
+    q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
+
+A is factorised once a drift. What the place and the momentum at the start have lost to rounding is put right with the
+same factor: (d_c² - r_c.r_c)/2 in the place, r_c.r_c' in the momentum. So a drift starts with the projection of the
+momentum, and kicks before it need none of their own.
+
+Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are (2, 3, M), sums high + low, or
+plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
 """
 
 from __future__ import annotations
@@ -29,8 +46,14 @@ from openmm_exactrb.kernels.compiled.cluster_rows import (
     solve,
     vectors,
 )
-from openmm_exactrb.kernels.plain.clusters import HALVINGS, ORDERS, SETTLED, Graph
+from openmm_exactrb.kernels.graph import Graph
 
+#: Orders of the multipliers that a drift may take; a step that needs more is halved.
+ORDERS = 30
+#: Two terms in a row are below this, as parts of the first one, where a series ends.
+SETTLED = 1e-16
+#: How often a step is halved before a cluster has no answer.
+HALVINGS = 12
 #: Clusters in a block.
 LANES = 32
 
@@ -248,7 +271,23 @@ def _give_up(X, P, work):
 
 @compiled("f3 f3 f i i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
 def advance(x, p, t, moves, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
-    """Write where the clusters of a kind are after the time t, and their momenta."""
+    """Write where the clusters of a kind are after the time t, and their momenta.
+
+    A cluster with a number that is not finite, at a singular place, or too fast to be followed becomes nan.
+
+    Parameters
+    ----------
+    x, p : (2, 3, M) or (1, 3, M) arrays
+    t : float
+    moves : bool
+        If not, the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all.
+    first, count : int
+        The first column of the kind, and its number of clusters.
+    inverse, pairs, lengths, weights, rows, columns, starts, left, right
+        The fields of a `Graph`.
+    x1, p1 : arrays of the same shapes
+        For the results; they may be x and p.
+    """
     graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
     X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))

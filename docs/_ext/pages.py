@@ -1,0 +1,83 @@
+"""Run every piece of Python of the README and of the documentation as it is printed, page by page.
+
+`make docs` runs them all; the tests run the README and only read the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import io
+import os
+import re
+import sys
+import tempfile
+import traceback
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from types import CodeType
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+# Built pages, copies of the examples, and recipes that have tests of their own (tests/test_recipes.py).
+ELSEWHERE = {DOCS / "_build", DOCS / "examples", DOCS / "contributing.md"}
+PAGES = [ROOT / "README.md", *sorted(p for p in DOCS.rglob("*.md") if not ELSEWHERE & {p, *p.parents})]
+PIECE = re.compile(r"^```(?:python|\{testcode\})\n(.*?)^```$", flags=re.M | re.S)
+
+
+def pieces(page: Path) -> Iterator[CodeType]:
+    """Yield the compiled pieces of Python of a page; errors name the lines of the page."""
+    text = page.read_text(encoding="utf-8")
+    for found in PIECE.finditer(text):
+        code = re.sub(r"^:\w+:$", "", found[1], flags=re.M)
+        yield compile("\n" * text.count("\n", 0, found.start(1)) + code, str(page), "exec")
+
+
+def run(page: Path) -> None:
+    """Run the pieces of a page one after the other, in an empty folder beside the examples; warnings are errors."""
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        (folder / "examples").symlink_to(ROOT / "examples")
+        stack.enter_context(contextlib.chdir(folder))
+        stack.enter_context(warnings.catch_warnings())
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", ResourceWarning)  # a script ends, and reporters with open files with it
+        names = {"__name__": "__page__"}
+        for piece in pieces(page):
+            exec(piece, names)
+        names.clear()
+        gc.collect()
+
+
+def failure(page: Path) -> str:
+    """Run a page without a word; return the traceback of what went wrong, if anything did."""
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            run(page)
+        except Exception:
+            return traceback.format_exc()
+    return ""
+
+
+def main() -> None:
+    """Run all pages, several at once."""
+    # Without a screen, on whatever device a machine has: some drivers fail.
+    os.environ |= {"MPLBACKEND": "agg", "OPENMM_DEFAULT_PLATFORM": "CPU"}
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    os.environ.setdefault("OPENMM_CPU_THREADS", "1")
+    failed = 0
+    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+        runs = {pool.submit(failure, page): page for page in PAGES if any(pieces(page))}
+        for done in as_completed(runs):
+            if told := done.result():
+                failed += 1
+                print(f"{runs[done].relative_to(ROOT)}:\n{told}", file=sys.stderr)
+    if failed:
+        sys.exit(f"{failed} of {len(runs)} pages with Python do not run as they are printed")
+
+
+if __name__ == "__main__":
+    main()

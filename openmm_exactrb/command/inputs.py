@@ -1,0 +1,188 @@
+"""The molecules of a run, read from files or created."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from openmm_exactrb.states import loadState, read_xml
+from openmm_exactrb.systems import rigid_water
+
+#: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
+WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
+#: Constraints of ForceField.createSystem beside rigid water.
+CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
+
+_READERS = {".pdb": app.PDBFile, ".ent": app.PDBFile, ".cif": app.PDBxFile, ".pdbx": app.PDBxFile}
+_READERS[".mmcif"] = app.PDBxFile
+_SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
+
+
+@dataclass(frozen=True)
+class Box:
+    """The molecules of a run; a State is given if the start was read from one."""
+
+    topology: app.Topology
+    system: openmm.System
+    positions: unit.Quantity
+    state: openmm.State | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the start has velocities."""
+        if self.state is None or not self.state.getDataTypes() & openmm.State.Velocities:
+            return False
+        return bool(np.any(self.state.getVelocities(asNumpy=True)._value))
+
+
+def load(args: argparse.Namespace) -> Box:
+    """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
+    kinds = [file.suffix.lower() for file in args.files]
+    if kinds == [".xml", ".xml"]:
+        return _serialised(args)
+    if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
+        raise ValueError(
+            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, or none with --solvate, "
+            f"not {' '.join(map(str, args.files))}"
+        )
+    if not args.forcefield:
+        raise ValueError("name the force field, such as --forcefield tip4pew.xml")
+    force_field = _understood("the force field", app.ForceField, *args.forcefield)
+    modeller = _water_box(args) if not kinds else _solvated(args, force_field)
+    modeller.addExtraParticles(force_field)
+    return Box(modeller.topology, _system(args, force_field, modeller.topology), modeller.positions)
+
+
+def _serialised(args: argparse.Namespace) -> Box:
+    if args.forcefield or args.solvate:
+        raise ValueError("--forcefield and --solvate go with a PDB or PDBx file: a System has its forces already")
+    system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
+    if not state.getDataTypes() & openmm.State.Positions:
+        raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
+    positions = state.getPositions(asNumpy=True)
+    if len(positions) != system.getNumParticles():
+        raise ValueError(f"the State has {len(positions)} particles, but the System {system.getNumParticles()}")
+    return Box(topology_of(system, state), system, positions, state)
+
+
+def _solvated(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
+    """Return the molecules in the file, with water around them if requested."""
+    (file,) = args.files
+    content = _understood(str(file), _read, file)
+    modeller = app.Modeller(content.topology, content.positions)
+    if args.solvate:
+        model = _water(args)
+        _understood("the box of water", modeller.addSolvent, force_field, model=model, numAdded=args.solvate)
+    return modeller
+
+
+def _read(file: Path) -> Any:
+    reader = _READERS[file.suffix.lower()]
+    if reader is app.PDBFile and not any(line.startswith("END") for line in file.read_text().splitlines()):
+        raise ValueError("there is no line END, so it is truncated or not a PDB file")
+    return reader(str(file))
+
+
+def _water_box(args: argparse.Namespace) -> app.Modeller:
+    """Return water alone, without extra particles: the force field adds its own."""
+    if not args.solvate:
+        raise ValueError("there is nothing to run: give a file, or --solvate 216 for that many molecules of water")
+    topology, _, positions = rigid_water(args.solvate, args.seed, model=_water(args), nonbondedMethod=app.PME)
+    modeller = app.Modeller(topology, positions)
+    modeller.delete([atom for atom in topology.atoms() if atom.element is None])
+    return modeller
+
+
+def _water(args: argparse.Namespace) -> str:
+    """Return the requested water model, or the one that a force field file is named after."""
+    if args.water is not None:
+        return str(args.water)
+    named = [model for model in WATERS for file in args.forcefield if model in Path(file).stem]
+    if not named:
+        raise ValueError(f"which water model? Add --water, one of {', '.join(WATERS)}")
+    return named[0]
+
+
+def _system(args: argparse.Namespace, force_field: app.ForceField, topology: app.Topology) -> openmm.System:
+    vectors = topology.getPeriodicBoxVectors()
+    options: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
+    if vectors is not None:
+        width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
+        if args.cutoff > 0.5 * width:
+            raise ValueError(
+                f"the box is {width:.3g} nm wide, and --cutoff {args.cutoff:g} more than half of that: "
+                "make it smaller, or take a larger box"
+            )
+        options = {
+            "nonbondedMethod": app.PME,
+            "nonbondedCutoff": args.cutoff * unit.nanometer,
+            "switchDistance": max(args.cutoff * unit.nanometer - _SWITCH, 0.5 * args.cutoff * unit.nanometer),
+            "ewaldErrorTolerance": args.ewald_tolerance,
+        }
+    return _understood(
+        "the force field",
+        force_field.createSystem,
+        topology,
+        constraints=CONSTRAINTS[args.constraints],
+        rigidWater=True,
+        removeCMMotion=False,
+        **options,
+    )
+
+
+def _understood(what: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Call a function of openmm.app; raise a ValueError for whatever it raises about a user's file."""
+    try:
+        return function(*arguments, **options)
+    except OSError:
+        raise
+    except Exception as error:
+        raise ValueError(f"{what} was not understood: {' '.join(str(error).split())}") from error
+
+
+def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
+    """Load a State, but for the pressure and temperature of the barostat of the run that it was saved in."""
+    loadState(simulation, state)
+    for force in simulation.system.getForces():
+        if isinstance(force, openmm.MonteCarloBarostat):
+            pressure, temperature = force.getDefaultPressure(), force.getDefaultTemperature()
+            simulation.context.setParameter(force.Pressure(), pressure.value_in_unit(unit.bar))
+            simulation.context.setParameter(force.Temperature(), temperature.value_in_unit(unit.kelvin))
+
+
+def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
+    """Return a topology for a System: a residue per molecule, elements by mass, and the box of the State."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    context.setPositions(state.getPositions())
+    molecules = context.getMolecules()
+    if [i for molecule in molecules for i in molecule] != list(
+        range(system.getNumParticles())
+    ):  # the order that a Topology keeps
+        raise ValueError("molecules of the System are interleaved: give their PDB or PDBx file instead")
+    topology = app.Topology()
+    chain = topology.addChain()
+    for molecule in molecules:
+        elements = [_element(system.getParticleMass(i)) for i in molecule]
+        symbols = [element.symbol if element else "V" for element in elements]
+        water = sorted(symbol for symbol in symbols if symbol != "V") == ["H", "H", "O"]
+        residue = topology.addResidue("HOH" if water else "MOL", chain)
+        for number, (symbol, element) in enumerate(zip(symbols, elements, strict=True), 1):
+            topology.addAtom(f"{symbol}{number}", element, residue)
+    atoms = list(topology.atoms())
+    for constraint in range(system.getNumConstraints()):
+        first, second, _ = system.getConstraintParameters(constraint)
+        topology.addBond(atoms[first], atoms[second])
+    if system.usesPeriodicBoundaryConditions():
+        topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
+    return topology
+
+
+def _element(mass: unit.Quantity) -> Any:
+    return app.Element.getByMass(mass) if mass.value_in_unit(unit.dalton) > 0.0 else None

@@ -1,0 +1,73 @@
+"""The integrator and the barostat of each ensemble, and what the molecules need."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_exactrb import kernels
+from openmm_exactrb.command.inputs import Box
+from openmm_exactrb.context.find import has_flexible_clusters
+from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
+
+#: Constant energy, temperature, or temperature and pressure.
+ENSEMBLES = ("nve", "nvt", "npt")
+#: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
+OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
+    (
+        "rotor",
+        {
+            "choices": ROTORS,
+            "default": "exact",
+            "metavar": "NAME",
+            "help": f"free rotation: {', '.join(ROTORS)} (exact)",
+        },
+    ),
+)
+_REMOVER = "CMMotionRemover"
+_MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
+
+
+def refuse_flexible(box: Box) -> None:
+    """Raise ModuleNotFoundError if molecules are flexible and numba, which their motion needs, is not installed."""
+    if has_flexible_clusters(box.system, np.array(box.positions.value_in_unit(unit.nanometer))):
+        kernels.require("flexible molecules with constraints")
+
+
+def couple(system: openmm.System, args: argparse.Namespace) -> None:
+    """Add the barostat of the ensemble to a System; raise ValueError if it does not allow one."""
+    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
+    if others:
+        raise ValueError(f"take the {', '.join(others)} out of the System: --ensemble nvt or npt has its own")
+    if args.ensemble != "npt":
+        return
+    if not system.usesPeriodicBoundaryConditions():
+        raise ValueError("--ensemble npt needs a periodic box: give a file with one, or --solvate")
+    barostat = openmm.MonteCarloBarostat(args.pressure * unit.bar, args.temperature * unit.kelvin)
+    barostat.setRandomNumberSeed(args.seed)
+    system.addForce(barostat)
+
+
+def pace(system: openmm.System, step: float) -> None:
+    """Set the frequency of a barostat to one move per 50 fs, given the step in ps."""
+    for force in system.getForces():
+        if isinstance(force, openmm.MonteCarloBarostat):
+            force.setFrequency(max(1, round(_MOVE / step)))
+
+
+def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
+    """Return the integrator of the ensemble, given its own options, such as the scheme, and the step in ps."""
+    given = {name: getattr(args, name) for name, _ in OPTIONS}
+    options = {name: value for name, value in given.items() if value is not None} | own
+    if args.ensemble == "nve":
+        return ExactRigidBodyIntegrator(step, **options)
+    integrator = ExactRigidBodyLangevinIntegrator(args.temperature, args.friction, step, **options)
+    integrator.setRandomNumberSeed(args.seed)
+    return integrator

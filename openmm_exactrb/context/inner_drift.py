@@ -1,0 +1,199 @@
+"""Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
+
+M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
+outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies that this
+potential does not move have no part in it: their drift is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.context.excerpt import Excerpt
+from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
+from openmm_exactrb.context.multiple_time_steps import FastForces
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.free_motion import Kinetic, of_bodies, rigid
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import repeated
+from openmm_exactrb.substeps import KICK, kick
+
+_COUNTER = "fast_evaluations"
+
+
+class InnerDrift:
+    """Drifts of the bodies of a Context with fast forces in them.
+
+    Parameters
+    ----------
+    fast : FastForces
+    sync : Synchronisation
+    positions : Positions
+        Of the Context.
+    rotor : Rotor
+    timings : Timings
+    """
+
+    def __init__(
+        self, fast: FastForces, sync: Synchronisation, positions: Positions, rotor: Rotor, timings: Timings
+    ) -> None:
+        self.fast, self._bodies, self._timings = fast, sync.bodies, timings
+        self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync, positions)
+        self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
+        self._free = free_motion(self._part, rotor)
+        self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False), rotor.order)
+
+    def split(
+        self,
+        forces: ContextForces,
+        kinetic: Kinetic,
+        timed: Callable[[Flow[State]], Flow[State]],
+        divergence: DivergenceCheck,
+        scheme: Scheme,
+        h: float,
+    ) -> tuple[Flow[State], Forces]:
+        """Return drifts with the fast forces in them, and the forces that are left for kicks.
+
+        Parameters
+        ----------
+        forces : ContextForces
+            All that act.
+        kinetic : Kinetic
+            Free motion of all bodies.
+        timed : callable
+            timed(drift) -> a drift that moves the positions and the time of the Context.
+        divergence : DivergenceCheck
+        scheme : Scheme
+            Whose drifts they are.
+        h : float
+            Its step in ps.
+        """
+        inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
+        repetitions = self.fast.repetitions(scheme, h)
+        if self._own is None:
+            fast = forces.of(self.fast.groups, _COUNTER)
+            drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
+            return drift, SlowGroups(forces, fast, self._timings)
+        own, part = self._own, self._own.excerpt.part
+        fast = ContextForces(own.positions, forces.groups, self._timings, _COUNTER)
+        alone = inner_steps(own.moving(self._free.drift), kick(fast, check), inner, repetitions)
+        outside = len(part.bodies.clusters) < len(self._bodies.clusters)
+        others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
+
+        def both(state: State, tau: float) -> State:
+            return part.into(others(state, tau), alone(part.of(state), tau))
+
+        return own.keeping_up(timed(both)), Remainder(forces, fast, part)
+
+
+def inner_steps(
+    drift: Flow[State], fast_kick: Flow[State], sequence: Any, repetitions: Callable[[float], int]
+) -> Flow[State]:
+    """Return a drift made of inner steps.
+
+    Parameters
+    ----------
+    drift, fast_kick : callable
+        The flows of the kinetic energy and of the fast forces.
+    sequence : Sequence
+        Of the inner scheme, drifts and kicks.
+    repetitions : callable
+        repetitions(tau) -> inner steps in a drift of this time.
+    """
+    known: dict[int, list[tuple[Flow[State], float]]] = {}
+
+    def flow(state: State, tau: float) -> State:
+        n = repetitions(tau)
+        if n not in known:
+            known[n] = [(fast_kick if s == KICK else drift, part) for s, part in repeated(sequence, n)]
+        for substep, part in known[n]:
+            state = substep(state, part * (tau / n))
+        return state
+
+    return flow
+
+
+class ExcerptContext:
+    """The Context of an excerpt, which follows box, parameters and particles without mass of another one."""
+
+    def __init__(self, excerpt: Excerpt, sync: Synchronisation, positions: Positions) -> None:
+        self.excerpt, self._sync = excerpt, sync
+        platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
+        self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
+        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
+        self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
+        self._x = sync.particles[excerpt.particles]
+        self._all = positions
+        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, self._follow)
+
+    def moving(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift of the bodies of the excerpt that changes its positions."""
+
+        def flow(state: State, tau: float) -> State:
+            state = drift(state, tau)
+            self.positions.version += 1
+            return state
+
+        return flow
+
+    def keeping_up(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift of all bodies after which the positions of the excerpt are those of all."""
+
+        def flow(state: State, tau: float) -> State:
+            state = drift(state, tau)
+            self.positions.keep_up()
+            return state
+
+        return flow
+
+    def _follow(self) -> None:
+        self._x[self._massless] = self._sync.particles[self.excerpt.particles[self._massless]]
+        if not self._changes:
+            return
+        state = self._all.context.getState(parameters=True)
+        self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        theirs = state.getParameters()
+        for name in self._context.getParameters():
+            if name in theirs:  # not that of a force which joined the System after its Context was made
+                self._context.setParameter(name, theirs[name])
+
+
+class FollowingPositions(Positions):
+    """Positions of an excerpt: new ones whenever those of the whole have changed, but by the excerpt's own drift."""
+
+    def __init__(
+        self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], None]
+    ) -> None:
+        self._followed, self._follow, self._seen, self._count = followed, follow, -1, 0
+        super().__init__(context, bodies, x)
+
+    @property
+    def version(self) -> int:
+        """The version, which follows that of the positions of the whole."""
+        if self._seen != self._followed.version:
+            self.keep_up()
+            self._count += 1
+            self._follow()
+        return self._count
+
+    @version.setter
+    def version(self, count: int) -> None:
+        self._count = count
+
+    def keep_up(self) -> None:
+        """Take the present positions for those of the whole."""
+        self._seen = self._followed.version
+
+
+def free_motion(bodies: RigidBodies, rotor: Rotor) -> Kinetic:
+    """Return how bodies move without forces."""
+    return of_bodies(bodies, rotor_of_sums(rotor, bodies.inertia, checked=False), rotor.order)

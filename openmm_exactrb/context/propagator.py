@@ -1,0 +1,349 @@
+"""The propagator: makes the steps of an integrator in its Context, with forces from OpenMM.
+
+It is built once for a Context and bound to the settings of the integrator, and bound again when these have changed. It
+owns the state. That of a processed scheme stays in inner coordinates from call to call: the Context shows a copy that
+went through the post-processor.
+"""
+
+from __future__ import annotations
+
+import time
+import weakref
+import zlib
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.context import arrays, variables
+from openmm_exactrb.context.environment import ContextEnvironment, Settings
+from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.inner_drift import InnerDrift, free_motion
+from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.context.variables import Numbers
+from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.free_motion import Kinetic
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes.scheme import Scheme
+
+Array = NDArray[np.float64]
+
+
+class Clock:
+    """The number of steps and the time of a Context within a call: some forces depend on them.
+
+    Time passes with the drifts. A force that depends on it keeps a scheme's order, as if time were a coordinate.
+
+    Attributes
+    ----------
+    number : int
+        Of the last step that was made.
+    time : float
+        After it, in ps.
+    """
+
+    def __init__(self, context: openmm.Context) -> None:
+        self._context = weakref.ref(context)
+        self.begin()
+
+    def begin(self) -> None:
+        """Read them from the Context."""
+        context: Any = self._context()
+        self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
+        self._drifted = 0.0
+        self.keep()
+
+    def drift(self, tau: float) -> None:
+        """Let time pass within a step."""
+        self._drifted += tau
+        context: Any = self._context()
+        context.setTime(self.time + self._drifted)
+
+    def next(self, h: float) -> None:
+        """Complete a step."""
+        self._set(self.number + 1, self.time + h)
+
+    def keep(self) -> None:
+        """Keep the present number and time."""
+        self._kept = self.number, self.time
+
+    def restore(self) -> None:
+        """Return to the number and time that were kept."""
+        self._set(*self._kept)
+
+    def update(self, integrator: openmm.CustomIntegrator, n: int) -> None:
+        """Have OpenMM make n steps of its own that end now."""
+        openmm.Context.setStepCount(self._context(), self.number - n)
+        variables.step_openmm(integrator, n)
+        self._set(self.number, self.time)  # OpenMM's clock ignores a new step size where no computation uses dt
+
+    def _set(self, number: int, time: float) -> None:
+        self.number, self.time, self._drifted = number, time, 0.0
+        context: Any = self._context()
+        openmm.Context.setStepCount(context, number)  # not the method that is watched
+        context.setTime(time)
+
+
+class Propagator:
+    """Makes the steps of an integrator in a Context.
+
+    Parameters
+    ----------
+    context : openmm.Context
+    integrator : openmm.CustomIntegrator
+    rotor : Rotor
+    named : list of list of int or None
+        Bodies beside those that constraints make.
+    timings : Timings
+    fast : MultipleTimeSteps or None
+
+    Attributes
+    ----------
+    sync : Synchronisation
+    updates : ContextUpdates
+    environment : ContextEnvironment
+        Of the last binding.
+    """
+
+    def __init__(
+        self,
+        context: openmm.Context,
+        integrator: openmm.CustomIntegrator,
+        rotor: Rotor,
+        named: list[list[int]] | None,
+        timings: Timings,
+        fast: MultipleTimeSteps | None = None,
+    ) -> None:
+        self.sync = Synchronisation(context, integrator, named)
+        self.updates = ContextUpdates(context, named or [])
+        self._updates_act = self.updates.act
+        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in context.getSystem().getForces())
+        self._timings, self._integrator = timings, weakref.ref(integrator)
+        self._positions = Positions(context, self.sync.bodies, self.sync.particles)
+        self._kinetic = free_motion(self.sync.bodies, rotor)
+        found = fast_forces(context.getSystem(), self.sync.bodies, fast)
+        self._inner_drift = None if found is None else InnerDrift(found, self.sync, self._positions, rotor, timings)
+        self._clock = Clock(context)
+        self._version: object = None
+        self._processed, self._coordinates, self._h = False, 0.0, 0.0
+        self._surroundings: object = None  # box and parameters at the end of the last call
+        self.environment: ContextEnvironment
+
+    def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
+        """Make n steps. Whatever happens, the Context is left at the last valid state.
+
+        Parameters
+        ----------
+        version : object
+            Of the settings: substeps are bound again if it differs from that of the last call.
+        settings : callable
+            settings() -> Settings
+        key : int
+            Of the random numbers.
+        n : int
+
+        Raises
+        ------
+        IntegrationError
+            If a step diverges. A processed scheme leaves the state before the call.
+        """
+        changed = self.sync.pull()
+        if self._processed and self._surroundings != self._present_surroundings():
+            self.sync.keep(None)  # inner coordinates are those of other forces
+        self._clock.begin()
+        self._positions.moved()  # what else forces depend on may have changed, and cannot be seen
+        if version != self._version:
+            self._bind(settings())
+            self._version, changed = version, True
+        environment, integrator = self.environment, self._integrator()
+        environment.key = key
+        environment.numbers.load(integrator)
+        if changed:
+            environment.divergence.begin(self.sync.state)
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
+                self._make(n)
+        finally:
+            self._clock.restore()
+            environment.numbers.store(integrator)
+            self.sync.push()
+            if self._processed:
+                self._surroundings = self._present_surroundings()
+
+    def _present_surroundings(self) -> object:
+        return arrays.surroundings(self.sync.context.getState(parameters=True))
+
+    def _make(self, n: int) -> None:
+        """Make n steps from the present state."""
+        check, clock, state = self.environment.divergence, self._clock, self._entered()
+        check.keep_from(state)
+        for _ in range(n):
+            check.enter(clock.number + 1, clock.time, state)
+            state = self._positions.through(self._step, state)
+            check.leave(state)
+            clock.next(self._h)
+            state = self._updated(state)
+            if not self._processed:
+                self._keep(state)
+        if self._processed and n:
+            self._keep(self._shown(state))
+            self.sync.keep(state, self._coordinates, self.environment.memory.copy())
+
+    def _keep(self, state: State) -> None:
+        """Take a state, and what belongs to it, for valid."""
+        self.sync.state = state
+        self._clock.keep()
+        self.environment.numbers.keep()
+
+    # -- processed schemes: the inner state continues, what is shown is a copy ---------------------------------------
+
+    def _entered(self) -> State:
+        """Return the state from which steps continue."""
+        if not self._processed:
+            return self.sync.state
+        inner = self.sync.inner_in(self._coordinates)
+        if inner is None:
+            return self._processed_from(self.sync.state)
+        self.environment.memory.restore(self.sync.memory)
+        return inner
+
+    def _processed_from(self, state: State) -> State:
+        """Return the inner state of a true one, whose positions are the present ones."""
+        inner = self._positions.through(self._processor, state)
+        self.environment.memory.clear()
+        return inner
+
+    def _true(self, inner: State) -> State:
+        """Return the true state of an inner one, whose positions are the present ones, by the inverse processor."""
+        return self._copied(self._postprocessor, inner)
+
+    def _shown(self, inner: State) -> State:
+        """Return what is shown of an inner state: a copy, so that the error of the output does not accumulate."""
+        cheap = self._output and self.environment.memory.full
+        return self._copied(self._output if cheap else self._postprocessor, inner)
+
+    def _copied(self, substeps: Bound, inner: State) -> State:
+        """Return a copy of the inner state behind substeps, whose forces are not remembered."""
+        memory = self.environment.memory
+        memory.closed = True
+        try:
+            return self._positions.through(substeps, inner)
+        finally:
+            memory.closed = False
+
+    # -- what OpenMM does between steps --------------------------------------------------------------------------------
+
+    def _updated(self, state: State) -> State:
+        """Return a state after the updates that follow a step."""
+        if not self._updates_act:
+            return state
+        state = self.updates.remove_motion(self.sync.bodies.mass, state, self._clock.number)
+        n = self.updates.due()
+        if not n:
+            return state
+        true = self._true(state) if self._processed else state
+        self._positions.write(true)
+        if self.updates.pushes:
+            self.sync.write_velocities(true)
+        box = arrays.box(self.sync.context.getState())
+        self._clock.update(self._integrator(), n)
+        after = self.updates.changed(self.sync, true, box)
+        if after is not true or self.updates.pushes:
+            self._positions.moved()
+        if not self._processed:
+            state = after
+        elif after is not true:
+            state = self._processed_from(after)
+        else:
+            self._positions.version += 1  # those of the inner state
+        self.environment.divergence.keep_from(state)
+        return state
+
+    # -- binding substeps ----------------------------------------------------------------------------------------------
+
+    def _bind(self, settings: Settings) -> None:
+        """Bind the substeps of the settings."""
+        sync, h = self.sync, settings.h
+        if self._version is not None and self._processed:
+            self._leave_coordinates(settings)
+        forces = ContextForces(self._positions, settings.groups, self._timings)
+        divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves)
+        kinetic, slow = self._split(settings, forces, divergence)
+        scheme, bodies = settings.scheme, sync.bodies
+        self._h, self._processed, self._coordinates = h, bool(scheme.processor), _mark(scheme, h)
+        slow.memory = Memory(*scheme.memory)
+        self.environment = environment = ContextEnvironment(
+            bodies,
+            bodies.inertia.T,
+            kinetic,
+            slow,
+            forces,
+            divergence.finite,
+            divergence,
+            self._clock,
+            self.updates,
+            Numbers(settings.numbers),
+            settings,
+            self._positions,
+        )
+        self._step, self._output = environment.bound(scheme.sequence, h), environment.bound(scheme.output, h)
+        self._processor, self._postprocessor = (
+            environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
+        )
+
+    def _leave_coordinates(self, settings: Settings) -> None:
+        """Bring the state out of inner coordinates that are not those of the settings."""
+        inner = self.sync.inner_in(self._coordinates)
+        if inner is not None and _mark(settings.scheme, settings.h) != self._coordinates:
+            self.sync.state = self._true(inner)
+            self.sync.keep(None)
+
+    def _split(self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck) -> tuple[Kinetic, Forces]:
+        """Return free motion, with the fast forces within it where there are some, and the forces of kicks."""
+        kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
+        displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
+        inner, scheme = self._inner_drift, settings.splitting
+        drift, slow = self._timed(kinetic.drift), cast(Forces, forces)
+        if inner is not None and inner.fast.acts(scheme, settings.h):
+            h = settings.h / settings.splits
+            drift, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
+        if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
+            drift = _checked(drift, check)
+        return Kinetic(drift, displaced, kinetic.tangent, kinetic.order), slow
+
+    def _timed(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift that moves the positions and the time of the Context."""
+        positions, clock, timings = self._positions, self._clock, self._timings
+
+        def flow(state: State, tau: float) -> State:
+            start = time.perf_counter()
+            state = drift(state, tau)
+            timings.rotor += time.perf_counter() - start
+            positions.version += 1
+            clock.drift(tau)
+            return state
+
+        return flow
+
+
+def _checked(flow: Callable[[State, Any], State], check: Callable[[State], None]) -> Callable[[State, Any], State]:
+    """Return a flow that raises NonFiniteError before OpenMM is asked for forces at such positions."""
+
+    def checked(state: State, argument: Any) -> State:
+        after = flow(state, argument)
+        check(after)
+        return after
+
+    return checked
+
+
+def _mark(scheme: Scheme, h: float) -> float:
+    """Return a number that marks the inner coordinates of a scheme at a step size; 0 if there are none."""
+    return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

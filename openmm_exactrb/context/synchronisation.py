@@ -1,0 +1,235 @@
+"""Synchronisation of the bodies with their Context: what a user changed is pulled, what a step made is pushed."""
+
+from __future__ import annotations
+
+import functools
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.context import arrays, variables
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
+from openmm_exactrb.mechanics.fit import fit, refit
+from openmm_exactrb.mechanics.images import rejoined
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.substeps import Remembered
+
+Array = NDArray[np.float64]
+
+# Positions (nm) and velocities (nm/ps) closer than this to those of the stored bodies are theirs: an integrator that
+# finds its Context changed by less continues from the full float64 state.
+_SAME = 1e-9
+
+
+class Synchronisation:
+    """The bodies of a Context and their state.
+
+    Holds no strong reference to the Context and its integrator, which own this.
+
+    Parameters
+    ----------
+    context : openmm.Context
+        With positions; `pull` reads them.
+    integrator : openmm.CustomIntegrator
+        In whose variables the full state is kept.
+    named : sequence of sequences of int, optional
+        Particles of bodies beside those that constraints make.
+
+    Raises
+    ------
+    ValueError
+        If there are no positions, nothing can move, bodies cannot be served, or positions do not fit them.
+
+    Attributes
+    ----------
+    bodies : RigidBodies
+    state : State
+        As it is shown in the Context.
+    inner : State or None
+        The same in the inner coordinates of a processed scheme, from which its steps continue.
+    memory : Remembered
+        The forces of the last kicks in these coordinates.
+    particles : (n_particles, 3) array
+        Positions of all particles (nm), to be overwritten with those of the bodies.
+    """
+
+    def __init__(
+        self, context: openmm.Context, integrator: openmm.CustomIntegrator, named: Sequence[Sequence[int]] | None
+    ) -> None:
+        x, v = _positions_and_velocities(context)
+        if len(x) > 1 and not x.any():
+            raise ValueError("the Context has no positions yet: call setPositions first")
+        self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
+        self.bodies = find_bodies(context.getSystem(), x, named, _box(context))
+        self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
+        self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
+        self.state: State
+        self.inner: State | None = None
+        self._coordinates = 0.0  # of the inner state
+        self.memory: Remembered = ([], [])
+        self._outdated = False
+        #: Called when a user has set a State or a step count.
+        self.taken_elsewhere: Callable[[], None] = lambda: None
+        _watch(context, "reinitialize", self._outlive)
+        for name in ("setState", "setStepCount"):
+            _watch(context, name, lambda: self.taken_elsewhere())
+
+    @property
+    def context(self) -> Any:
+        """The Context, or None when it is gone."""
+        return self._context()
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the Context is gone, or was reinitialised since: masses, constraints and forces may be others."""
+        return self._outdated or self._context() is None
+
+    def _outlive(self) -> None:
+        self._outdated = True
+
+    def pull(self) -> bool:
+        """Bring the state up to date with what was set in the Context since it was pushed; return whether it changed.
+
+        Positions that were not quite rigid, or split by the periodic box, are put right in the Context too.
+
+        Raises
+        ------
+        ValueError
+            If that is not finite, or no rigid bodies, or a checkpoint of another kind of integrator was loaded. The
+            state stays what it was.
+        """
+        self.refuse_others()
+        x, v = self.held()
+        seen = self._seen
+        if seen is not None and np.array_equal(seen[0], x) and np.array_equal(seen[1], v):
+            return False
+        known, whole = self.stored(x), self._joined(x)
+        state = State.of(fit(self.bodies, whole, v)) if known is None else self.compared(known, whole, v)
+        self._read_inner() if state is known else self.keep(None)
+        self.state = state
+        self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
+        self._seen = (x, v)
+        if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles))):
+            self.push()
+        return True
+
+    def _joined(self, x: Array) -> Array:
+        """Return positions without what the periodic box split."""
+        box = self.box()
+        return x if box is None else rejoined(x, self.bodies, box)
+
+    def box(self) -> Array | None:
+        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
+        return _box(self.context)
+
+    def compared(self, known: State, x: Array, v: Array) -> State:
+        """Return a known state, but for the bodies whose particles are not where it says."""
+        rounded = known.rounded
+        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()))
+        pushed = _differs(self.bodies, v, self.bodies.velocities(rounded, v.copy()))
+        if not len(moved) and not len(pushed):
+            return known
+        return known.renewed(refit(self.bodies, rounded, x, v, moved, pushed))
+
+    def push(self) -> None:
+        """Write the state into the Context, as particles and in full."""
+        context = self.context
+        context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
+        self.write_velocities(self.state)
+        context.computeVirtualSites()
+        self.store()
+        self._seen = self.held()
+
+    def inner_in(self, coordinates: float) -> State | None:
+        """Return the inner state if it is in the coordinates with this mark."""
+        return self.inner if self._coordinates == coordinates else None
+
+    def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
+        """Keep a state in the inner coordinates with this mark, and the last forces; `push` writes them."""
+        self.inner, self._coordinates, self.memory = inner, coordinates, memory
+
+    def refuse_others(self) -> None:
+        """Refuse variables that another kind of integrator wrote; ValueError."""
+        variables.refuse_others(self._integrator(), self._marks)
+
+    @functools.cached_property
+    def _marks(self) -> tuple[float, ...]:
+        """What the first number of the integrator can be: its variables are those that it was made with."""
+        return variables.marks(variables.own_numbers(self._integrator()))
+
+    def stored(self, x: Array) -> State | None:
+        """Return the state that the integrator's variables hold, if any; positions x are those of the Context."""
+        return variables.read(self._integrator(), self.bodies)
+
+    def _read_inner(self) -> None:
+        """Read the inner state that the integrator's variables hold, if any."""
+        integrator = self._integrator()
+        coordinates = variables.get(integrator, variables.COORDINATES)
+        inner = variables.read(integrator, self.bodies, variables.INNER) if coordinates else None
+        self.keep(inner, coordinates, ([], []) if inner is None else variables.read_forces(integrator, self.bodies))
+
+    def store(self) -> None:
+        """Write the state to the integrator's variables."""
+        integrator = self._integrator()
+        variables.write(integrator, self.bodies, self.state)
+        if self.inner is not None:
+            variables.write(integrator, self.bodies, self.inner, variables.INNER)
+            variables.write_forces(integrator, self.bodies, self.memory)
+        variables.put(integrator, variables.COORDINATES, self._coordinates if self.inner is not None else 0.0)
+        variables.mark(integrator, self._marks)
+
+    def write_velocities(self, state: State) -> None:
+        """Write the velocities of the particles into the Context."""
+        self.context.setVelocities(self.bodies.velocities(state.rounded, self._v))
+
+    def held(self) -> tuple[Array, Array]:
+        """Return positions (nm) and velocities (nm/ps) of all particles, as the Context has them."""
+        return _positions_and_velocities(self._context())
+
+    def replace(self, state: State) -> None:
+        """Give the bodies another state and push it."""
+        self.state = state
+        self.keep(None)
+        self.push()
+
+
+def _positions_and_velocities(context: Any) -> tuple[Array, Array]:
+    """Return positions (nm) and velocities (nm/ps) of all particles."""
+    state = context.getState(positions=True, velocities=True)
+    return arrays.positions(state), arrays.velocities(state)
+
+
+def _box(context: openmm.Context) -> Array | None:
+    """Return the vectors of the periodic box in nm, or None where there is none."""
+    if not context.getSystem().usesPeriodicBoundaryConditions():
+        return None
+    return np.reshape(arrays.box(context.getState()), (3, 3))
+
+
+def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:
+    """Return the bodies with a particle that is not where it is expected; nan differs."""
+    different = np.zeros(len(bodies), dtype=bool)
+    for kind in bodies.kinds:
+        offset = np.abs(actual[kind.particles] - expected[kind.particles])
+        different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= _SAME)
+    return np.flatnonzero(different)
+
+
+def _watch(context: openmm.Context, name: str, notice: Callable[[], None]) -> None:
+    """Have it noticed when a method of the Context was called, since OpenMM does not tell."""
+    method = getattr(type(context), name)
+    reference = weakref.ref(context)
+
+    @functools.wraps(method)
+    def noticing(*arguments: Any, **options: Any) -> None:
+        try:
+            method(reference(), *arguments, **options)
+        finally:
+            notice()
+
+    setattr(context, name, noticing)

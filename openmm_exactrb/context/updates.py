@@ -1,0 +1,158 @@
+"""Context updates: what OpenMM does between steps. Barostats, thermostats and CMMotionRemover of a System."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.compensated import add
+from openmm_exactrb.context import arrays
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.mechanics.state import State
+
+Array = NDArray[np.float64]
+
+_BAROSTATS = (
+    "MonteCarloAnisotropicBarostat",
+    "MonteCarloBarostat",
+    "MonteCarloFlexibleBarostat",
+    "MonteCarloMembraneBarostat",
+)
+_THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
+#: Forces that change positions or velocities between steps: without them a System conserves its energy.
+UPDATES = (_THERMOSTAT, _REMOVER, *_BAROSTATS)
+
+
+class ContextUpdates:
+    """What OpenMM does between steps in a Context.
+
+    A CMMotionRemover acts on velocities alone, and so on the inner state of a processed scheme as on the true one.
+    Barostats and thermostats of the System act on the true state, by OpenMM itself.
+
+    Parameters
+    ----------
+    context : openmm.Context
+    named : sequence of sequences of int
+        Particles of bodies that a user named.
+
+    Raises
+    ------
+    ValueError
+        If a barostat would tear bodies.
+
+    Attributes
+    ----------
+    moves, pushes : bool
+        Whether a barostat moves bodies, and a thermostat changes their momenta.
+    temperatures : dict
+        The parameters of the Context that are their temperatures, and whose.
+    """
+
+    def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
+        removers = [force for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER]
+        acting = acting_updates(context)
+        thermostats, barostats = ([f for f in acting if (type(f).__name__ == _THERMOSTAT) is t] for t in (True, False))
+        _refuse_torn_bodies(context, barostats, named)
+        self._removals = tuple(force.getFrequency() for force in removers)
+        self._barostats = barostats
+        self._waiting = 0  # steps since OpenMM last acted
+        self.moves, self.pushes = bool(barostats), bool(thermostats)
+        self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
+
+    def hottest(self, context: openmm.Context) -> float:
+        """Return RT (kJ/mol) of the hottest thermostat or barostat, as the parameters of the Context have it now."""
+        return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
+
+    def refuse_other_temperatures(self, context: openmm.Context, temperature: float) -> None:
+        """Refuse what would bring bodies to another temperature (K) than the integrator's thermostat.
+
+        Raises
+        ------
+        ValueError
+            If there is a thermostat in the System, or a barostat of another temperature.
+        """
+        if self.pushes:
+            raise ValueError(
+                "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
+                "System, or take ExactRigidBodyIntegrator"
+            )
+        for parameter, name in self.temperatures.items():
+            own = context.getParameter(parameter)
+            if not math.isclose(own, temperature, rel_tol=1e-9):
+                raise ValueError(
+                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "
+                    f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
+                )
+
+    @property
+    def act(self) -> bool:
+        """Whether there are any."""
+        return self.moves or self.pushes or self.removes_motion
+
+    @property
+    def removes_motion(self) -> bool:
+        """Whether the centre of mass is kept at rest."""
+        return bool(self._removals)
+
+    def remove_motion(self, mass: Array, state: State, number: int) -> State:
+        """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
+        if any(number % interval == 0 for interval in self._removals):
+            velocity = state.P.sum(axis=(0, 2)) / mass.sum()
+            return state._replace(P=add(state.P, -np.outer(velocity, mass)))
+        return state
+
+    def due(self) -> int:
+        """Count a step; return how many updates of OpenMM are to be made now, in the last of which something acts.
+
+        A barostat of frequency n acts in every n-th update: the others do nothing, and wait for it.
+        """
+        if not (self.moves or self.pushes):
+            return 0
+        self._waiting += 1
+        period = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
+        if not period or self._waiting < period:
+            return 0
+        waiting, self._waiting = self._waiting, 0
+        return waiting
+
+    def changed(self, sync: Synchronisation, state: State, box: tuple[float, ...]) -> State:
+        """Return a state with what an update made of the particles of its Context, which had this box before."""
+        context = sync.context
+        if not self.pushes:
+            if arrays.box(context.getState()) == box:
+                return state
+            sync.write_velocities(state)  # so that only positions differ from those of the state
+        x, v = sync.held()
+        sync.particles[:] = x  # a barostat moves what has no mass too
+        return sync.compared(state, x, v)
+
+
+def acting_updates(context: openmm.Context) -> list[Any]:
+    """Return the thermostats and barostats that a Context knows: those that joined its System later do nothing."""
+    known = set(context.getParameters())
+    names = (_THERMOSTAT, *_BAROSTATS)
+    found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
+    return [force for force in found if force.Temperature() in known]
+
+
+def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
+    """Refuse bodies that a barostat would tear, since it moves particles, or OpenMM's molecules, each by itself."""
+    for barostat in barostats:
+        if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
+            name = type(barostat).__name__
+            raise ValueError(f"{name} would scale the bodies themselves: call its setScaleMoleculesAsRigid(True)")
+    if not barostats or not named:
+        return
+    molecule = {particle: number for number, molecule in enumerate(context.getMolecules()) for particle in molecule}
+    for number, body in enumerate(named):
+        if len({molecule[particle] for particle in body}) > 1:
+            raise ValueError(
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
+                "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+            )

@@ -1,0 +1,231 @@
+"""Persistent variables: what checkpoints, States and XML of OpenMM take along, declared in one list by their owners.
+
+Names and order are the format of checkpoints. All integrators of the package have the variables of all of its
+thermostats, so that a checkpoint or State of one kind can be read by another. Numbers that only one thermostat has
+follow, and are a format of their own: a checkpoint of OpenMM is a row of numbers without names, which OpenMM reads into
+any variables. So the first number is the mark of the format too.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.substeps import Force, Remembered
+
+_PREFIX = "exactrb_"
+# Per-DOF variables, on the first particle of each body: high parts, then low parts of the sums.
+_VECTORS = tuple(f"{name}{part}" for part in ("", "_low") for name in "RPmqw")
+#: The state as it is shown, and the one in the inner coordinates of a processed scheme.
+SHOWN, INNER = "", "inner_"
+# Whether there is a state in them, and whether Python is at work. A state is there from _WRITTEN to below _STEPPING,
+# which says in which format; see `written`.
+_STORED = "stored"
+_NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
+#: What the program of a device has as its first number.
+FROM_DEVICE = 3.0
+#: The mark of the coordinates of the inner state, 0 if there is none, and how many forces and differences of displaced
+#: ones are remembered with it.
+COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
+#: Of the noise: the seed, and which of its streams.
+SEED, STREAM = "seed", "stream"
+#: Of thermostats: the heat that they gave, and proposals of Metropolis's rule.
+HEAT, ACCEPTED, PROPOSED = "heat", "accepted", "proposed"
+_NUMBERS = (SEED, STREAM, HEAT, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
+#: What is said of a checkpoint in the variables of another engine than its own.
+OTHER_ENGINE = (
+    'the checkpoint that was loaded is of a run with engine="{0}": make the integrator with engine="{0}" or "auto"'
+)
+#: What is said of a checkpoint in the variables of another format than its own.
+OTHER_FORMAT = (
+    "the checkpoint or State that was loaded is of another kind of integrator, or of a thermostat with other variables "
+    "(a chain of another length, for example): make the integrator like the one that wrote it, or hand over positions "
+    "and velocities alone, with openmm_exactrb.loadState into a new Context"
+)
+
+
+def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory: int | None = None) -> None:
+    """Give a new integrator its variables, and the program that lets OpenMM do its own part of a step.
+
+    A copy that OpenMM makes, from XML or within a CompoundIntegrator, has no Python: its steps would let the clock run
+    while nothing moves. So positions and velocities become nan unless a step comes from Python.
+
+    Parameters
+    ----------
+    integrator : openmm.CustomIntegrator
+    own : sequence of str
+        Numbers of a thermostat that not all integrators have.
+    memory : int, optional
+        Of a processed scheme, which has an inner state too: how many forces it remembers.
+    """
+    stored = _PREFIX + _STORED
+    for name in _VECTORS:
+        integrator.addPerDofVariable(_PREFIX + name, 0.0)
+    if memory is not None:
+        for name in (*(INNER + name for name in _VECTORS), *(name for k in range(memory) for name in _last(k))):
+            integrator.addPerDofVariable(_PREFIX + name, 0.0)
+    integrator.addGlobalVariable(stored, _NOTHING)
+    integrator.beginIfBlock(f"{stored} < {_STEPPING}")
+    integrator.addComputePerDof("x", f"x + log({stored} - 3)")
+    # Forces at such positions are an error where the platform looks at them: Reference does not.
+    integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
+    integrator.endBlock()
+    integrator.addUpdateContextState()
+    declare_numbers(integrator, own)
+
+
+def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
+    """Give a new integrator the numbers of the package, and some of its own, at zero."""
+    for name in (*_NUMBERS, *own):
+        integrator.addGlobalVariable(_PREFIX + name, 0.0)
+
+
+def written(own: Sequence[str]) -> float:
+    """Return the first number of an integrator that has a state, and numbers of its own: at least 1, below 2."""
+    return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
+
+
+def marks(own: Sequence[str] = ()) -> tuple[float, float, float]:
+    """Return what the first number of an integrator with numbers of its own can be."""
+    return _NOTHING, written(own), _STEPPING
+
+
+def refuse_others(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
+    """Refuse variables of another engine or format than that of the `known` marks.
+
+    Raises
+    ------
+    ValueError
+        If a checkpoint brought them.
+    """
+    stored = get(integrator, _STORED)
+    if stored in known:
+        return
+    from_device = stored == FROM_DEVICE and known == marks()
+    raise ValueError(OTHER_ENGINE.format("device") if from_device else OTHER_FORMAT)
+
+
+def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
+    """Return the numbers that not all integrators have."""
+    names = range(1 + len(_NUMBERS), integrator.getNumGlobalVariables())
+    return [integrator.getGlobalVariableName(k).removeprefix(_PREFIX) for k in names]
+
+
+def get(integrator: openmm.CustomIntegrator, name: str) -> float:
+    """Return a number."""
+    return float(integrator.getGlobalVariableByName(_PREFIX + name))
+
+
+def put(integrator: openmm.CustomIntegrator, name: str, value: float) -> None:
+    """Set a number."""
+    integrator.setGlobalVariableByName(_PREFIX + name, value)
+
+
+def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
+    """Let OpenMM make steps of its own, in which barostats and thermostats of the System do their part."""
+    before = get(integrator, _STORED)
+    put(integrator, _STORED, _STEPPING)
+    try:
+        openmm.CustomIntegrator.step(integrator, steps)
+    finally:
+        put(integrator, _STORED, before)
+
+
+class Numbers:
+    """Numbers that the substeps of a call change: what a step adds counts when the step is kept.
+
+    Parameters
+    ----------
+    names : sequence of str
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self.present: dict[str, float] = {}
+        self._kept: dict[str, float] = {}
+
+    def load(self, integrator: openmm.CustomIntegrator) -> None:
+        """Read them at the begin of a call."""
+        self.present = {name: get(integrator, name) for name in self._names}
+        self.keep()
+
+    def keep(self) -> None:
+        """Keep the present ones."""
+        self._kept = dict(self.present)
+
+    def store(self, integrator: openmm.CustomIntegrator) -> None:
+        """Write what was kept at the end of a call."""
+        for name, value in self._kept.items():
+            put(integrator, name, value)
+
+
+def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State, which: str = SHOWN) -> None:
+    """Write the sums of a state; `mark` says that one is there."""
+    R, P, q, m = state
+    first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
+    full = np.zeros((2, 5, bodies.n_particles, 3))
+    full[:, 0, first], full[:, 1, first] = R.swapaxes(1, 2), P.swapaxes(1, 2)
+    full[:, 2, turning], full[:, 3, turning] = m.swapaxes(1, 2), q[:, 1:].swapaxes(1, 2)
+    full[:, 4, turning, 0] = q[:, 0]
+    for name, values in zip(_VECTORS, full.reshape(-1, bodies.n_particles, 3), strict=True):
+        integrator.setPerDofVariableByName(_PREFIX + which + name, values)
+
+
+def mark(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
+    """Mark the variables of an integrator with these `marks` as those of a state."""
+    put(integrator, _STORED, known[1])
+
+
+def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:
+    """Read the sums of a state, if one was written and the integrator has variables for it."""
+    if not get(integrator, _STORED) or not _has(integrator, which + _VECTORS[-1]):
+        return None
+    first, k = bodies.first_particle, bodies.n_turning
+    values = (integrator.getPerDofVariableByName(_PREFIX + which + name) for name in _VECTORS)
+    columns = [np.array(value, dtype=np.float64)[first].T for value in values]
+    R, P, m, vector, w = np.array(columns).reshape(2, 5, 3, len(first)).swapaxes(0, 1)
+    q = np.concatenate([w[:, :1, :k], vector[:, :, :k]], axis=1)
+    if not q[0].any(axis=0).all():  # `reinitialize` keeps numbers, but no vectors
+        return None
+    return State(*map(np.ascontiguousarray, (R, P, q, m[:, :, :k])))
+
+
+def write_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies, memory: Remembered) -> None:
+    """Write forces (3, N) and torques (3, K) that are remembered."""
+    forces, differences = memory
+    for k, values in enumerate([*forces, *differences]):
+        for name, value in zip(_last(k), values, strict=True):
+            full = np.zeros((bodies.n_particles, 3))
+            full[bodies.first_particle[: value.shape[1]]] = value.T
+            integrator.setPerDofVariableByName(_PREFIX + name, full)
+    put(integrator, REMEMBERED, len(forces))
+    put(integrator, DIFFERENCES, len(differences))
+
+
+def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Remembered:
+    """Read what `write_forces` wrote."""
+    memory: list[Force] = []
+    n = int(get(integrator, REMEMBERED))
+    for k in range(n + int(get(integrator, DIFFERENCES))):
+        if not _has(integrator, _last(k)[1]):  # another scheme wrote them, whose memory is no use
+            return [], []
+        force, torque = (
+            np.array(integrator.getPerDofVariableByName(_PREFIX + name), dtype=np.float64)[bodies.first_particle].T
+            for name in _last(k)
+        )
+        memory.append((np.ascontiguousarray(force), np.ascontiguousarray(torque[:, : bodies.n_turning])))
+    return memory[:n], memory[n:]
+
+
+def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
+    """Return whether an integrator has these vectors."""
+    return _PREFIX + name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+
+
+def _last(k: int) -> tuple[str, str]:
+    return f"last{k}_F", f"last{k}_N"

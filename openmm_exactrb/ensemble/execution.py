@@ -1,0 +1,109 @@
+"""Execution of jobs: stored results are read, the other jobs are sent to workers and their results stored."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from openmm_exactrb.checks import whole
+from openmm_exactrb.ensemble.jobs import Job
+from openmm_exactrb.ensemble.results import Result, read, write
+
+
+def run(
+    jobs: Iterable[Job],
+    folder: str | os.PathLike[str],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> list[Result]:
+    """Execute jobs and return their results in the same order; see `as_completed`."""
+    jobs = list(jobs)
+    results = as_completed(jobs, folder, scheduler=scheduler, workers=workers, progress=progress)
+    by_key = {result.job.key: result for result in results}
+    return [by_key[job.key] for job in jobs]
+
+
+def as_completed(
+    jobs: Iterable[Job],
+    folder: str | os.PathLike[str],
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Iterator[Result]:
+    """Execute jobs and yield their results as they complete, stored ones first.
+
+    A job whose function raises yields a result with the error; a later call tries it again. The jobs of a worker
+    process that dies are restarted on another one; a job that repeatedly kills its workers yields an error too. Closing
+    the iterator early cancels the jobs that are running.
+
+    Parameters
+    ----------
+    jobs : iterable of Job
+        Equal ones are executed once.
+    folder : path
+        Stores one JSON file for each successful job. Delete a file to have its job executed again.
+    scheduler : str, optional
+        Address of a dask scheduler, such as "tcp://node:8786". Its workers need the same version of this package and
+        the modules of the functions, and should have one thread each. By default, worker processes are started on this
+        machine.
+    workers : int, optional
+        Number of processes on this machine, each with one thread; one per core by default.
+    progress : bool, optional
+        Show a progress bar on stderr.
+
+    Yields
+    ------
+    Result
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a job is not a `Job`, or both scheduler and workers are given; before anything is started.
+    ConnectionError
+        If the scheduler does not answer, or disappears. Results up to then are stored.
+
+    Notes
+    -----
+    Each job runs in one thread and depends on its arguments only, so results do not depend on the number of workers,
+    the order, or workers that died: `energies` returns the same bits on machines of one kind with the same packages.
+
+    Scripts call this under ``if __name__ == "__main__":``, because workers import the script.
+    """
+    distinct = list(dict.fromkeys(jobs))
+    for job in distinct:
+        if not isinstance(job, Job):
+            raise TypeError(f"jobs must be Job objects, not {job!r}")
+    if scheduler is not None and workers is not None:
+        raise ValueError("a scheduler has its own workers: give either scheduler or workers")
+    if workers is not None:
+        workers = whole(workers, "workers")
+    try:
+        import distributed  # noqa: F401
+        from tqdm import tqdm
+    except ImportError as error:
+        raise ImportError(f"ensembles need dask ({error}): python -m pip install 'dask[distributed]' tqdm") from error
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    results = _results(distinct, Path(folder), scheduler, workers)
+    pause = 0.1 if sys.stderr.isatty() else 5.0
+    return iter(tqdm(results, "ensemble", len(distinct), unit="run", mininterval=pause, disable=not progress))
+
+
+def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int | None) -> Iterator[Result]:
+    """Yield stored results, then execute the other jobs."""
+    stored = {job: read(job, folder) for job in jobs}
+    yield from (result for result in stored.values() if result is not None)
+    missing = [job for job, result in stored.items() if result is None]
+    if not missing:
+        return
+    from openmm_exactrb.ensemble.workers import client_of, completed  # slow to import
+
+    with client_of(scheduler, workers, len(missing)) as client:
+        for result in completed(client, missing):
+            if result.error is None:
+                write(result, folder)
+            yield result

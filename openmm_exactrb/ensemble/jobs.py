@@ -1,0 +1,147 @@
+"""Jobs: a function and its arguments, with a key that is the same in every process."""
+
+from __future__ import annotations
+
+import copy
+import inspect
+import json
+import reprlib
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from itertools import product
+from operator import attrgetter
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.stable_text import PATH, digest, qualified_name, stable_text
+from openmm_exactrb.version import version
+
+
+class Job:
+    """One run of an ensemble: a function and the arguments that it is called with.
+
+    Parameters
+    ----------
+    function : callable
+        A function at the top level of a script or of a module that the workers can import. It returns what JSON can
+        hold, or numpy arrays, which become lists. For reproducible results everything it depends on is an argument,
+        including seeds.
+    **arguments
+        Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
+        System, State, Force or Integrator of OpenMM. The job keeps a copy, which travels to the worker: instead of
+        large ones pass the path of a file, or a function that builds them. A ``pathlib.Path`` to a file includes its
+        content; use a str for a file that the function writes.
+
+    Raises
+    ------
+    TypeError
+        If the function cannot be found by its name in its module, does not accept the arguments, or one of them is of
+        another type.
+
+    Attributes
+    ----------
+    function : callable
+    key : str
+        Hash of the function's name, the arguments, the content of files among them, and the versions of this package
+        and OpenMM. It does not include the function's code: after changing that, use another folder for results.
+    files : list of (str, str)
+        Paths of the files among the arguments, and digests of their content.
+
+    Examples
+    --------
+    >>> from openmm_exactrb import dipole_fluid
+    >>> job = Job(energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
+    >>> job
+    Job(openmm_exactrb.ensemble.dynamics.energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
+    >>> job == Job(energies, seed=3, n=8, step=0.05, duration=1.0, build=dipole_fluid)
+    True
+    """
+
+    def __init__(self, function: Callable[..., Any], /, **arguments: Any) -> None:
+        name = _importable_name(function)
+        inspect.signature(function).bind(**arguments)  # a TypeError here, not on a worker
+        texts = {argument: _text(argument, value) for argument, value in arguments.items()}
+        self.function = function
+        self.key = digest(json.dumps([*versions(), name, texts], sort_keys=True).encode())
+        self.files = [file for text in texts.values() for file in _files_in(text)]
+        self._arguments = copy.deepcopy(arguments)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Copies of the arguments, as they were when the job was created."""
+        return copy.deepcopy(self._arguments)
+
+    def __repr__(self) -> str:
+        shown = {name: getattr(value, "__qualname__", reprlib.repr(value)) for name, value in self._arguments.items()}
+        values = (f"{name}={text}" for name, text in shown.items())
+        return f"Job({', '.join([qualified_name(self.function), *values])})"
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Job) and self.key == other.key
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+
+def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fixed: Any) -> list[Job]:
+    """Create jobs for all combinations of arguments.
+
+    Parameters
+    ----------
+    function : callable
+    axes : mapping
+        The values of each argument that varies. The last one varies fastest.
+    **fixed
+        Arguments that are the same in all jobs.
+
+    Returns
+    -------
+    list of Job
+
+    Raises
+    ------
+    TypeError
+        If the values of an axis are a str, or as for a `Job`.
+
+    Examples
+    --------
+    >>> from openmm_exactrb import dipole_fluid
+    >>> axes = {"seed": range(100), "scheme": ["V2", "SRKN4_6b"]}
+    >>> len(sweep(energies, axes, build=dipole_fluid, step=0.05, duration=1.0))
+    200
+    """
+    for name, values in axes.items():
+        if isinstance(values, str):
+            raise TypeError(f"axis {name} must be a list of values, not {values!r}")
+    return [Job(function, **dict(zip(axes, values, strict=True)), **fixed) for values in product(*axes.values())]
+
+
+def versions() -> list[str]:
+    """Return the versions of this package and of OpenMM, which keys include."""
+    return [version("unknown"), openmm.Platform.getOpenMMVersion()]
+
+
+def _importable_name(function: Any) -> str:
+    """Return the name of a function or class by which a worker finds it."""
+    try:
+        found = attrgetter(function.__qualname__)(sys.modules[function.__module__])
+    except (AttributeError, KeyError):
+        found = None
+    if found is not function or not callable(function):
+        raise TypeError(f"must be a function that is found by its name in its module, not {function!r}")
+    return qualified_name(function)
+
+
+def _text(argument: str, value: Any) -> str:
+    try:
+        return stable_text(value, _importable_name)
+    except TypeError as error:
+        raise TypeError(f"argument {argument} of a job {error}") from None
+
+
+def _files_in(text: str) -> list[tuple[str, str]]:
+    """Return the files in the text of an argument, each with the digest of its content."""
+    paths: list[tuple[str, str]] = []
+    json.loads(text, object_hook=lambda part: paths.append(part[PATH]) if PATH in part else part)
+    return [(name, content) for name, content in paths if content is not None]

@@ -1,0 +1,226 @@
+"""Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
+
+The state of N bodies is one set of component-first float64 arrays. Bodies of one kind are neighbours, and kinds that
+turn come before single particles, which have no attitude. Of those, the atoms of clusters that constraints hold without
+making them rigid come first, in the order of `openmm_exactrb.mechanics.clusters`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb import kernels
+from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.quaternions import matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Bodies of the same masses, and of one shape or of one each.
+
+    Attributes
+    ----------
+    particles : (n, k) array
+        The k particles with mass of each of the n bodies.
+    bodies : slice
+        Where they stand among all bodies.
+    masses : (k,) array
+    sites : (1, k, 3) or (n, k, 3) array
+        Places of the particles in the principal axes of the body, about the centre of mass: of all bodies, or of each.
+    mass : float
+    inertia : (1, 3) or (n, 3) array
+        Principal moments in ascending order; the first is 0 for a linear body, all are for a single particle.
+    """
+
+    particles: Indices
+    bodies: slice
+    masses: Array
+    sites: Array
+    mass: float
+    inertia: Array
+
+    @property
+    def distances(self) -> Array:
+        """Distances of the particles from each other, (1, k, k) or (n, k, k)."""
+        apart: Array = np.linalg.norm(self.sites[:, :, None] - self.sites[:, None], axis=3)
+        return apart
+
+    @property
+    def turns(self) -> bool:
+        """Whether the bodies have an attitude: all but single particles."""
+        return bool(self.sites.shape[1] > 1)
+
+    @property
+    def linear(self) -> bool:
+        """Whether all sites lie on axis 1."""
+        return self.turns and bool(self.inertia[0, 0] == 0.0)
+
+
+class RigidBodies:
+    """The rigid bodies of a System, and its particles that belong to none.
+
+    Parameters
+    ----------
+    kinds : sequence of Kind
+    n_particles : int
+        Particles of the System, virtual sites and those without mass included.
+    clusters : Clusters, optional
+        Of single particles that constraints hold. Their kinds are the first behind those that turn.
+
+    Attributes
+    ----------
+    mass : (N,) array
+    inertia : (1, 3) or (K, 3) array
+        Moments for the rotor, of one kind with one shape or of each body that turns. A linear body turns as a sphere
+        does whose momentum has no component along the axis.
+    first_particle : (N,) array of int
+    n_turning : int
+        K, the number of bodies that turn.
+    clusters : Clusters
+    clustered : slice
+        Where the atoms of clusters stand among all bodies.
+    """
+
+    def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
+        self.kinds = tuple(kinds)
+        self._turning = tuple(kind for kind in kinds if kind.turns)
+        self.n_particles = n_particles
+        self.clusters = Clusters([]) if clusters is None else clusters
+        self.n_turning = sum(len(kind.particles) for kind in self._turning)
+        self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
+        self.first_particle: Indices = np.concatenate(
+            [np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)]
+        )
+        self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
+        self.inertia = _moments(self._turning)
+        self._single = self.first_particle[self.n_turning :]
+        self._has_clusters = bool(len(self.clusters))
+        self._particles_of = kernels.load("bodies")
+
+    @property
+    def translational_freedom(self) -> int:
+        """Degrees of freedom of centres of mass and single particles, which constraints diminish."""
+        return 3 * (len(self) - len(self.clusters.mass)) + self.clusters.degrees_of_freedom
+
+    @property
+    def rotational_freedom(self) -> int:
+        """Rotational degrees of freedom."""
+        return sum((3 - kind.linear) * len(kind.particles) for kind in self._turning)
+
+    @property
+    def principal_moments(self) -> Array:
+        """Principal moments of the bodies that turn, (3, K): 0 along the axis of a linear one."""
+        rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in self._turning]
+        return np.ascontiguousarray(np.concatenate([np.zeros((0, 3)), *rows]).T)
+
+    def __len__(self) -> int:
+        """Return the number of bodies, single particles included."""
+        return len(self.mass)
+
+    @property
+    def owner(self) -> Indices:
+        """The body of each particle (n_particles,): -1 of those that belong to none."""
+        owner = np.full(self.n_particles, -1)
+        for kind in self.kinds:
+            owner[kind.particles] = np.arange(kind.bodies.start, kind.bodies.stop)[:, None]
+        return owner
+
+    def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
+        """Return some of the bodies as a set of their own, in the same order.
+
+        Parameters
+        ----------
+        bodies : (N,) array of bool
+            Which: of a cluster all atoms or none.
+        number : (n_particles,) array of int
+            What number each of their particles has there.
+        n_particles : int
+            Particles there.
+        """
+        kinds: list[Kind] = []
+        start = 0
+        for kind in self.kinds:
+            own = bodies[kind.bodies]
+            if own.any():
+                stop = start + int(own.sum())
+                sites, inertia = (a if len(a) == 1 else a[own] for a in (kind.sites, kind.inertia))
+                rows = number[kind.particles[own]]
+                kinds.append(replace(kind, particles=rows, bodies=slice(start, stop), sites=sites, inertia=inertia))
+                start = stop
+        return RigidBodies(kinds, n_particles, self.clusters.chosen(bodies[self.clustered], number))
+
+    def positions(self, state: BodyState, out: Array) -> Array:
+        """Write the positions of all particles with mass into `out` (n_particles, 3)."""
+        for kind in self._turning:
+            self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
+        if self._single.size:
+            out[self._single] = state.R.T[self.n_turning :]
+        return out
+
+    def velocities(self, state: BodyState, out: Array) -> Array:
+        """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
+        Q = matrix(state.q)
+        V = (self.tangent(state).P / self.mass).T
+        omega = state.m.T / self.inertia
+        for kind in self.kinds:
+            velocity = V[kind.bodies, None]
+            if kind.turns:
+                relative = np.cross(omega[kind.bodies, None], kind.sites)
+                velocity = velocity + np.einsum("ijn,nsj->nsi", Q[:, :, kind.bodies], relative)
+            out[kind.particles] = velocity
+        return out
+
+    def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
+        """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles (n_particles, 3)."""
+        total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
+        for kind in self._turning:
+            self._particles_of.collect(state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque)
+        if self._single.size:
+            total[:, self.n_turning :] = forces[self._single].T
+        return total, torque
+
+    def tangent(self, state: BodyState) -> BodyState:
+        """Return the state without those parts of the momenta that constraints do not allow."""
+        if not self._has_clusters:
+            return state
+        x, p = (np.ascontiguousarray(a[None, :, self.clustered]) for a in (state.R, state.P))
+        P = state.P.copy()
+        P[:, self.clustered] = self.clusters.tangent(ClusterState(x, p)).p[0]
+        return state._replace(P=P)
+
+    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
+        """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow."""
+        P = self.tangent(state).P
+        translational = 0.5 * float(np.sum(P * P / self.mass))
+        return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
+
+    def name(self, body: int) -> str:
+        """Say which particles a body consists of, or the cluster that it is in."""
+        for of_clusters, columns in self.clusters.columns():
+            (cluster,) = np.nonzero((columns == body - self.n_turning).any(axis=1))
+            if len(cluster):
+                return of_clusters.name(int(cluster[0]))
+        for kind in self.kinds:
+            if kind.bodies.start <= body < kind.bodies.stop:
+                return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
+        raise IndexError(f"there is no body {body}")
+
+
+def _moments(turning: Sequence[Kind]) -> Array:
+    """Return the moments for the rotor, one row for all where all bodies have the same."""
+    if not turning:
+        return np.ones((1, 3))
+    moments = [np.where(kind.linear, kind.inertia[:, 2:], kind.inertia) for kind in turning]
+    if len(turning) == 1:
+        return moments[0]
+    return np.concatenate(
+        [np.broadcast_to(rows, (len(kind.particles), 3)) for rows, kind in zip(moments, turning, strict=True)]
+    )

@@ -1,0 +1,164 @@
+"""The state of bodies and constrained clusters from the positions and velocities of their particles."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.kernels.plain.bodies import turned
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.cluster_fit import missed, put_on_constraints
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.quaternions import from_matrix, matrix
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+#: Positions further than this from a rigid body, in nm, are refused: they are of another molecule, or of two halves.
+REFUSED = 0.02
+#: Up to this distance, in nm, positions are put on the shape without a word.
+RIGIDITY = 1e-4
+# A body whose places about its centre changed by less than this, in nm, was shifted and not turned.
+_SHIFTED = 1e-9
+
+
+class ShapeWarning(UserWarning):
+    """Positions were a little away from the shapes of the bodies, and were put on them."""
+
+
+def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
+    """Find the state of bodies.
+
+    Parameters
+    ----------
+    bodies : RigidBodies
+    x, v : (n_particles, 3) arrays
+        In nm and nm/ps.
+
+    Raises
+    ------
+    ValueError
+        If positions are not finite, or further than `REFUSED` from a rigid body.
+
+    Warns
+    -----
+    ShapeWarning
+        If they are further than `RIGIDITY` from one; the best fit keeps centre and attitude. Constraints of clusters
+        that are no rigid bodies may be missed by as much; their atoms are moved along the constraints.
+    """
+    every = np.arange(len(bodies))
+    nowhere = np.zeros((3, len(bodies)))
+    start = BodyState(nowhere, nowhere, np.ones((4, bodies.n_turning)), nowhere[:, : bodies.n_turning])
+    return refit(bodies, start, x, v, every, every)
+
+
+def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
+    """Find the state of some bodies again.
+
+    Parameters
+    ----------
+    bodies : RigidBodies
+    known : BodyState
+        The state of the others.
+    x, v : (n_particles, 3) arrays
+    moved, pushed : arrays of int
+        Bodies whose positions or velocities changed. One that was only shifted keeps attitude and momenta.
+
+    Raises
+    ------
+    ValueError
+        As `fit`.
+
+    Warns
+    -----
+    ShapeWarning
+        As `fit`.
+    """
+    R, P, q, m = (a.copy() for a in known)
+    misfits = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
+    for kind in bodies.kinds:
+        of_kind, particles, sites = _chosen(kind, moved)
+        X = x[particles]
+        _check_finite(bodies, of_kind, X)
+        R[:, of_kind] = np.einsum("s,nsi->in", kind.masses / kind.mass, X)
+        if kind.turns and len(of_kind):
+            relative = X - R.T[of_kind, None]
+            changed = np.abs(relative - turned(_attitudes(q, of_kind), sites)).max(axis=(1, 2)) > _SHIFTED
+            of_kind, relative, sites = of_kind[changed], relative[changed], _some(sites, changed)
+            pushed = np.union1d(pushed, of_kind)
+            q[:, of_kind] = best_attitudes(kind.masses, sites, relative)
+            misfit = relative - turned(_attitudes(q, of_kind), sites)
+            misfits.append((of_kind, np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))))
+    misfits.append(missed(bodies, R, moved))
+    _judge(bodies, *map(np.concatenate, zip(*misfits, strict=True)))
+    for kind in bodies.kinds:
+        of_kind, particles, sites = _chosen(kind, pushed)
+        V = v[particles]
+        _check_finite(bodies, of_kind, V)
+        P[:, of_kind] = np.einsum("s,nsi->in", kind.masses, V)
+        if kind.turns and len(of_kind):
+            # Only the momentum about the centre: m = Q^T sum m_s (Q b_s) x v_s = sum m_s b_s x Q^T v_s.
+            in_body = np.einsum("nji,nsj->nsi", _attitudes(q, of_kind), V)
+            m[:, of_kind] = np.einsum("s,nsi->in", kind.masses, np.cross(sites, in_body))
+            if kind.linear:
+                m[0, of_kind] = 0.0
+    put_on_constraints(bodies, R, P, np.union1d(moved, pushed))
+    return BodyState(R, P, q, m)
+
+
+def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
+    """Return the attitudes (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
+    if len(sites) == 1:
+        correlation = np.einsum("s,nsi,sj->nij", masses, relative, sites[0])
+    else:
+        correlation = np.einsum("s,nsi,nsj->nij", masses, relative, sites)
+    U, _, Vt = np.linalg.svd(correlation)
+    U[:, :, 2] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[:, None]
+    return from_matrix((U @ Vt).transpose(1, 2, 0))
+
+
+def _chosen(kind: Kind, bodies: Indices) -> tuple[Indices, Indices, Array]:
+    """Return those of the bodies that are of a kind, their particles and their sites."""
+    of_kind = bodies[(bodies >= kind.bodies.start) & (bodies < kind.bodies.stop)]
+    within = of_kind - kind.bodies.start
+    return of_kind, kind.particles[within], _some(kind.sites, within)
+
+
+def _some(sites: Array, chosen: NDArray[np.generic]) -> Array:
+    """Return the sites of some bodies, where each has its own."""
+    return sites if len(sites) == 1 else sites[chosen]
+
+
+def _attitudes(q: Array, bodies: Indices) -> Array:
+    """Return the rotation matrices (n, 3, 3) of some bodies."""
+    return np.ascontiguousarray(matrix(q[:, bodies]).transpose(2, 0, 1))
+
+
+def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
+    bad = ~np.isfinite(values).all(axis=(1, 2))
+    if bad.any():
+        raise ValueError(
+            f"positions or velocities of {bodies.name(int(chosen[np.argmax(bad)]))} are not finite: "
+            "set finite ones before the next step"
+        )
+
+
+def _judge(bodies: RigidBodies, chosen: Indices, distance: Array) -> None:
+    """Refuse positions that are no rigid bodies, and tell of those that are not quite."""
+    if not (distance > RIGIDITY).any():
+        return
+    worst = int(np.argmax(distance))
+    name = bodies.name(int(chosen[worst]))
+    if distance[worst] > REFUSED:
+        raise ValueError(
+            f"{name} is {distance[worst]:.2g} nm away from its shape, more than {REFUSED:g} nm: do not let a "
+            "periodic box split molecules, and set positions whose distances are about those of the constraints"
+        )
+    warnings.warn(
+        f"positions of {(distance > RIGIDITY).sum()} bodies were not quite those of their shapes and were put on them: "
+        f"the largest distance is {distance[worst]:.2g} nm, in {name}",
+        ShapeWarning,
+        stacklevel=2,
+    )

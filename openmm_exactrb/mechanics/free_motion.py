@@ -1,0 +1,119 @@
+"""The flow of the kinetic energy, and what belongs to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb import kernels
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.rotors import Flow as Rotation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Kinetic:
+    """How bodies move without forces.
+
+    Attributes
+    ----------
+    drift : callable
+        drift(state, tau) -> state: the flow of the kinetic energy.
+    displaced : callable
+        displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
+    tangent : callable
+        tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
+        before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
+    order : int or None
+        Order of the drift; None if it is exact.
+    """
+
+    drift: Flow[State]
+    displaced: Callable[[State, Array], State]
+    tangent: Callable[[State], State]
+    order: int | None = None
+
+
+def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
+    """Return the kinetic flow of rigid bodies.
+
+    Parameters
+    ----------
+    mass : (N,) array
+    rotation : callable
+        rotation(q, m, tau) -> (q, m) of sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
+    order : int, optional
+        Of the rotation.
+    """
+    advance = advancing()
+
+    def drift(state: State, tau: float) -> State:
+        q, m = rotation(state.q, state.m, tau)
+        return State(advance(state.R, state.P[0] / mass, tau), state.P, q, m)
+
+    def displaced(state: State, push: Array) -> State:
+        return state._replace(R=exactly(state.R[0] + push / mass))
+
+    def tangent(state: State) -> State:
+        return state
+
+    return Kinetic(drift, displaced, tangent, order)
+
+
+def constrained(free: Kinetic, clusters: Clusters, columns: slice) -> Kinetic:
+    """Return a kinetic flow where some single particles move along the geodesics of their constraints.
+
+    Parameters
+    ----------
+    free : Kinetic
+        Of all bodies, without these constraints.
+    clusters : Clusters
+    columns : slice
+        Where their atoms stand in R and P.
+    """
+
+    def part(state: State) -> ClusterState:
+        return ClusterState(*(np.ascontiguousarray(a[:, :, columns]) for a in (state.R, state.P)))
+
+    def joined(state: State, moved: ClusterState) -> State:
+        R, P = state.R.copy(), state.P.copy()
+        R[:, :, columns], P[:, :, columns] = moved
+        return state._replace(R=R, P=P)
+
+    def drift(state: State, tau: float) -> State:
+        return joined(free.drift(state, tau), clusters.drift(part(state), tau))
+
+    def displaced(state: State, push: Array) -> State:
+        return joined(free.displaced(state, push), clusters.drift(part(state._replace(P=exactly(push))), 1.0))
+
+    def tangent(state: State) -> State:
+        P = state.P.copy()
+        P[:, :, columns] = clusters.tangent(part(state)).p
+        return state._replace(P=P)
+
+    return Kinetic(drift, displaced, tangent, free.order)
+
+
+def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None) -> Kinetic:
+    """Return the kinetic flow of rigid bodies and constrained clusters; arguments as of `rigid`."""
+    free = rigid(bodies.mass, rotation, order)
+    return constrained(free, bodies.clusters, bodies.clustered) if len(bodies.clusters) else free
+
+
+def advancing() -> Callable[[Array, Array, float], Array]:
+    """Return advance(x, rate, tau) -> x + tau rate for a sum x (2, k, N) and rates (k, N)."""
+    kernel = kernels.load("sums").advance
+
+    def advance(x: Array, rate: Array, tau: float) -> Array:
+        total = np.empty(x.shape)
+        kernel(np.ascontiguousarray(x), np.ascontiguousarray(rate), tau, total)
+        return total
+
+    return advance

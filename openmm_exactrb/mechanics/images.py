@@ -1,0 +1,78 @@
+"""Bodies that a periodic box has split: their particles brought into one image again."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.mechanics.bodies import RigidBodies
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# As near, in nm, as positions have to be to be put on a shape.
+_NEAR = 0.05
+
+
+def rejoined(x: Array, bodies: RigidBodies, box: Array) -> Array:
+    """Return positions (n_particles, 3) with the particles of each body, and of each cluster, in one image of a box."""
+    for kind in bodies.kinds:
+        x = joined(x, kind.particles, box, kind.distances)
+    for cluster in bodies.clusters.kinds:
+        x = joined(x, cluster.particles, box)
+    return x
+
+
+def joined(x: Array, particles: Indices, box: Array, distances: Array | None = None) -> Array:
+    """Return positions with the particles of each body in one image; the same array where they already are.
+
+    Bodies whose particles are at their distances are left alone. In others, from the first particle on, the one that is
+    nearest to those that have their place takes the image nearest to them: bodies may be longer than half the box, if
+    no gap in them is.
+
+    Parameters
+    ----------
+    x : (n_particles, 3) array
+        In nm.
+    particles : (n, k) array
+        Of each of the n bodies.
+    box : (3, 3) array
+        Vectors of the periodic box in nm, one a row.
+    distances : (1, k, k) or (n, k, k) array, optional
+        Of the particles in the bodies, in nm, if they are known; nan where nobody knows.
+    """
+    X = x[particles]
+    extent = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1)
+    wide = np.isfinite(extent) & (extent > 0.5)
+    if not wide.any():
+        return x
+    if distances is not None:
+        wide[wide] = ~_at_distances(X[wide], distances if len(distances) == 1 else distances[wide])
+    y = x.copy()
+    y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
+    return y
+
+
+def _at_distances(X: Array, distances: Array) -> NDArray[np.bool_]:
+    """Tell of which bodies (n, k, 3) the particles are about at their distances, where all of these are known."""
+    found = np.linalg.norm(X[:, :, None] - X[:, None], axis=3)
+    near: NDArray[np.bool_] = (np.abs(found - distances) <= _NEAR).all(axis=(1, 2))  # nan is not
+    return near
+
+
+def _images(X: Array, box: Array) -> Array:
+    """Return by how many vectors of the box each particle is to be shifted, (n, k, 3)."""
+    inverse = np.linalg.inv(box)
+    images, offered = np.zeros_like(X), np.zeros_like(X)
+    missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
+    rows, last = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
+    for _ in range(X.shape[1] - 1):
+        missing[rows, last] = False
+        gap = X - (X[rows, last] + images[rows, last] @ box)[:, None]
+        shift = -np.round(gap @ inverse)
+        length = np.linalg.norm(gap + shift @ box, axis=2)
+        closer = length < distance
+        distance[closer], offered[closer] = length[closer], shift[closer]
+        last = np.where(missing, distance, np.inf).argmin(axis=1)
+        images[rows, last] = offered[rows, last]
+    return images

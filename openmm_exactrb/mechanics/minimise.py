@@ -1,0 +1,180 @@
+"""A minimum of the potential energy: rigid bodies stay rigid, clusters keep their constraints."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.chart import Chart, OutOfReachError
+from openmm_exactrb.mechanics.divergence import NonFiniteError, closest_pair
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.quaternions import exponential, multiply
+
+Array = NDArray[np.float64]
+
+# Coordinates of Systems with clusters are in this unit (nm) at first, which the first trial step of a search is long;
+# in the last one, a step that still leaves the chart is an error.
+_FIRST, _LEAST = 1e-2, 1e-6
+# What single precision leaves of an energy: less is no gain.
+_GAINED = 1e-7
+
+#: landscape(state) -> potential energy, forces (3, N), body-frame torques (3, K).
+Landscape = Callable[[BodyState], tuple[float, Array, Array]]
+
+
+class MinimisationWarning(UserWarning):
+    """A minimisation ended above its tolerance."""
+
+
+@dataclass
+class _Search:
+    """What one search hands over to the next: the best place with its energy, and how many iterations there were."""
+
+    state: BodyState
+    energy: float = math.inf
+    iterations: int = 0
+
+    def gained(self, before: float) -> bool:
+        """Tell whether the energy is lower than it was, by more than forces in single precision make of one place."""
+        return self.energy < before - (_GAINED * abs(before) if before < math.inf else 0.0)
+
+
+def minimised(
+    bodies: RigidBodies,
+    start: BodyState,
+    landscape: Landscape,
+    tolerance: float,
+    iterations: int,
+    box: Array | None = None,
+) -> BodyState:
+    """Return the bodies at a minimum of their potential energy, with the momenta of the start.
+
+    Coordinates are displacements and turns exp(theta) of each body from where it starts, turns in units of its radius
+    of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. Atoms of clusters have the
+    coordinates of a `Chart`. Where a search leaves it, or ends above the tolerance, which one does that met the huge
+    forces of an overlap, another one starts at the best place that was found.
+
+    Parameters
+    ----------
+    bodies : RigidBodies
+    start : BodyState
+    landscape : callable
+    tolerance : float
+        The largest component of a force, and of a torque over the radius of gyration, that may be left, in kJ/mol/nm.
+    iterations : int
+        At most as many, of all searches; 0 for as many as it takes.
+    box : (3, 3) array, optional
+        Vectors of the periodic box in nm, if there is one.
+
+    Raises
+    ------
+    NonFiniteError
+        If the energy or a force at the start is not finite.
+    OutOfReachError
+        If the constraints of clusters cannot be followed any longer.
+
+    Warns
+    -----
+    MinimisationWarning
+        If no search gets below the tolerance, and the iterations are not used up.
+    """
+    if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
+        closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""
+        raise NonFiniteError(f"the energy or a force at the start of the minimisation is not finite{closest}")
+    search, reach = _Search(start), _FIRST if len(bodies.clusters) else 1.0
+    while True:
+        before, last = search.energy, reach < 10.0 * _LEAST
+        try:
+            state, force = _searched(bodies, search, landscape, tolerance, iterations, reach)
+        except OutOfReachError:
+            gained = before < math.inf and search.gained(before)
+            if last and not gained:
+                raise
+        else:
+            if force <= tolerance or 0 < iterations <= search.iterations:
+                return state
+            gained = search.gained(before)
+            if last and not gained:
+                warnings.warn(_above(force, tolerance), MinimisationWarning, stacklevel=2)
+                return search.state
+        reach *= 1.0 if gained else 0.1
+
+
+def _above(force: float, tolerance: float) -> str:
+    return (
+        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, where "
+        "the energy does not fall any more: take a larger tolerance, or forces in double precision"
+    )
+
+
+def _searched(
+    bodies: RigidBodies,
+    search: _Search,
+    landscape: Landscape,
+    tolerance: float,
+    iterations: int,
+    unit: float,
+) -> tuple[BodyState, float]:
+    """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there.
+
+    Raises
+    ------
+    OutOfReachError
+        If the search leaves the chart of the clusters.
+    """
+    from scipy.optimize import minimize  # here, for a short import of the package
+
+    start = search.state
+    chart = Chart(bodies.clusters, start.R[:, bodies.clustered])
+    n, k = len(bodies), bodies.n_turning
+    radius = np.sqrt(np.broadcast_to(bodies.inertia.mean(axis=1), (k,)) / bodies.mass[:k])
+
+    def split(x: Array) -> tuple[Array, Array]:
+        return unit * x[: 3 * n].reshape(3, n), unit * x[3 * n :].reshape(3, k) / radius
+
+    def placed(x: Array) -> BodyState:
+        shift, turn = split(x)
+        R = start.R + shift
+        R[:, bodies.clustered] = chart.placed(shift[:, bodies.clustered])
+        return start._replace(R=R, q=multiply(start.q, exponential(turn)))
+
+    def value(x: Array) -> tuple[float, Array]:
+        state = placed(x)
+        energy, force, torque = landscape(state)
+        if energy < search.energy:
+            search.energy, search.state = energy, state
+        force[:, bodies.clustered] = chart.slope(state.R[:, bodies.clustered], force[:, bodies.clustered])
+        slope = _along_turns(split(x)[1], torque) / radius
+        return energy, -unit * np.concatenate([force.ravel(), slope.ravel()])
+
+    def count(xk: Array) -> None:
+        search.iterations += 1
+
+    options: Any = {
+        "gtol": unit * tolerance,
+        "ftol": 0.0,
+        "maxiter": iterations - search.iterations if iterations else 1_000_000,
+        "maxfun": 10_000_000,
+        "maxls": 50,
+    }
+    found = minimize(value, np.zeros(3 * (n + k)), jac=True, method="L-BFGS-B", callback=count, options=options)
+    return placed(found.x), float(np.abs(found.jac).max(initial=0.0)) / unit
+
+
+def _along_turns(turn: Array, torque: Array) -> Array:
+    """Return the torque (3, K) in the body along the coordinates theta: J^T torque, where omega = J d(theta)/dt."""
+    angle = np.sqrt((turn * turn).sum(axis=0))
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    across = np.cross(turn, torque, axis=0)
+    along: Array = torque + first * across + second * np.cross(turn, across, axis=0)
+    return along

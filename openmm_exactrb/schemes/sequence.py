@@ -1,0 +1,97 @@
+"""Sequences: a step is a row of substeps, each with its part of the step."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from openmm_exactrb.mechanics.state import Flow
+from openmm_exactrb.substeps import Substep, of_symbol
+
+#: Pairs of a substep and its part of the step, in the order of their use.
+Sequence = tuple[tuple[Substep, float], ...]
+
+
+def inverse(sequence: Sequence) -> Sequence:
+    """Return the sequence that undoes another one."""
+    return tuple((substep, -part) for substep, part in reversed(sequence))
+
+
+def palindromic(sequence: Sequence) -> bool:
+    """Return whether a sequence is its own mirror image, up to the order of neighbouring kicks, which commute."""
+    pairs = zip(_in_order(sequence), _in_order(sequence[::-1]), strict=True)
+    return all(a == b and math.isclose(i, j, rel_tol=1e-14) for (a, i), (b, j) in pairs)
+
+
+def _in_order(sequence: Sequence) -> Sequence:
+    """Return a sequence with kicks at one place in one order."""
+    places = ((kicks, list(some)) for kicks, some in itertools.groupby(sequence, lambda row: row[0].kicks))
+    by_name = lambda row: (repr(row[0]), row[1])  # noqa: E731
+    return tuple(itertools.chain(*(sorted(some, key=by_name) if kicks else some for kicks, some in places)))
+
+
+def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
+    """Return a sequence in which equal neighbours are one where they add up."""
+    rows: list[tuple[Substep, float]] = []
+    for substep, part in sequence:
+        if rows and rows[-1][0] == substep and substep.additive:
+            part += rows.pop()[1]
+        rows.append((substep, part))
+    return tuple(rows)
+
+
+def repeated(sequence: Sequence, n: int) -> Sequence:
+    """Return n steps, where neighbouring steps share their outer substep."""
+    return merged(sequence * n)
+
+
+def nested(outer: Sequence, substep: Substep, inner: Sequence, n: int | Callable[[float], int]) -> Sequence:
+    """Put n repetitions of a sequence in the place of a substep: multiple time steps.
+
+    Parameters
+    ----------
+    outer : Sequence
+    substep : Substep
+        The one of `outer` that is replaced.
+    inner : Sequence
+        Its parts are those of the time that it fills.
+    n : int or callable
+        Repetitions for the part 1 of the substep, or n(part) for each part; at least one for each.
+    """
+    number = n if callable(n) else lambda part: round(n * part)
+    rows: list[tuple[Substep, float]] = []
+    for present, part in outer:
+        if present != substep:
+            rows.append((present, part))
+            continue
+        times = max(1, number(abs(part)))
+        rows += merged([(small, part / times * share) for _ in range(times) for small, share in inner])
+    return merged(rows)
+
+
+def spelled(text: str) -> Sequence:
+    """Return the sequence of a text such as "B A O A B": every substep has an equal share of the step.
+
+    Raises
+    ------
+    ValueError
+        If there is no substep, or an unknown one.
+    """
+    symbols = text.split()
+    if not symbols:
+        raise ValueError('a sequence needs substeps with blanks between them, such as "B A O A B"')
+    return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
+
+
+def count(sequence: Sequence, substep: Substep) -> int:
+    """Return how often a sequence has a substep."""
+    return sum(present == substep for present, _ in sequence)
+
+
+def run(sequence: Sequence, flows: Mapping[Substep, Flow[Any]], state: Any, h: float) -> Any:
+    """Return a state after a sequence with a step of size h, with these flows of its substeps."""
+    for substep, part in sequence:
+        state = flows[substep](state, part * h)
+    return state

@@ -1,0 +1,85 @@
+"""Text that represents a value identically in every process: job keys and the identity of runs are built from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+#: Key of a path in the text; its value is a pair of the path and the digest of the file's content.
+PATH = "pathlib.Path"
+
+_SERIALISABLE = (openmm.System, openmm.State, openmm.Force, openmm.Integrator)
+
+
+def digest(content: bytes) -> str:
+    """Return the first half of the SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def qualified_name(function: Any) -> str:
+    """Return the module and name of a function or class; a script has the name under which it would be imported."""
+    module, main = function.__module__, sys.modules.get("__main__")
+    if module == "__main__" and main is not None:
+        spec, file = getattr(main, "__spec__", None), getattr(main, "__file__", None)
+        module = spec.name if spec is not None else Path(file).stem if file else module
+    return f"{module}.{function.__qualname__}"
+
+
+def stable_text(value: Any, name_of: Callable[[Any], str] = qualified_name) -> str:
+    """Return JSON that is equal for equal values, in this process and in later ones.
+
+    Parameters
+    ----------
+    value : object
+        None, numbers, str, lists, mappings, numpy arrays, paths, Quantities, dataclasses, functions, classes, objects
+        of OpenMM that it can serialise, and integrators of this package. A path to a file includes its content.
+    name_of : callable, optional
+        Returns the name of a function or class.
+
+    Raises
+    ------
+    TypeError
+        If the value contains any other object.
+    """
+    return json.dumps(value, sort_keys=True, default=partial(_described, name_of))
+
+
+def _described(name_of: Callable[[Any], str], value: Any) -> Any:
+    """Return a JSON value for an object that JSON itself cannot represent."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if type(value) in (np.ndarray, np.memmap) and value.dtype.kind in "biufc":  # a mask is not among its bytes
+        return {"array": [value.dtype.str, value.shape, digest(np.ascontiguousarray(value).tobytes())]}
+    if unit.is_quantity(value):
+        return {"quantity": [value._value, str(value.unit)]}
+    if isinstance(value, os.PathLike):
+        return {PATH: [os.fspath(value), digest_of_file(value)]}
+    if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # its XML lacks scheme and friction
+        return {qualified_name(type(value)): value.getSettings()}
+    if isinstance(value, _SERIALISABLE):
+        return {"openmm": digest(openmm.XmlSerializer.serialize(value).encode())}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+        return {qualified_name(type(value)): fields}
+    if isinstance(value, (FunctionType, type)):
+        return {"function": name_of(value)}
+    if type(value).__module__.startswith("openmm.app") and repr(value).isidentifier():  # PME, HBonds and the like
+        return {"option": repr(value)}
+    raise TypeError(f"cannot be {value!r}: use numbers, text, lists, mappings, arrays, or the path of a file")
+
+
+def digest_of_file(path: str | os.PathLike[str]) -> str | None:
+    """Return the digest of a file's content; None if there is no such file."""
+    return digest(Path(path).read_bytes()) if Path(path).is_file() else None

@@ -1,0 +1,353 @@
+"""Substeps: the parts of a step, with their flows and properties.
+
+A scheme is a sequence of substeps, each with its fraction of the step. A substep defines its flow, its force
+evaluations, the substeps that it commutes with, its matrix for a harmonic oscillator, and its program on a device.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.quaternions import exponential, multiply
+
+Array = NDArray[np.float64]
+#: Force (3, N) and body-frame torque (3, K).
+Force = tuple[Array, Array]
+#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
+Remembered = tuple[list[Force], list[Force]]
+#: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
+Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
+
+
+class Forces(Protocol):
+    """Forces and torques on bodies; see `openmm_exactrb.context.forces`."""
+
+    def __call__(self, state: State) -> Force:
+        """Return the forces at the present positions, those of `state`; each is evaluated once."""
+
+    def at(self, state: State) -> Force:
+        """Return the forces at the positions of any state."""
+
+    @property
+    def memory(self) -> Any:
+        """The forces of the last kicks; see `openmm_exactrb.context.forces.Memory`."""
+
+
+class Environment(Protocol):
+    """The environment of substeps: the bodies of a Context, or of an `openmm_exactrb.problems.Problem`.
+
+    Attributes
+    ----------
+    inertia : (3, 1) or (3, K) array
+        Principal moments of the bodies that rotate.
+    kinetic : Kinetic
+        Free motion, including fast forces.
+    memory : Memory
+        The forces of the last kicks.
+    gradient : callable or None
+        The force of the potential f . M^-1 f, if a problem defines it.
+    """
+
+    inertia: Array
+    kinetic: Kinetic
+    gradient: Callable[[State], Force] | None
+
+    @property
+    def memory(self) -> Any:
+        """The forces of the last kicks."""
+
+    def forces(self, group: int | None = None) -> Any:
+        """Return the `Forces` of a force group, or of all groups that kicks apply."""
+
+    def check(self, state: State) -> None:
+        """Raise NonFiniteError if a state is not finite."""
+
+    def exchange_of(self, number: int) -> Flow[State]:
+        """Return the flow of the n-th heat exchange of a step."""
+
+
+@dataclass(frozen=True)
+class Substep:
+    """A part of a step.
+
+    For a substep of your own, derive a frozen dataclass and use it in the sequence of a `Scheme`. It needs no
+    registration. Substeps are compared by value.
+
+    Attributes
+    ----------
+    symbol : str
+        For display.
+    moves : bool
+        Whether it may change positions, the box or parameters, so that forces must be evaluated again.
+    kicks : bool
+        Whether it changes momenta by forces at the present positions: such substeps commute.
+    additive : bool
+        Whether two in succession equal one over the sum of their times, as for every flow.
+    displaced_forces : int
+        Force evaluations at positions other than the present ones.
+    """
+
+    symbol: ClassVar[str] = "?"
+    moves: ClassVar[bool] = True
+    kicks: ClassVar[bool] = False
+    additive: ClassVar[bool] = False
+    displaced_forces: ClassVar[int] = 0
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return ``flow(state, tau) -> state``, the motion of an `openmm_exactrb.mechanics.state.State` over tau (ps).
+
+        Parameters
+        ----------
+        environment : Environment
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
+
+    def oscillator(self, tau: Any) -> Matrix:
+        """Return its matrix for q'' = -q and times in units of 1/omega."""
+        raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
+
+    def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
+        """Return its entries in the table of `openmm_exactrb.device.rows`, or None if a device does not support it."""
+        return None
+
+    def __str__(self) -> str:
+        """Return the symbol."""
+        return self.symbol
+
+
+@dataclass(frozen=True)
+class Drift(Substep):
+    """The flow of the kinetic energy: free translation and rotation."""
+
+    symbol: ClassVar[str] = "A"
+    additive: ClassVar[bool] = True
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return the free motion of all bodies, including fast forces."""
+        drift: Flow[State] = environment.kinetic.drift
+        return drift
+
+    def oscillator(self, tau: Any) -> Matrix:
+        """Return the matrix of q' = p."""
+        return (1.0, tau), (0.0, 1.0)
+
+    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
+        """Return the drift of a row."""
+        return (("drift", part),)
+
+
+@dataclass(frozen=True)
+class Kick(Substep):
+    """The flow of the potential energy: forces change momenta at fixed positions.
+
+    Momenta of constrained clusters are projected by the next drift.
+
+    Parameters
+    ----------
+    group : int, optional
+        A force group; if not given, all forces that are not integrated within the drifts.
+    """
+
+    group: int | None = None
+
+    symbol: ClassVar[str] = "B"
+    moves: ClassVar[bool] = False
+    kicks: ClassVar[bool] = True
+    additive: ClassVar[bool] = True
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return P + tau F and m + tau N."""
+        return kick(environment.forces(self.group), environment.check)
+
+    def oscillator(self, tau: Any) -> Matrix:
+        """Return the matrix of p' = -q."""
+        return (1.0, 0.0), (-tau, 1.0)
+
+    def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
+        """Return the kick of a row, which has all forces."""
+        return (("kick", part),) if self.group is None else None
+
+    def __str__(self) -> str:
+        """Return B, or B3 for group 3."""
+        return self.symbol if self.group is None else f"{self.symbol}{self.group}"
+
+
+@dataclass(frozen=True)
+class GradientKick(Substep):
+    """A kick with a force-gradient term, by forces at displaced positions.
+
+    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at
+    R + e F/M, q exp(e I^-1 N), where e = strength tau², and e (I^-1 N) x N, the commutator of the body axes, is added
+    to the torque. It is time-reversible, symplectic up to those orders, and conserves the linear momentum, and the
+    angular momentum up to those orders. For particles this is the Hessian-free kick of K. Schäfers, J. Finkenrath,
+    M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025). Constrained atoms are displaced along the
+    geodesic of F, and the force there is projected onto the constraints: to first order this gives the covariant
+    derivative of F along itself.
+
+    Parameters
+    ----------
+    strength : float
+    """
+
+    strength: float
+
+    symbol: ClassVar[str] = "C"
+    moves: ClassVar[bool] = False
+    kicks: ClassVar[bool] = True
+    displaced_forces: ClassVar[int] = 1
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return the kick by displaced forces, or by the gradient if the environment has it."""
+        forces = environment.forces()
+        if environment.gradient is not None:
+            return exact_gradient_kick(forces, environment.gradient, self.strength)
+        return gradient_kick(forces, environment.kinetic, environment.inertia, self.strength, environment.check)
+
+    def oscillator(self, tau: Any) -> Matrix:
+        """Return the matrix of the exact gradient: f . M^-1 f is q²."""
+        return (1.0, 0.0), (-tau * (1.0 - self.strength * tau * tau), 1.0)
+
+    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
+        """Return the displacement at the end of a row and the kick of the next one."""
+        return ("shift", self.strength * part * part), ("kick", part)
+
+
+@dataclass(frozen=True)
+class LastForcesKick(Substep):
+    """A kick by a weighted sum of the forces of the last kicks, without force evaluations; for output only.
+
+    Parameters
+    ----------
+    weights : tuple of float
+        Weights of the last forces, the most recent one first.
+    differences : tuple of float, optional
+        Weights of the last force-gradient terms: displaced forces less the forces.
+    """
+
+    weights: tuple[float, ...]
+    differences: tuple[float, ...] = ()
+
+    symbol: ClassVar[str] = "L"
+    moves: ClassVar[bool] = False
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
+        advance = advancing()
+
+        def flow(state: State, tau: float) -> State:
+            memory = environment.memory
+            terms = [*zip(self.weights, memory.forces, strict=False)]
+            terms += zip(self.differences, memory.differences, strict=False)
+            force, torque = (sum(w * value[i] for w, value in terms) for i in (0, 1))
+            return state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+
+        return flow
+
+
+@dataclass(frozen=True)
+class HeatExchange(Substep):
+    """The substep of a thermostat.
+
+    Parameters
+    ----------
+    number : int, optional
+        Its index among those of a step: each has its own random numbers.
+    """
+
+    number: int = 0
+
+    symbol: ClassVar[str] = "O"
+    moves: ClassVar[bool] = False
+    additive: ClassVar[bool] = True
+
+    def bind(self, environment: Any) -> Flow[State]:
+        """Return the flow of the integrator's thermostat."""
+        exchange: Flow[State] = environment.exchange_of(self.number)
+        return exchange
+
+    def oscillator(self, tau: Any) -> Matrix:
+        """Return the identity: a thermostat is ignored."""
+        return (1.0, 0.0), (0.0, 1.0)
+
+    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
+        """Return the thermostat of a row."""
+        return (("thermostat", part),)
+
+
+DRIFT, KICK, HEAT_EXCHANGE = Drift(), Kick(), HeatExchange()
+
+
+def of_symbol(symbol: str) -> Substep:
+    """Return the substep of a symbol: "A" drift, "B" kick, "B3" kick by force group 3, "O" heat exchange."""
+    found = {str(substep): substep for substep in (DRIFT, KICK, HEAT_EXCHANGE)}.get(symbol)
+    group = re.fullmatch(r"B(\d+)", symbol)
+    if group:
+        found = Kick(int(group[1]))
+    if found is None:
+        raise ValueError(f"unknown substep {symbol!r}: choose A, B, B0 to B31 or O, or use a Substep in the sequence")
+    return found
+
+
+# -- the flows of kicks -----------------------------------------------------------------------------------------------
+
+
+def _unchecked(state: State) -> None:
+    pass
+
+
+def kick(forces: Callable[[State], Force], check: Callable[[State], None] = _unchecked) -> Flow[State]:
+    """Return the flow of the potential energy of forces; `check` raises for states that are not finite."""
+    advance = advancing()
+
+    def flow(state: State, tau: float) -> State:
+        force, torque = forces(state)
+        after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+        check(after)
+        return after
+
+    return flow
+
+
+def gradient_kick(
+    forces: Forces, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], None] = _unchecked
+) -> Flow[State]:
+    """Return the flow of `GradientKick` by displaced forces; arguments are fields of `Environment`."""
+    advance = advancing()
+
+    def flow(state: State, tau: float) -> State:
+        e = strength * tau * tau
+        force, torque = forces(state)
+        rotation = e * torque / inertia
+        q = multiply(state.q[0], exponential(rotation))
+        displaced = kinetic.displaced(state, e * force)._replace(q=exactly(q))
+        check(displaced)
+        force_there, torque_there = forces.at(displaced)
+        force_there = kinetic.tangent(displaced._replace(P=exactly(force_there))).P[0]
+        torque_there = torque_there + np.cross(rotation, torque, axis=0)
+        forces.memory.add_difference((force_there - force, torque_there - torque))
+        after = state._replace(P=advance(state.P, force_there, tau), m=advance(state.m, torque_there, tau))
+        check(after)
+        return after
+
+    return flow
+
+
+def exact_gradient_kick(
+    forces: Callable[[State], Force], gradient: Callable[[State], Force], strength: float
+) -> Flow[State]:
+    """Return the flow of `GradientKick` by the force of the potential f . M^-1 f."""
+    plain, correction = kick(forces), kick(gradient)
+
+    def flow(state: State, tau: float) -> State:
+        return correction(plain(state, tau), -0.5 * strength * tau**3)
+
+    return flow

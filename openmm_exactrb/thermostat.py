@@ -1,0 +1,140 @@
+"""Thermostats: what each of them says of itself, and the substep that they all have."""
+
+from __future__ import annotations
+
+import secrets
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.mechanics.rng import Instant
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.schemes import Scheme
+
+Array = NDArray[np.float64]
+
+#: exchange(P, m, tau, at) -> (P, m): momenta as sums (2, 3, N) and (2, 3, K), new arrays or the same ones.
+Exchange = Callable[[Array, Array, float, Instant], tuple[Array, Array]]
+
+_SEEDS = 2**31  # those of OpenMM that are not negative
+_STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
+
+
+class Thermostat(ABC):
+    """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
+
+    Derive a frozen dataclass from it and hand it over as ``thermostat=``.
+
+    Attributes
+    ----------
+    temperature : float
+        In K.
+    numbers : tuple of str
+        Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+    on_device : bool
+        Whether the program of a device has it.
+    """
+
+    temperature: float
+    numbers: tuple[str, ...] = ()
+    on_device: ClassVar[bool] = False
+
+    @property
+    def own_numbers(self) -> tuple[str, ...]:
+        """Persistent numbers that no other thermostat has: checkpoints with them are for this one alone."""
+        return ()
+
+    @abstractmethod
+    def bind(self, environment: Any) -> Exchange:
+        """Return what it does to momenta.
+
+        Parameters
+        ----------
+        environment : openmm_exactrb.context.propagator.ContextEnvironment
+        """
+
+    def flow(self, environment: Any, number: int) -> Flow[State]:
+        """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
+        exchange, tangent = self.bind(environment), environment.kinetic.tangent
+        clock, outside = environment.clock, environment.divergence.outside
+
+        def flow(state: State, tau: float) -> State:
+            along = tangent(state)
+            P, m = exchange(along.P, along.m, tau, Instant(environment.key, clock.number, number))
+            same = P is along.P and m is along.m
+            after = state if same else tangent(state._replace(P=P, m=m))
+            outside(state, after)
+            environment.around = state, after
+            return after
+
+        return flow
+
+    @abstractmethod
+    def steps(self, scheme: Scheme) -> Scheme:
+        """Return a scheme with its substeps in it."""
+
+    def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
+        """Return the drifts and kicks of a step, and how many steps of the scheme they are."""
+        return scheme, 1
+
+    def settings(self) -> Mapping[str, Any]:
+        """Return the settings that decide on the bits of a run."""
+        return {"temperature": self.temperature}
+
+    def device_numbers(self) -> Mapping[str, float]:
+        """Return what a program on a device is told, by the names of its variables."""
+        return {}
+
+
+class Noise:
+    """The seed of an integrator's noise, and which of its streams is in use.
+
+    The noise of a step depends on both and on the number of the step alone, so that ten calls of ``step(10)`` give the
+    bits of ``step(100)``, as does a run that continues from a checkpoint or State in another process. Where a State or
+    a step count that is set takes a run elsewhere, as in replica exchange, what follows has a stream of its own; a
+    checkpoint has the number of its stream, and brings the noise back.
+    """
+
+    def __init__(self) -> None:
+        self._drew, self._streams = False, 0
+
+    def set(self, integrator: openmm.CustomIntegrator, seed: int) -> None:
+        """Set the seed; with 0 the next step draws one."""
+        variables.put(integrator, variables.SEED, seed)
+        variables.put(integrator, variables.STREAM, 0)
+        self._streams = 0
+
+    def in_use(self, integrator: openmm.CustomIntegrator) -> int:
+        """Return the seed: the one that was asked for, else that of a checkpoint or the drawn one; 0 before."""
+        return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
+
+    def key(self, integrator: openmm.CustomIntegrator) -> int:
+        """Return the key of the random numbers; a seed is drawn if there is none."""
+        seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
+        variables.put(integrator, variables.SEED, seed)
+        self._drew = True
+        return seed + _SEEDS * int(variables.get(integrator, variables.STREAM))
+
+    def part(self, integrator: openmm.CustomIntegrator) -> None:
+        """Take a stream that nothing had before, where there was noise."""
+        if self._drew:
+            self._streams = 1 + max(self._streams, int(variables.get(integrator, variables.STREAM)))
+            variables.put(integrator, variables.STREAM, self._streams % _STREAMS)
+
+
+def valid_seed(seed: int) -> int:
+    """Return a seed of OpenMM's integrators.
+
+    Raises
+    ------
+    ValueError
+        If it is not below 2^31.
+    """
+    if seed >= _SEEDS:
+        raise ValueError(f"the seed must be below 2^31, not {seed}")
+    return seed

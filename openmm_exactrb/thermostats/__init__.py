@@ -1,0 +1,23 @@
+"""Thermostats, and the integrators that have one: each file has both.
+
+`Langevin`, `StochasticRescaling`, `NoseHooverChain` and `HybridMonteCarlo` are values of the argument ``thermostat`` of
+`openmm_exactrb.ExactRigidBodyIntegrator`; `momenta` draws all momenta at intervals.
+"""
+
+from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator, HybridMonteCarlo
+from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
+from openmm_exactrb.thermostats.momenta import CanonicalMomenta
+from openmm_exactrb.thermostats.nose_hoover import ExactRigidBodyNoseHooverIntegrator, NoseHooverChain
+from openmm_exactrb.thermostats.rescaling import ExactRigidBodyRescalingIntegrator, StochasticRescaling
+
+__all__ = [
+    "CanonicalMomenta",
+    "ExactRigidBodyHybridIntegrator",
+    "ExactRigidBodyLangevinIntegrator",
+    "ExactRigidBodyNoseHooverIntegrator",
+    "ExactRigidBodyRescalingIntegrator",
+    "HybridMonteCarlo",
+    "Langevin",
+    "NoseHooverChain",
+    "StochasticRescaling",
+]

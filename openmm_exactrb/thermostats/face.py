@@ -1,0 +1,104 @@
+"""What the integrators with a thermostat have in common: its temperature and its noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypedDict, Unpack
+
+from openmm import unit
+
+from openmm_exactrb.device.engine import DevicePropagator
+from openmm_exactrb.device.selection import Engine
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.thermostat import Thermostat
+
+
+class Options(TypedDict, total=False):
+    """Arguments that all integrators take by name; see `ExactRigidBodyIntegrator`."""
+
+    bodies: Sequence[Sequence[int]] | None
+    fast: str | Sequence[int] | None
+    inner: str | Scheme | None
+    innerSteps: int | None
+    engine: Engine
+
+
+class ThermostattedIntegrator(ExactRigidBodyIntegrator):
+    """An `ExactRigidBodyIntegrator` with a thermostat of the package.
+
+    The seed and what the steps add up travel with checkpoints and States; temperature and friction are settings, which
+    a new process gives again.
+
+    Parameters
+    ----------
+    thermostat : Thermostat
+    stepSize, scheme, rotor, **options
+        As `ExactRigidBodyIntegrator` takes them; the schemes also those with the thermostat within them.
+    """
+
+    _thermostat: Any
+
+    def __init__(
+        self,
+        thermostat: Thermostat,
+        stepSize: float | unit.Quantity,
+        scheme: str | Scheme,
+        rotor: str | Rotor,
+        **options: Unpack[Options],
+    ) -> None:
+        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
+
+    def getTemperature(self) -> unit.Quantity:
+        """Return the temperature of the thermostat."""
+        return self._thermostat.temperature * unit.kelvin
+
+    def setTemperature(self, temperature: float | unit.Quantity) -> None:
+        """Set the temperature of the thermostat, in K if it has no unit; a barostat has one of its own.
+
+        Raises
+        ------
+        ValueError
+            If it is negative, not finite or has a unit that does not fit.
+        """
+        self._change(temperature=temperature)
+
+    def getBathSettings(self) -> Mapping[str, Any]:
+        """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
+        return {**self._thermostat.settings(), "seed": self.getRandomNumberSeed() or "random"}
+
+    def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
+        """Return the translational and rotational temperatures, means of before and after the last heat exchange.
+
+        With "BAOAB" and "ABOBA" the thermostat stands in the middle of a step, where momenta are nearer to canonical
+        than at its end: there `temperatures`, like the velocities of the Context, is biased.
+
+        Raises
+        ------
+        ValueError
+            If the state of the bodies is not the one that a step made here has left.
+        """
+        propagator = self._up_to_date()
+        if isinstance(propagator, DevicePropagator):
+            raise ValueError("on the device nobody looks at momenta within a step: take engine='host' for that")
+        around = None if self._left is None else propagator.environment.around
+        if around is None or self._left is not propagator.sync.state:
+            raise ValueError("there is no heat exchange to take temperatures around: make a step first")
+        energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in around]
+        pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
+        R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+        translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)
+        return translational, rotational
+
+    def _change(self, **settings: Any) -> None:
+        """Change settings of the thermostat."""
+        self._thermostat = replace(self._thermostat, **settings)
+        self._changed()
+
+    def _arguments(self) -> dict[str, Any]:
+        arguments = super()._arguments() | {"temperature": self._thermostat.temperature}
+        arguments.pop("thermostat")
+        return arguments

@@ -1,0 +1,223 @@
+"""Langevin dynamics: friction and noise by the exact Ornstein-Uhlenbeck flow of momenta.
+
+Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + low of `openmm_exactrb.compensated`, or
+(1, 3, N) and (1, 3, K) without the low part. The first K of N bodies rotate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.checks import not_negative
+from openmm_exactrb.compensated import add
+from openmm_exactrb.context.units import gas_constant_times, kelvin
+from openmm_exactrb.context.units import not_negative as not_negative_quantity
+from openmm_exactrb.device import names
+from openmm_exactrb.mechanics.free_motion import advancing
+from openmm_exactrb.mechanics.rng import Instant, Purpose
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.thermostat import Exchange, Thermostat
+from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+
+Array = NDArray[np.float64]
+_RATE = unit.picosecond**-1
+
+
+@dataclass(frozen=True)
+class Langevin(Thermostat):
+    """Friction and noise on linear and angular momenta.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    friction : float or Quantity
+        Of translation, in 1/ps if it has no unit.
+    rotationalFriction : float or Quantity, optional
+        Of rotation; that of translation unless given.
+    """
+
+    temperature: float
+    friction: float
+    rotationalFriction: float | None = None
+
+    on_device: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "temperature", kelvin(self.temperature))
+        object.__setattr__(self, "friction", _rate(self.friction))
+        if self.rotationalFriction is not None:
+            object.__setattr__(self, "rotationalFriction", _rate(self.rotationalFriction))
+
+    @property
+    def frictions(self) -> tuple[float, float]:
+        """The frictions of translation and of rotation in 1/ps."""
+        return self.friction, self.friction if self.rotationalFriction is None else self.rotationalFriction
+
+    def bind(self, environment: Any) -> Exchange:
+        """Return the Ornstein-Uhlenbeck flow."""
+        bodies, kT = environment.bodies, gas_constant_times(self.temperature)
+        return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *self.frictions)
+
+    def steps(self, scheme: Scheme) -> Scheme:
+        """Return a scheme with half of the flow before and half after each step, unless it has it within."""
+        return thermostatted.with_thermostat(scheme)
+
+    def settings(self) -> Mapping[str, Any]:
+        """Return the settings that decide on the bits of a run."""
+        friction, rotational = self.frictions
+        return {**super().settings(), "friction": friction, "rotational friction": rotational}
+
+    def device_numbers(self) -> Mapping[str, float]:
+        """Return what a program on a device is told."""
+        numbers = gas_constant_times(self.temperature), *self.frictions
+        return dict(zip((names.KT, names.FRICTION, names.TURNING_FRICTION), numbers, strict=True))
+
+
+def _rate(friction: Any) -> float:
+    return not_negative_quantity(friction, _RATE, "a friction")
+
+
+def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, rotational_friction: float) -> Exchange:
+    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and the same of m with I and a friction of its own.
+
+    It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two flows one after the other are one of both times,
+    and the Maxwell-Boltzmann distribution is invariant. For splittings with it see B. Leimkuhler and C. Matthews
+    (2013), doi:10.1063/1.4802990.
+
+    Parameters
+    ----------
+    mass : (N,) array
+        Bodies without mass get no noise.
+    moments : (3, K) array
+        Principal moments: zero along the axis of a linear body, which gets no noise there.
+    kT : float
+        Boltzmann's constant times temperature, in the unit of energy.
+    friction, rotational_friction : float
+        In the unit of 1/time. Where it is 0 the momenta are returned as they came.
+
+    Returns
+    -------
+    exchange : callable
+        exchange(P, m, tau, at) -> (P, m). It raises ValueError if tau is negative and there is friction.
+
+    Raises
+    ------
+    ValueError
+        If kT or a friction is negative or not finite.
+    """
+    kT = not_negative(kT, "kT")
+    g_P, g_m = not_negative(friction, "friction"), not_negative(rotational_friction, "rotational friction")
+    width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
+    advance = advancing()
+
+    def relaxed(x: Array, width: Array, elapsed: float, at: Instant, part: Purpose) -> Array:
+        """Return momenta after a time in units of 1/friction."""
+        if elapsed == 0.0:
+            return x
+        if elapsed < 0.0:
+            raise ValueError("friction has no way back in time: use a positive step, or friction 0")
+        # As a change of x, for then rounding fades together with the friction.
+        fade, spread = math.expm1(-elapsed), math.sqrt(-math.expm1(-2.0 * elapsed))
+        change = fade * x[0] + (spread * width) * at.normals(part, width.shape)
+        return advance(x, change, 1.0) if len(x) == 2 else add(x, change)
+
+    def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
+        return (
+            relaxed(P, width_P, g_P * tau, at, Purpose.TRANSLATION),
+            relaxed(m, width_m, g_m * tau, at, Purpose.ROTATION),
+        )
+
+    return exchange
+
+
+class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
+    """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
+
+    Linear and angular momenta are damped and get noise, the angular ones in the principal axes of the body. Free
+    particles and linear molecules take part with the degrees of freedom that they have. Everything else is as in
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue stands between two halves of that flow: without friction it
+    gives the trajectory of that integrator, bit for bit.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    frictionCoeff : float or Quantity
+        Friction of translation, in 1/ps if it has no unit.
+    stepSize : float or Quantity
+        Size of a whole step of the scheme, in ps if it has no unit.
+    scheme : str or Scheme, optional
+        A key of `openmm_exactrb.SCHEMES` without a processor or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, which have
+        the thermostat within them, or a scheme of your own. The default takes three forces per step: up to 6 fs per
+        force translation and rotation of rigid water were within a kelvin of each other (SPC/E, TIP4P/2005; friction
+        5/ps). "W2_4g" takes four, up to 4 fs per force, and has the potential energy right too. "BAOA", the splitting
+        of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one; with a friction of 30/ps BAOA had temperatures and
+        potential energy of both right at 6 fs per force.
+    rotor : str or Rotor, optional
+        A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
+    rotationalFriction : float or Quantity, optional
+        Friction of rotation; that of translation unless given.
+    bodies, fast, inner, innerSteps : optional
+        As in `ExactRigidBodyIntegrator`.
+    engine : {"auto", "host", "device"}, optional
+        As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise
+        of a step depends on the seed and the number of the step alone. It has no `temperaturesAroundBath`.
+
+    Raises
+    ------
+    ValueError
+        If temperature or a friction is negative or not finite, or scheme, rotor or step size do not fit.
+
+    Notes
+    -----
+    `step` raises ValueError if the System has a thermostat too, or a barostat of another temperature.
+
+    The noise is that of the seed and the number of the step: a second trajectory needs another seed.
+    """
+
+    _thermostat: Langevin
+
+    def __init__(
+        self,
+        temperature: float | unit.Quantity,
+        frictionCoeff: float | unit.Quantity,
+        stepSize: float | unit.Quantity,
+        scheme: str | Scheme = "W2_3m",
+        rotor: str | Rotor = "exact",
+        rotationalFriction: float | unit.Quantity | None = None,
+        **options: Unpack[Options],
+    ) -> None:
+        thermostat = Langevin(temperature, frictionCoeff, rotationalFriction)
+        super().__init__(thermostat, stepSize, scheme, rotor, **options)
+
+    def getFriction(self) -> unit.Quantity:
+        """Return the friction of translation."""
+        return self._thermostat.frictions[0] * _RATE
+
+    def setFriction(self, coeff: float | unit.Quantity) -> None:
+        """Set the friction of translation, and of rotation where that has none of its own, in 1/ps without a unit."""
+        self._change(friction=coeff)
+
+    def getRotationalFriction(self) -> unit.Quantity:
+        """Return the friction of rotation."""
+        return self._thermostat.frictions[1] * _RATE
+
+    def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
+        """Set the friction of rotation, in 1/ps if it has no unit; None for that of translation."""
+        self._change(rotationalFriction=coeff)
+
+    def _arguments(self) -> dict[str, Any]:
+        of_thermostat = {
+            "frictionCoeff": self._thermostat.friction,
+            "rotationalFriction": self._thermostat.rotationalFriction,
+        }
+        return super()._arguments() | of_thermostat

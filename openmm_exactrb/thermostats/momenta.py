@@ -1,0 +1,72 @@
+"""Momenta drawn at intervals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from openmm import unit
+
+from openmm_exactrb.checks import whole
+from openmm_exactrb.context.units import kelvin
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.thermostats.face import ThermostattedIntegrator
+
+
+class CanonicalMomenta:
+    """Draw all momenta anew at intervals: a run that samples the canonical ensemble.
+
+    Between two draws the run is at constant energy. It is Andersen's thermostat that strikes all bodies at once
+    (J. Chem. Phys. 72, 2380 (1980)): static averages are canonical up to the error of the scheme, time correlations
+    longer than an interval are not those of the free system.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    reportInterval : int
+        Steps between two draws.
+    seed : int
+
+    Raises
+    ------
+    ValueError
+        If the temperature is negative or not finite, or interval or seed are no whole numbers; at the first step, if
+        the integrator is none of this package or has a bath of its own.
+
+    Notes
+    -----
+    It is appended to ``Simulation.reporters``. The momenta after a draw depend on the seed and the number of the step
+    only, so that a run that is resumed ends as one without a break.
+    """
+
+    def __init__(self, temperature: float | unit.Quantity, reportInterval: int, seed: int = 0) -> None:
+        self._temperature = kelvin(temperature)
+        self._interval = whole(reportInterval, "reportInterval", of="steps")
+        self._seed = whole(seed, "the seed", least=0)
+
+    def settings(self) -> str:
+        """Return in words what decides on the momenta that are drawn."""
+        return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
+
+    def describeNextReport(self, simulation: Any) -> dict[str, Any]:
+        """Tell OpenMM when momenta are due."""
+        integrator = simulation.integrator
+        if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
+            raise ValueError(
+                "CanonicalMomenta is the thermostat of an ExactRigidBodyIntegrator at constant energy: take it out of "
+                f"the reporters beside a {type(integrator).__name__}"
+            )
+        steps = self._interval - simulation.currentStep % self._interval
+        return {"steps": steps, "periodic": None, "include": []}
+
+    def report(self, simulation: Any, state: Any) -> None:
+        """Draw momenta.
+
+        Parameters
+        ----------
+        simulation : openmm.app.Simulation
+        state : openmm.State
+        """
+        seed = np.random.SeedSequence([self._seed, simulation.currentStep]).generate_state(1)[0]
+        simulation.integrator.setVelocitiesToTemperature(self._temperature, int(seed))

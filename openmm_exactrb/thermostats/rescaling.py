@@ -1,0 +1,262 @@
+"""Stochastic velocity rescaling: the kinetic energy finds its canonical distribution, the motion is hardly disturbed.
+
+G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one number, drawn
+from the exact law of the kinetic energy a time tau later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.checks import not_negative, positive, whole
+from openmm_exactrb.compensated import add
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.units import gas_constant_times, kelvin, plain
+from openmm_exactrb.mechanics.rng import Instant, Purpose
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.thermostat import Exchange, Thermostat
+from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+
+Array = NDArray[np.float64]
+
+#: rescale(P, m, tau, at) -> (P, m, heat): momenta, and the energy that they gained.
+Rescaling = Callable[[Array, Array, float, Instant], tuple[Array, Array, float]]
+
+
+@dataclass(frozen=True)
+class StochasticRescaling(Thermostat):
+    """All momenta are multiplied by one number, so that the kinetic energy has its canonical distribution.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    relaxationTime : float or Quantity
+        Of the kinetic energy, in ps if it has no unit.
+    together : bool, optional
+        Whether one number multiplies all momenta; if not, translation and rotation get one each.
+    """
+
+    temperature: float
+    relaxationTime: float
+    together: bool = True
+
+    numbers = (variables.HEAT,)
+
+    def __post_init__(self) -> None:
+        time = plain(self.relaxationTime, unit.picosecond, "a relaxation time")
+        object.__setattr__(self, "temperature", kelvin(self.temperature))
+        object.__setattr__(self, "relaxationTime", positive(time, "a relaxation time", "ps"))
+        if not isinstance(self.together, bool):
+            raise ValueError(f"together must be True or False, not {self.together!r}")
+
+    def bind(self, environment: Any) -> Exchange:
+        """Return the rescaling of momenta, which adds up its heat."""
+        bodies, numbers, kT = environment.bodies, environment.numbers, gas_constant_times(self.temperature)
+        moments, freedom = bodies.principal_moments, environment.degrees_of_freedom
+        rescale = rescaling(bodies.mass, moments, kT, self.relaxationTime, freedom, self.together)
+
+        def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
+            P, m, heat = rescale(P, m, tau, at)
+            numbers.present[variables.HEAT] += heat
+            return P, m
+
+        return exchange
+
+    def steps(self, scheme: Scheme) -> Scheme:
+        """Return a scheme with half of the flow before and half after each step, unless it has it within."""
+        return thermostatted.with_thermostat(scheme)
+
+    def settings(self) -> Mapping[str, Any]:
+        """Return the settings that decide on the bits of a run."""
+        return {**super().settings(), "relaxation time": self.relaxationTime, "together": self.together}
+
+
+def rescaling(
+    mass: Array,
+    moments: Array,
+    kT: float,
+    time: float,
+    freedom: tuple[int, int],
+    together: bool = True,
+) -> Rescaling:
+    """Prepare the exact flow of stochastic velocity rescaling.
+
+    The total energy less the sum of all heat is the paper's effective energy: it is as constant as the total energy of
+    the splitting without a thermostat.
+
+    Parameters
+    ----------
+    mass : (N,) array
+    moments : (3, K) array
+        Principal moments: zero along the axis of a linear body.
+    kT : float
+        Boltzmann's constant times temperature, in the unit of energy.
+    time : float
+        Relaxation time of the kinetic energy, the paper's tau.
+    freedom : (int, int)
+        Translational and rotational degrees of freedom. Where the total momentum is kept at zero they are three fewer.
+    together : bool, optional
+        Whether one number multiplies all momenta; if not, translation and rotation get one each.
+
+    Returns
+    -------
+    rescale : callable
+        rescale(P, m, tau, at) -> (P, m, heat). Momenta that are all zero have no direction and stay. It raises
+        ValueError if tau is negative.
+
+    Raises
+    ------
+    ValueError
+        If kT is negative, time not positive, or a number of degrees of freedom negative.
+    """
+    kT, time = not_negative(kT, "kT"), positive(time, "the relaxation time")
+    of_P, of_m = (whole(f, "a number of degrees of freedom", 0) for f in freedom)
+    rate_P, rate_m = reciprocal(mass), reciprocal(moments)
+
+    def factor(kinetic: float, f: int, tau: float, at: Instant, part: Purpose) -> float:
+        if tau < 0.0:
+            raise ValueError("a thermostat has no way back in time: use a positive step")
+        if kinetic == 0.0 or f == 0 or tau == 0.0:
+            return 1.0
+        rng = at.generator(part)
+        along, across = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (f - 1))
+        return scaling(kinetic, kT, tau / time, along, across)
+
+    def rescale(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array, float]:
+        T_P, T_m = kinetic_energy(P, rate_P), kinetic_energy(m, rate_m)
+        if together:
+            a_P = a_m = factor(T_P + T_m, of_P + of_m, tau, at, Purpose.TRANSLATION)
+        else:
+            a_P = factor(T_P, of_P, tau, at, Purpose.TRANSLATION)
+            a_m = factor(T_m, of_m, tau, at, Purpose.ROTATION)
+        heat = (a_P - 1.0) * (a_P + 1.0) * T_P + (a_m - 1.0) * (a_m + 1.0) * T_m
+        return scaled(P, a_P), scaled(m, a_m), heat
+
+    return rescale
+
+
+def kinetic_energy(x: Array, rate: Array) -> float:
+    """Return x . x rate / 2 of momenta (2, 3, N) and reciprocal masses or moments."""
+    return 0.5 * float(np.sum(x[0] * x[0] * rate))
+
+
+def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
+    """Return the number that multiplies the momenta: the paper's appendix.
+
+    In units where kT is one the momenta are a vector of length r, whose every component relaxes as
+    `openmm_exactrb.thermostats.langevin` has it. The component along the vector is r before, the others are zero: the
+    number is the vector's length afterwards, over r. Its sign is that of the first component: G. Bussi and
+    M. Parrinello (2008), doi:10.1016/j.cpc.2008.01.006.
+
+    Parameters
+    ----------
+    kinetic : float
+        Kinetic energy before, above zero.
+    kT : float
+    elapsed : float
+        Time over relaxation time of the kinetic energy.
+    along : float
+        A standard normal.
+    across : float
+        Sum of the squares of as many normals as there are other degrees of freedom.
+    """
+    noise = -math.expm1(-elapsed) * kT / (2.0 * kinetic)
+    first = math.exp(-0.5 * elapsed) + math.sqrt(noise) * along
+    return math.copysign(math.sqrt(first * first + noise * across), first)
+
+
+def reciprocal(x: Array) -> Array:
+    """Return 1/x, and 0 where x is 0."""
+    return np.divide(1.0, x, out=np.zeros(np.shape(x)), where=x > 0.0)
+
+
+def scaled(x: Array, factor: float) -> Array:
+    """Return a sum (2, ...) times a number next to one."""
+    return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
+
+
+class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
+    """Rigid-body dynamics at constant temperature that is hardly disturbed: stochastic velocity rescaling.
+
+    All momenta are multiplied by one number now and then, so that the kinetic energy has its canonical distribution
+    (doi:10.1063/1.2408420). Diffusion and correlations stay those of the free system where friction would change them.
+
+    Parameters
+    ----------
+    temperature : float or Quantity
+        In K if it has no unit.
+    relaxationTime : float or Quantity
+        Of the kinetic energy, in ps if it has no unit.
+    stepSize : float or Quantity
+        Size of a whole step of the scheme, in ps if it has no unit.
+    scheme, rotor, bodies, fast, inner, innerSteps
+        As in `ExactRigidBodyLangevinIntegrator`.
+    together : bool, optional
+        Whether one number multiplies all momenta; if not, translation and rotation get one each.
+
+    Raises
+    ------
+    ValueError
+        If the temperature is negative, the relaxation time not positive, one of them not finite, ``together`` no truth
+        value, or scheme, rotor or step size do not fit.
+
+    Notes
+    -----
+    Momenta that are all zero have no direction and stay: draw some with `setVelocitiesToTemperature` first. The degrees
+    of freedom are those of `degreesOfFreedom`. As this thermostat keeps a total momentum of zero at zero, add a
+    ``CMMotionRemover`` to a System whose forces do so too: it lets the three missing ones be counted as missing.
+    """
+
+    _thermostat: StochasticRescaling
+
+    def __init__(
+        self,
+        temperature: float | unit.Quantity,
+        relaxationTime: float | unit.Quantity,
+        stepSize: float | unit.Quantity,
+        scheme: str | Scheme = "S2_2",
+        rotor: str | Rotor = "exact",
+        together: bool = True,
+        **options: Unpack[Options],
+    ) -> None:
+        thermostat = StochasticRescaling(temperature, relaxationTime, together)
+        super().__init__(thermostat, stepSize, scheme, rotor, **options)
+
+    def getRelaxationTime(self) -> unit.Quantity:
+        """Return the relaxation time of the kinetic energy."""
+        return self._thermostat.relaxationTime * unit.picosecond
+
+    def setRelaxationTime(self, time: float | unit.Quantity) -> None:
+        """Set the relaxation time of the kinetic energy, in ps if it has no unit."""
+        self._change(relaxationTime=time)
+
+    def scalesTogether(self) -> bool:
+        """Return whether one number multiplies the momenta of translation and rotation."""
+        return self._thermostat.together
+
+    def heat(self) -> unit.Quantity:
+        """Return the energy that the thermostat gave to the bodies since the integrator was made."""
+        return variables.get(self, variables.HEAT) * unit.kilojoule_per_mole
+
+    def effectiveEnergy(self) -> unit.Quantity:
+        """Return the total energy less the heat.
+
+        It is as constant as the total energy of the splitting without a thermostat: its drift and noise are the error
+        of the step. Take a scheme of the catalogue to watch it; those with the thermostat within them end their steps
+        where the sum of kinetic and potential energy is not what a step keeps. A barostat or a ``CMMotionRemover``
+        changes it too.
+        """
+        return self.totalEnergy() - self.heat()
+
+    def _arguments(self) -> dict[str, Any]:
+        of_thermostat = {"relaxationTime": self._thermostat.relaxationTime, "together": self._thermostat.together}
+        return super()._arguments() | of_thermostat

@@ -1,0 +1,226 @@
+"""Jobs: a key for each, the same one in every process."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cloudpickle
+import numpy as np
+import openmm
+import pytest
+from job_functions import SHORT, Multiple, Other, disguised, length_of, square
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb import ensemble
+from openmm_exactrb.ensemble import Job, workers
+from openmm_exactrb.ensemble.jobs import versions
+
+
+def keys(*values):
+    return {Job(square, x=value).key for value in values}
+
+
+def test_keys_tell_jobs_apart_and_nothing_else():
+    system = rb.dipole_fluid(2)[1]
+    values = [1, 2, 1.5, "1", None, [1, 2], {"a": 1}, np.arange(3), np.arange(3.0), np.arange(6).reshape(2, 3)]
+    values += [Path("a"), 1 * unit.femtosecond, 1 * unit.picosecond, rb.SCHEMES["V2"], rb.SCHEMES["S6_10"], square]
+    values += [system, rb.dipole_fluid(3)[1], app.PME, app.NoCutoff, {"mapping": []}, True]
+    assert len(keys(*values)) == len(values)
+    assert len(keys((1, 2), [1, 2], np.array([1, 2]).tolist(), [np.int64(1), np.int32(2)])) == 1
+    assert len(keys({"a": 1, "b": 2}, {"b": 2, "a": 1})) == 1
+    assert len(keys(system, openmm.XmlSerializer.clone(system))) == 1
+    assert len(keys(0.1, np.float64(0.1))) == 1
+    assert Job(square, x=1) != 1
+
+
+def test_results_of_another_version_are_not_taken(monkeypatch):
+    here = Job(square, x=1)
+    for place, other in enumerate(["0.0", "7.7"]):
+        changed = versions()
+        changed[place] = other
+        with monkeypatch.context() as patch:
+            patch.setattr("openmm_exactrb.ensemble.jobs.versions", lambda there=changed: there)
+            assert Job(square, x=1) != here
+
+
+def test_a_key_is_the_same_in_another_process(tmp_path):
+    script = "from job_functions import *; from openmm_exactrb.ensemble import Job, energies\n"
+    script += "print(Job(energies, **SHORT, scheme=rb.SCHEMES['V2'], box=rb.dipole_fluid(2)[1]).key)"
+    command = [sys.executable, "-c", script]
+    there = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=Path(__file__).parent,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONHASHSEED": "7"},
+    )
+    here = Job(ensemble.energies, **SHORT, scheme=rb.SCHEMES["V2"], box=rb.dipole_fluid(2)[1])
+    assert there.stdout.strip() == here.key
+
+
+def done(job):
+    """Return the fields of the result that a worker returns."""
+    return workers.perform(cloudpickle.dumps(job), versions())
+
+
+def changed_system():
+    system = rb.dipole_fluid(2)[1]
+    return system, lambda: system.setParticleMass(0, 7.0)
+
+
+def changed_integrator():
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01)
+    return integrator, lambda: integrator.setFriction(5.0)
+
+
+def changed_list():
+    nested = {"a": [1, {"b": [2.0]}]}
+    return nested, lambda: nested["a"][1]["b"].append(3.0)
+
+
+def changed_array():
+    array = np.arange(3.0)
+    return array, lambda: array.__setitem__(0, 9.0)
+
+
+def changed_quantity():
+    quantity = np.arange(3.0) * unit.nanometer
+    return quantity, lambda: quantity._value.__setitem__(0, 9.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [changed_array, changed_list, changed_quantity, changed_system, changed_integrator],
+    ids=lambda f: f.__name__,
+)
+def test_what_is_changed_later_does_not_change_a_job(make):
+    value, change = make()
+    made = [Job(square, x=value), *ensemble.sweep(square, {"x": [value]}), *ensemble.sweep(square, {}, x=value)]
+    change()
+    assert len({job.key for job in made}) == 1
+    for job in made:
+        assert Job(square, x=job.arguments["x"]) == job  # that is what a worker gets
+        assert Job(square, x=value) != job
+
+
+def test_what_is_changed_in_a_job_does_not_reach_the_worker():
+    job = Job(square, x=np.arange(3.0))
+    job.arguments["x"][0] = 9.0
+    assert done(job)["value"] == [0.0, 1.0, 4.0]
+
+
+def test_arrays_in_files_are_arrays(tmp_path):
+    np.save(tmp_path / "x.npy", np.arange(3.0))
+    assert len(keys(np.arange(3.0), np.load(tmp_path / "x.npy", mmap_mode="r"))) == 1
+
+
+def test_the_key_knows_what_is_in_a_file(tmp_path):
+    file = tmp_path / "atoms.xyz"
+    nothing, folder = keys(file), keys(tmp_path)
+    file.write_text("one")
+    text, one = keys(str(file)), keys(file)
+    file.write_text("another")
+    another = keys(file)
+    assert len(nothing | one | another) == 3
+    assert text == keys(str(file))
+    assert folder == keys(tmp_path)
+    file.write_text("one")
+    assert keys(file) == one
+
+
+def test_a_file_that_was_changed_is_not_computed_with(tmp_path):
+    file = tmp_path / "atoms.xyz"
+    file.write_text("one")
+    made = [Job(length_of, file=file), Job(square, x=[{"deep": file}])]
+    assert done(made[0])["value"] == 3
+    for change in (lambda: file.write_text("another"), file.unlink):
+        change()
+        for job in made:
+            report = done(job)
+            assert report["error"].startswith(f"RuntimeError: the file {file} is missing or has changed")
+            assert "value" not in report
+
+
+def test_classes_of_one_name_in_two_modules_are_two():
+    one, two = (dataclasses.make_dataclass("Box", ["edge"]) for _ in range(2))
+    one.__module__, two.__module__ = "cubes", "parcels"
+    assert len(keys(one(1.0), one(1.0), two(1.0))) == 2
+
+
+def test_a_function_in_a_class_has_a_name():
+    assert repr(Job(Multiple.twice, x=1)) == "Job(job_functions.Multiple.twice, x=1)"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"frames": 0}, "frames must be a whole number of at least 1, not 0"),
+        ({"frames": -3}, "frames must be a whole number of at least 1, not -3"),
+        ({"frames": 2.5}, "frames must be a whole number of at least 1, not 2.5"),
+        ({"step": 0.0}, "step must be a positive number of ps, not 0.0"),
+        ({"step": -0.1}, "step must be a positive number of ps, not -0.1"),
+        ({"duration": 0.0}, "duration must be a positive number of ps, not 0.0"),
+        ({"duration": -1.0}, "duration must be a positive number of ps, not -1.0"),
+        ({"duration": np.nan}, "duration must be a positive number of ps, not nan"),
+        ({"duration": 1.0 * unit.nanometer}, "duration must be a positive number of ps, not 1.0 nm"),
+        ({"duration": 0.05}, "duration must be at least one step of 0.1 ps, not 0.05 ps"),
+    ],
+)
+def test_energies_of_no_time_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ensemble.energies(rb.dipole_fluid, **{"n": 2, "step": 0.1, "duration": 1.0} | arguments)
+
+
+def test_energies_of_one_step_are_two():
+    result = ensemble.energies(rb.dipole_fluid, n=2, step=10.0 * unit.femtosecond, duration=0.01, frames=5)
+    assert result["times"] == pytest.approx([0.0, 0.01])
+    assert (result["steps"], len(result["energies"])) == (1, 2)
+
+
+def test_energies_take_velocities_and_samples():
+    def build():
+        topology, system, positions = rb.dipole_fluid(2, spacing=5.0)
+        return topology, system, positions, np.ones((system.getNumParticles(), 3))
+
+    result = ensemble.energies(build, step=0.1, duration=1.0, scheme="V2_drift", frames=4)
+    assert result["times"] == pytest.approx([0.0, 0.2, 0.5, 0.8, 1.0])
+    assert result["steps"] == 10
+    assert result["evaluations"] == 10
+    assert result["energies"][0] == pytest.approx(3.0, abs=0.1)  # two spheres of mass 1 at (1, 1, 1) nm/ps
+    assert result["energies"] == pytest.approx([result["energies"][0]] * 5, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "message"),
+    [
+        (lambda: 1, {}, "found by its name in its module"),
+        ("square", {}, "found by its name in its module"),
+        (square, {"y": 1}, "missing a required argument: 'x'"),
+        (square, {"x": object()}, "argument x of a job cannot be <object"),
+        (square, {"x": {1, 2}}, "argument x of a job cannot be {1, 2}"),
+        (Multiple(3).of, {"x": 1}, "found by its name in its module"),
+        (Other.named, {"x": 1}, "found by its name in its module"),  # its name is Multiple.named
+        (disguised, {"x": 1}, "found by its name in its module"),
+        (square, {"x": Multiple(3).of}, "argument x of a job cannot be <bound method Multiple.of"),
+        (square, {"x": disguised}, "found by its name in its module"),
+        (square, {"x": np.ma.array([1, 2], mask=[0, 1])}, "argument x of a job cannot be masked_array"),
+        (square, {"x": np.ma.array([1], mask=[1]) * unit.nanometer}, "argument x of a job cannot be masked_array"),
+    ],
+)
+def test_wrong_job(function, arguments, message):
+    with pytest.raises(TypeError, match=message):
+        Job(function, **arguments)
+
+
+def test_wrong_axis():
+    with pytest.raises(TypeError, match="axis x must be a list of values, not 'V2'"):
+        ensemble.sweep(square, {"x": "V2"})
+
+
+def test_an_argument_is_an_axis_or_fixed():
+    with pytest.raises(TypeError, match="seed"):
+        ensemble.sweep(ensemble.energies, {"seed": range(3)}, **SHORT, seed=1)

@@ -1,0 +1,90 @@
+"""Counter-based random numbers: Philox with the documented layout; bits depend on seed, step and stream alone."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, generator, normals, uniforms
+
+_WORD = 2**64 - 1
+
+
+def philox(counter, key):
+    """Return the four words that Philox4x64-10 makes of a counter and a key, as published."""
+    c, k = list(counter), list(key)
+    for _ in range(10):
+        (high0, low0), (high1, low1) = (
+            divmod(0xD2E7470EE14C6C93 * c[0], 2**64),
+            divmod(0xCA5A826395121157 * c[2], 2**64),
+        )
+        c = [high1 ^ c[1] ^ k[0], low1, high0 ^ c[3] ^ k[1], low0]
+        k = [(k[0] + 0x9E3779B97F4A7C15) & _WORD, (k[1] + 0xBB67AE8584CAA73B) & _WORD]
+    return c
+
+
+def test_the_reference_gives_the_published_numbers():
+    """Known answers of the authors' library, Random123."""
+    zeros = "16554d9eca36314c db20fe9d672d0fdc d7e772cee186176b 7e68b68aec7ba23b"
+    ones = "87b092c3013fe90b 438c3c67be8d0224 9cc7d7c69cd777b6 a09caebf594f0ba0"
+    assert philox([0] * 4, [0] * 2) == [int(word, 16) for word in zeros.split()]
+    assert philox([_WORD] * 4, [_WORD] * 2) == [int(word, 16) for word in ones.split()]
+
+
+@pytest.mark.parametrize(("seed", "step"), [(1, 0), (-3, 2**40 + 5), (2**53 - 1, -1)])
+def test_key_and_counter_have_the_documented_layout(seed, step):
+    """NumPy increments the counter before each block, so that the first one has the lowest word 1."""
+    raw = generator(seed, step, 77).bit_generator.random_raw(8)
+    blocks = [philox([block, 0, 77, step & _WORD], [seed & _WORD, 0]) for block in (1, 2)]
+    assert raw.tolist() == [word for block in blocks for word in block]
+
+
+def test_uniforms_are_the_53_upper_bits():
+    words = np.array([philox([1, 0, 3, 2], [1, 0])], dtype=np.uint64)
+    np.testing.assert_array_equal(uniforms(1, 2, 3, (1, 4)), (words >> np.uint64(11)) * 2.0**-53)
+
+
+@pytest.mark.parametrize("draw", [normals, uniforms])
+def test_numbers_depend_on_neither_the_number_nor_the_order_of_draws(draw):
+    first = draw(4, 5, 6, (3, 100))
+    draw(4, 5, 7, (3, 10)), draw(4, 6, 6, (3, 10))
+    np.testing.assert_array_equal(draw(4, 5, 6, (3, 100)), first)
+    np.testing.assert_array_equal(draw(4, 5, 6, (2, 50)).ravel(), first.ravel()[:100])
+
+
+def test_every_part_of_the_address_counts():
+    """Seeds, steps and streams that differ by one, or in their upper words only, give numbers without correlation."""
+    n = 20_000
+    addresses = [(1, 0, 0), (2, 0, 0), (1 + 2**32, 0, 0), (1, 1, 0), (1, 2**32, 0), (1, 0, 1), (0, 1, 1)]
+    rows = np.concatenate([normals(*address, (4, n)) for address in addresses])
+    rows = np.concatenate([rows[:, :-1], rows[:, 1:]])  # neighbouring columns too
+    # The largest of 1500 correlations, each of width 1/sqrt(n), beyond 5 widths: once in a thousand such tests.
+    for each in (rows, rows**2):
+        assert np.abs(np.corrcoef(each) - np.eye(len(rows))).max() < 5.0 / np.sqrt(n)
+
+
+def test_first_numbers_of_successive_steps_are_independent():
+    """A step of few bodies takes the first numbers of a stream only."""
+    x = np.array([normals(1, step, 0, (3,)) for step in range(20_000)])
+    assert stats.kstest(x.ravel(), "norm").pvalue > 1e-3
+    pairs = np.concatenate([x[:-1], x[1:]], axis=1)
+    assert np.abs(np.corrcoef(pairs.T) - np.eye(6)).max() < 4.0 / np.sqrt(len(x))
+
+
+def test_normals_and_uniforms_have_their_distributions():
+    assert stats.kstest(normals(20, 1, 2, (10, 100_000)).ravel(), "norm").pvalue > 1e-3
+    u = uniforms(21, 1, 2, (10, 100_000)).ravel()
+    assert u.min() >= 0.0
+    assert u.max() < 1.0
+    assert stats.kstest(u, "uniform").pvalue > 1e-3
+
+
+def test_substeps_and_purposes_have_streams_of_their_own():
+    streams = {Instant(1, 2, substep).stream(purpose) for substep in range(50) for purpose in Purpose}
+    assert len(streams) == 50 * len(Purpose)
+    assert max(Purpose) < PURPOSES
+
+
+def test_an_instant_draws_from_its_stream():
+    at = Instant(seed=5, step=7, substep=2)
+    np.testing.assert_array_equal(at.normals(Purpose.ROTATION, (3, 4)), normals(5, 7, 2 * PURPOSES + 1, (3, 4)))
+    assert at.uniform(Purpose.METROPOLIS) == uniforms(5, 7, 2 * PURPOSES + 2, (1,))[0]

@@ -1,0 +1,278 @@
+"""Thermostats of flexible molecules: along the constraints alone, and with forces within the drifts."""
+
+import copy
+import itertools
+import os
+import pickle
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import openmm
+import pytest
+from scipy import stats
+
+import openmm_exactrb as rb
+from forked import FORKED
+from peptides import REFERENCE, R, moving, peptide, positions_of, velocities_of, violations
+
+
+def test_strong_friction_makes_every_kinetic_energy_canonical():
+    """The noise acts along the constraints only: a chi-square number of all degrees of freedom after each step."""
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1e5, 1e-4)
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    freedom, energies = sum(integrator.degreesOfFreedom()), []
+    for _ in range(300):
+        integrator.step(1)
+        energies.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R))
+    assert stats.kstest(energies, stats.chi2(freedom).cdf).pvalue > 0.01
+    length, slip = violations(system, positions_of(context), velocities_of(context))
+    assert length < 1e-15
+    assert slip < 1e-13
+
+
+def test_rescaling_accounts_for_the_energy_along_the_constraints_alone():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.0005, "W4_5")
+    integrator.setRandomNumberSeed(4)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    before = integrator.effectiveEnergy()._value
+    integrator.step(100)
+    assert abs(integrator.heat()._value) > 1.0
+    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-3)
+
+
+THERMOSTATTED = {
+    "Langevin": lambda h, **options: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, h, **options),
+    "rescaling": lambda h, **options: rb.ExactRigidBodyRescalingIntegrator(300.0, 1e300, h, **options),
+    "hybrid": lambda h, **options: rb.ExactRigidBodyHybridIntegrator(300.0, 0.0, h, **options),
+}
+
+
+def started(integrator, system, x, seed=4):
+    integrator.setRandomNumberSeed(seed)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.setVelocitiesToTemperature(300.0, 3)
+    return context
+
+
+@pytest.mark.parametrize("scheme", ["S2_2", "W4_5"])
+@pytest.mark.parametrize("kind", ["Langevin", "hybrid"])
+def test_a_thermostat_that_does_nothing_leaves_the_trajectory_with_inner_steps_bit_for_bit(kind, scheme):
+    _, system, x = peptide()
+    alone, _context = moving(system, x, 0.001, scheme, fast="bonded")
+    integrator = THERMOSTATTED[kind](0.001, scheme=scheme, fast="bonded")
+    _other = started(integrator, system, x)
+    for moved in (alone, integrator):
+        moved.timings.reset()
+        moved.step(20)
+    if kind == "hybrid":
+        assert integrator.acceptanceRate() == 1.0  # else momenta would have turned
+    for ours, plain in zip(integrator.fullState()[1], alone.fullState()[1], strict=True):
+        np.testing.assert_array_equal(ours, plain)
+    assert integrator.timings.evaluations == alone.timings.evaluations
+    assert integrator.timings.fast_evaluations == alone.timings.fast_evaluations
+
+
+def test_a_thermostat_within_a_step_leaves_the_bonded_forces_about_it():
+    """BAOAB without friction is velocity Verlet: each half of its drift has half of the inner steps."""
+    _, system, x = peptide()
+    plain, _one = moving(system, x, 0.001, "V2", fast="bonded", inner="S2_2", innerSteps=2)
+    within = rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.001, "BAOAB", fast="bonded", inner="S2_2", innerSteps=2)
+    _other = started(within, system, x)
+    for moved in (plain, within):
+        moved.step(20)
+    for ours, theirs in zip(within.bodyState()[1], plain.bodyState()[1], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
+    assert within.timings.fast_evaluations == plain.timings.fast_evaluations
+
+
+@pytest.mark.parametrize("maker", THERMOSTATTED.values(), ids=THERMOSTATTED)
+def test_copies_have_the_inner_steps_of_the_original(maker):
+    integrator = maker(0.002, fast=(1, 2), inner="V2", innerSteps=3)
+    for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
+        assert type(twin) is type(integrator)
+        assert twin.getMultipleTimeSteps() == integrator.getMultipleTimeSteps()
+
+
+def test_rescaling_with_inner_steps_keeps_the_effective_energy():
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.002, "W4_5", fast="bonded")
+    _context = started(integrator, system, x)
+    before = integrator.effectiveEnergy()._value
+    integrator.step(50)
+    assert abs(integrator.heat()._value) > 1.0
+    assert integrator.effectiveEnergy()._value == pytest.approx(before, abs=1e-2)
+
+
+def quadratic_clusters(n):
+    """Return a System of n times XH3 whose members are drawn to places, by forces of two groups, and these (nm).
+
+    Both are harmonic: what holds a cluster, and the bond from its middle to an atom that stands still.
+    """
+    system, field = openmm.System(), openmm.CustomExternalForce("500*(x^2 + y^2 + 2*z^2)")
+    bond = openmm.HarmonicBondForce()
+    bond.setForceGroup(1)
+    places = np.array([[0.0, 0, 0], [0.1, 0, 0.03], [-0.05, 0.087, 0.03], [-0.05, -0.087, 0.03], [0, 0, -0.15]])
+    for _ in range(n):
+        middle, *members, still = (system.addParticle(mass) for mass in (12.0, 1.0, 1.0, 1.0, 0.0))
+        for i, place in zip(members, places[1:4], strict=True):
+            system.addConstraint(middle, i, float(np.linalg.norm(place)))
+            field.addParticle(i)
+        bond.addBond(middle, still, 0.15, 3e5)
+    for force in (field, bond):
+        system.addForce(force)
+    return system, np.tile(places, (n, 1))
+
+
+@pytest.mark.parametrize(("kind", "n", "samples"), [("Langevin", 40, 80), ("hybrid", 4, 200)])
+def test_equipartition_of_a_constrained_cluster_with_inner_steps(kind, n, samples):
+    """Twice the kinetic energy is kT for each degree of freedom, with steps that only inner steps bear.
+
+    The hybrid has few clusters, lest no proposal is taken. A false alarm in 1400.
+    """
+    system, x = quadratic_clusters(n)
+    h = 0.012  # the bond alone turns by 2 within a step
+    integrators = {"Langevin": rb.ExactRigidBodyLangevinIntegrator, "hybrid": rb.ExactRigidBodyHybridIntegrator}
+    integrator = integrators[kind](300.0, 5.0, h, "S2_2", fast="bonded")
+    _context = started(integrator, system, x)
+    freedom, ratios = sum(integrator.degreesOfFreedom()), []
+    assert freedom == 9 * n
+    integrator.step(100)
+    for _ in range(samples):
+        integrator.step(4)
+        ratios.append(2.0 * sum(e._value for e in integrator.kineticEnergies()) / (300.0 * R * freedom))
+    blocks = np.reshape(ratios, (10, -1)).mean(axis=1)
+    error = blocks.std(ddof=1) / np.sqrt(10)
+    assert np.mean(ratios) == pytest.approx(1.0, abs=5.0 * error)  # of Student's distribution with 9 degrees
+    assert error < 0.04  # a thermostat that heats what constraints hold would be off by a third
+    if kind == "hybrid":
+        assert 0.5 < integrator.acceptanceRate() < 1.0
+
+
+def test_more_proposals_are_taken_where_bonds_have_inner_steps():
+    _, system, x = peptide("None")
+    rates = []
+    for fast in (None, "bonded"):
+        integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 5.0, 0.008, "S2_2", stepsPerProposal=2, fast=fast)
+        _context = started(integrator, system, x)
+        integrator.step(60)
+        rates.append(integrator.acceptanceRate())
+    assert rates[1] > 0.8
+    assert rates[1] > rates[0] + 0.2
+
+
+def torsions(x):
+    """Return phi and psi in degrees."""
+    angles = []
+    for atoms in ([4, 6, 8, 10], [6, 8, 10, 16]):
+        a, b, c = (x[j] - x[i] for i, j in itertools.pairwise(atoms))
+        n, m = np.cross(a, b), np.cross(b, c)
+        angles.append(np.degrees(np.arctan2(np.linalg.norm(b) * (a @ m), n @ m)))
+    return angles
+
+
+#: Independent runs of each integrator, their length and how long they settle before (ps).
+RUNS, LENGTH, SETTLING = 8, 500.0, 30.0
+
+
+def populations(whose, seed, picoseconds, settling=SETTLING):
+    """Return the populations (3,) of a run: phi above -85, psi above 100 and psi below 50 degrees.
+
+    Of the places where phi is negative: it takes nanoseconds to go to the others and back. Looked at every 0.04 ps.
+    """
+    _, system, x = peptide()
+    if whose == "ours":
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2")
+        context, every = started(integrator, system, x, seed), 10
+    else:
+        integrator = openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.001)
+        integrator.setRandomNumberSeed(seed)
+        context, every = openmm.Context(system, integrator, REFERENCE), 40
+        context.setPositions(x)
+        context.setVelocitiesToTemperature(300.0, seed)
+    integrator.step(round(settling / 0.04) * every)
+    found = []
+    for _ in range(round(picoseconds / 0.04)):
+        integrator.step(every)
+        phi, psi = torsions(positions_of(context))
+        if phi < 0.0:
+            found.append([phi > -85.0, psi > 100.0, psi < 50.0])
+    return np.mean(found, axis=0)
+
+
+def side_by_side(runs, picoseconds, settling=SETTLING):
+    """Return the populations (runs, 3) of independent runs of each integrator, made by as many processes as cores."""
+    sides = ["ours"] * runs + ["theirs"] * runs
+    n = len(sides)
+    with ProcessPoolExecutor(min(n, os.cpu_count() or 1), FORKED) as pool:
+        found = list(pool.map(populations, sides, range(1, n + 1), [picoseconds] * n, [settling] * n))
+    return np.array(found[:runs]), np.array(found[runs:])
+
+
+def test_populations_are_measured_side_by_side():
+    """The long test below in short: runs from different seeds differ, and all are populations."""
+    ours, theirs = side_by_side(2, 0.4, 0.04)
+    for runs in (ours, theirs):
+        assert runs.shape == (2, 3)
+        assert ((runs >= 0.0) & (runs <= 1.0)).all()
+        assert (runs[:, 1] + runs[:, 2] <= 1.0).all()
+
+
+@pytest.mark.validate
+def test_populations_of_torsions_are_those_of_small_steps():
+    """Alanine dipeptide at 4 fs against OpenMM's LangevinMiddleIntegrator at 1 fs: 4 ns of each.
+
+    Ours has inner steps by default. Errors are those of the scatter between independent runs, and the bounds
+    Student's, by Welch. Half an hour of two cores that have other work too.
+    """
+    ours, theirs = side_by_side(RUNS, LENGTH)
+    error = np.sqrt((ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / RUNS)
+    print(theirs.mean(axis=0), ours.mean(axis=0), error)  # seen with -s
+    assert (error < 0.04).all()  # else it could not tell
+    assert (stats.ttest_ind(ours, theirs, equal_var=False).pvalue > 0.001).all()
+    for state in (theirs.mean(axis=0), ours.mean(axis=0)):
+        assert (state > 0.05).all()  # all of them are states that are visited
+        assert (state < 0.95).all()
+
+
+def bent(platform, integrator, kelvin):
+    """Return a Context of four bent molecules with two constraints each, in a box, with momenta of a temperature."""
+    system, places, pairs = openmm.System(), [], openmm.NonbondedForce()
+    pairs.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    pairs.setCutoffDistance(0.9)
+    for k in range(4):
+        a, b, c = (system.addParticle(mass) for mass in (12.0, 1.0, 1.0))
+        for i, j in ((a, b), (a, c), (b, c)):
+            pairs.addParticle(0.0, 0.3, 0.5)
+            pairs.addException(i, j, 0.0, 1.0, 0.0)
+        system.addConstraint(a, b, 0.1)
+        system.addConstraint(a, c, 0.1)
+        places += [(0.5 * k, 0.0, 0.0), (0.5 * k, 0.1, 0.0), (0.5 * k, 0.0, 0.1)]
+    system.addForce(pairs)
+    system.setDefaultPeriodicBoxVectors(*(2.0 * np.eye(3)))
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
+    context.setPositions(places)
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    return context
+
+
+@pytest.mark.parametrize("platform", ["CPU", "Reference"])
+def test_a_cluster_that_finds_no_way_along_its_constraints_is_a_refusal_on_any_platform(platform):
+    """OpenMM is not asked for forces at places that are no numbers: its CPU platform answers with its own error."""
+    far_too_long = 1e6
+    hybrid = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, far_too_long, "V2_drift", fast=None)
+    context = bent(platform, hybrid, 1e4)
+    hybrid.step(2)
+    assert hybrid.tally() == (0, 2)
+    plain = rb.ExactRigidBodyIntegrator(far_too_long, "V2_drift", fast=None)
+    context = bent(platform, plain, 1e4)
+    with pytest.raises(rb.NonFiniteError, match="the cluster of particles 0, 1, 2"):
+        plain.step(3)
+    assert np.isfinite(positions_of(context)).all()

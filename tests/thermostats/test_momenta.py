@@ -1,0 +1,70 @@
+"""Momenta drawn at intervals."""
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def velocities_of(simulation):
+    return simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
+
+
+def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
+    topology, system, positions = rb.dipole_fluid(64, seed=1)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S2_2")
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    simulation.reporters.append(rb.CanonicalMomenta(1.5 / R, 10, seed=1))
+    simulation.step(10)
+    first = velocities_of(simulation)
+    for energy in simulation.integrator.kineticEnergies():
+        assert energy._value == pytest.approx(1.5 * 64 * 1.5, rel=4.0 * (2.0 / 192) ** 0.5)
+    simulation.step(10)
+    assert np.abs(velocities_of(simulation) - first).max() > 0.1
+    simulation.currentStep = 10
+    simulation.reporters[0].report(simulation, None)
+    # The attitudes have changed, and with them the velocities of the sites; those of the centres have not.
+    again = velocities_of(simulation)
+    np.testing.assert_allclose(
+        again.reshape(64, -1, 3)[:, :4].mean(axis=1), first.reshape(64, -1, 3)[:, :4].mean(axis=1), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("interval", [0, -1, 2.5, None])
+def test_intervals_are_at_least_one_step(interval):
+    with pytest.raises(ValueError, match="reportInterval must be a whole number of steps of at least 1"):
+        rb.CanonicalMomenta(1.0, interval)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((-5.0, 10), "a temperature must not be negative"),
+        ((float("nan"), 10), "a temperature must be a finite number"),
+        (("warm", 10), "a temperature must be a finite number"),
+        ((300.0, 10, -1), "the seed must be a whole number of at least 0"),
+        ((300.0, 10, 1.5), "the seed must be a whole number of at least 0"),
+    ],
+)
+def test_other_bad_input_is_refused_at_once(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        rb.CanonicalMomenta(*arguments)
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01), openmm.VerletIntegrator(0.001)],
+    ids=["with a thermostat", "OpenMM's"],
+)
+def test_an_integrator_that_has_a_thermostat_or_no_bodies_is_refused(integrator):
+    topology, system, positions = rb.dipole_fluid(64, seed=1)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
+    with pytest.raises(ValueError, match=f"take it out of the reporters beside a {type(integrator).__name__}"):
+        simulation.step(1)

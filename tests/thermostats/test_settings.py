@@ -1,0 +1,269 @@
+"""What a user sets, asks for and gets told."""
+
+import copy
+import math
+import pickle
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.context.updates import ContextUpdates, acting_updates
+from openmm_exactrb.schemes import Scheme, spelled
+from openmm_exactrb.substeps import DRIFT, KICK
+from thermostatted import R, droplet_of, molecules, simulation_of, snapshot
+
+RATE = unit.picosecond**-1
+
+
+def langevin(*arguments, **options):
+    return rb.ExactRigidBodyLangevinIntegrator(*(arguments or (300.0, 2.0, 0.002)), **options)
+
+
+def test_getters_and_setters_are_those_of_openmm():
+    ours, theirs = langevin(), openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.002)
+    for integrator in (ours, theirs):
+        integrator.setTemperature(310.0 * unit.kelvin)
+        integrator.setFriction(0.5)
+        integrator.setRandomNumberSeed(8)
+    for name in ("Temperature", "Friction", "StepSize", "RandomNumberSeed"):
+        a, b = getattr(ours, f"get{name}")(), getattr(theirs, f"get{name}")()
+        assert a == b
+    assert ours.getFriction().unit == theirs.getFriction().unit
+
+
+def test_friction_of_rotation_follows_that_of_translation_unless_it_has_its_own():
+    integrator = langevin(300.0, 2.0 / unit.nanosecond, 2.0 * unit.femtosecond)
+    assert integrator.getRotationalFriction() / RATE == pytest.approx(0.002)
+    integrator.setFriction(3.0)
+    assert integrator.getRotationalFriction() == 3.0 * RATE
+    integrator.setRotationalFriction(5.0)
+    integrator.setFriction(1.0)
+    assert integrator.getRotationalFriction() == 5.0 * RATE
+    integrator.setRotationalFriction(None)
+    assert integrator.getRotationalFriction() == 1.0 * RATE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ((-1.0, 1.0, 0.002), "a temperature must not be negative"),
+        ((math.nan, 1.0, 0.002), "a temperature must be a finite number of K"),
+        ((300.0, -1.0, 0.002), "a friction must not be negative"),
+        ((300.0, math.inf, 0.002), "a friction must be a finite number of /ps"),
+        ((300.0, 1.0 * unit.picosecond, 0.002), "is not a friction: give it in /ps"),
+        ((1.0 * RATE, 300.0, 0.002), "is not a temperature: give it in K"),
+    ],
+)
+def test_bad_settings_get_a_sentence(arguments, match):
+    with pytest.raises(ValueError, match=match):
+        langevin(*arguments)
+
+
+def test_other_bad_settings_get_a_sentence_too():
+    with pytest.raises(ValueError, match="must not be negative"):
+        langevin(rotationalFriction=-2.0)
+    with pytest.raises(ValueError, match="the seed must be a whole number of at least 0"):
+        langevin().setRandomNumberSeed(-1)
+    with pytest.raises(ValueError, match=r"must be below 2\^31"):
+        langevin().setRandomNumberSeed(2**31)
+    hint = r"unknown scheme 'OBABO'; did you mean 'BAOA'\? Available: BAOAB, .*, V2, "
+    with pytest.raises(ValueError, match=hint):
+        langevin(scheme="OBABO")
+    with pytest.raises(ValueError, match="V2_C17 runs in inner coordinates"):
+        langevin(scheme="V2_C17")
+    with pytest.raises(ValueError, match="a relaxation time must be a positive number of ps"):
+        rb.ExactRigidBodyRescalingIntegrator(300.0, 0.0, 0.002)
+    with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
+        rb.ExactRigidBodyHybridIntegrator(0.0, 1.0, 0.002)
+    with pytest.raises(ValueError, match="together must be True or False, not 'no'"):
+        rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.002, together="no")
+    with pytest.raises(ValueError, match="BAOAB has a thermostat within it"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme="BAOAB")
+    with pytest.raises(ValueError, match="stepsPerProposal must be a whole number"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, stepsPerProposal=0)
+    lopsided = Scheme("Euler", 1, ((DRIFT, 1.0), (KICK, 1.0)))
+    with pytest.raises(ValueError, match="Euler is not symmetric in time"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme=lopsided)
+    with pytest.raises(ValueError, match="the inner scheme Euler is not symmetric in time, as proposals must be"):
+        rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, fast="bonded", inner=lopsided, innerSteps=3)
+
+
+def test_a_temperature_that_is_refused_leaves_the_one_there_was():
+    hybrid = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002)
+    with pytest.raises(ValueError, match="the temperature of Metropolis's rule must be a positive number"):
+        hybrid.setTemperature(0.0)
+    for integrator in (hybrid, langevin()):
+        with pytest.raises(ValueError, match="a temperature must"):
+            integrator.setTemperature(-1.0)
+        assert integrator.getTemperature() == 300.0 * unit.kelvin
+
+
+COPIES = {
+    "langevin": langevin(310.0, 1.5, 0.004, "W2_4", "mclachlan_reich", 2.5, bodies=[[0, 1]]),
+    "baoab": langevin(scheme="BAOAB"),
+    "rescaling": rb.ExactRigidBodyRescalingIntegrator(300.0, 0.5, 0.004, together=False),
+    "hybrid": rb.ExactRigidBodyHybridIntegrator(300.0, 0.5, 0.004, stepsPerProposal=3),
+}
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize("name", COPIES)
+def test_copies_have_all_settings(name, copied):
+    integrator = COPIES[name]
+    integrator.setRandomNumberSeed(7)
+    twin = copied(integrator)
+    assert type(twin) is type(integrator)
+    assert twin.getBathSettings() == integrator.getBathSettings()
+    for question in ("getScheme", "getRotor", "getStepSize", "getNamedBodies", "getRandomNumberSeed", "getSeedInUse"):
+        assert getattr(twin, question)() == getattr(integrator, question)()
+
+
+def test_a_copy_by_openmm_moves_nothing():
+    integrator = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(langevin()))
+    system, places = molecules(waters=1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(places)
+    integrator.step(1)
+    assert np.isnan(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
+
+
+def test_a_second_thermostat_is_refused():
+    simulation = droplet_of(langevin())
+    simulation.system.addForce(openmm.AndersenThermostat(300.0, 1.0))
+    simulation.context.reinitialize(preserveState=True)
+    with pytest.raises(ValueError, match="AndersenThermostat, but this integrator is a thermostat itself"):
+        simulation.integrator.step(1)
+
+
+def test_a_thermostat_that_joined_the_system_later_does_nothing_and_is_not_refused():
+    """OpenMM does not know them either, until the Context is reinitialised."""
+    simulation = droplet_of(langevin(30.0, 1.0, 0.002))
+    hotter = openmm.AndersenThermostat(300.0, 1.0)
+    simulation.system.addForce(hotter)
+    simulation.integrator.step(1)
+    assert acting_updates(simulation.context) == []
+    assert not ContextUpdates(simulation.context, []).pushes
+
+
+def test_the_temperature_of_a_thermostat_is_the_one_that_the_context_has():
+    simulation = droplet_of(rb.ExactRigidBodyIntegrator(0.002))
+    simulation.system.addForce(openmm.AndersenThermostat(30.0, 1.0))
+    simulation.context.reinitialize(preserveState=True)
+    found = ContextUpdates(simulation.context, [])
+    assert found.hottest(simulation.context) == pytest.approx(30.0 * R, rel=1e-12)
+    simulation.context.setParameter(openmm.AndersenThermostat.Temperature(), 310.0)
+    assert found.hottest(simulation.context) == pytest.approx(310.0 * R, rel=1e-12)
+
+
+def test_a_heat_exchange_without_a_thermostat_is_refused():
+    """And leaves the state as it was."""
+    own = Scheme("mine", 2, spelled("B A O A B"))
+    simulation = droplet_of(rb.ExactRigidBodyIntegrator(0.01, scheme=own))
+    before = snapshot(simulation)
+    with pytest.raises(ValueError, match="mine has a thermostat within it, but the integrator has none"):
+        simulation.integrator.step(1)
+    assert snapshot(simulation) == before
+    with pytest.raises(ValueError, match="BAOAB has a thermostat within it"):
+        rb.ExactRigidBodyIntegrator(0.01, scheme="BAOAB")
+
+
+def test_what_is_no_thermostat_is_refused():
+    for thing in ("Langevin", 300.0, langevin()):
+        with pytest.raises(ValueError, match="thermostat= takes one of"):
+            rb.ExactRigidBodyIntegrator(0.002, thermostat=thing)
+
+
+BAROSTATS = [
+    openmm.MonteCarloBarostat(1.0, 310.0),
+    openmm.MonteCarloAnisotropicBarostat(openmm.Vec3(1.0, 1.0, 1.0), 310.0),
+    openmm.MonteCarloFlexibleBarostat(1.0, 310.0),
+    openmm.MonteCarloMembraneBarostat(
+        1.0, 1.0, 310.0, openmm.MonteCarloMembraneBarostat.XYIsotropic, openmm.MonteCarloMembraneBarostat.ZFree
+    ),
+]
+
+
+@pytest.mark.parametrize("barostat", BAROSTATS, ids=lambda force: type(force).__name__)
+def test_a_barostat_must_have_the_same_temperature(barostat):
+    system, places = molecules(waters=2)
+    periodic = openmm.NonbondedForce()
+    periodic.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    for _ in range(6):
+        periodic.addParticle(0.0, 0.1, 0.0)
+    system.addForce(periodic)
+    system.addForce(copy.deepcopy(barostat))
+    simulation = simulation_of(langevin(), system, places)
+    with pytest.raises(ValueError, match=r"Barostat is at 310 K, the integrator at 300 K: .*setParameter"):
+        simulation.integrator.step(1)
+    simulation.integrator.setTemperature(310.0)
+    simulation.integrator.step(1)
+    simulation.integrator.setTemperature(320.0)
+    simulation.context.setParameter(barostat.Temperature(), 320.0)
+    simulation.integrator.step(1)
+
+
+def test_a_cold_start_may_be_heated_by_any_friction():
+    """Nor is a single body that gains most of its energy in a step taken for a blow-up."""
+    system, places = molecules(waters=1)
+    for friction in (1.0, 1e3):
+        simulation = simulation_of(langevin(300.0, friction, 0.002), system, places)
+        simulation.integrator.setRandomNumberSeed(1)
+        simulation.step(2000)
+
+
+def test_temperatures_around_the_thermostat_need_a_step():
+    simulation = droplet_of(langevin(30.0, 1.0, 0.01, scheme="BAOAB"))
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
+    simulation.step(1)
+    assert all(0.0 < T._value < 100.0 for T in simulation.integrator.temperaturesAroundBath())
+    checkpoint = simulation.context.createCheckpoint()
+    simulation.step(2)
+    simulation.context.loadCheckpoint(checkpoint)
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
+    simulation.step(1)
+    simulation.integrator.setVelocitiesToTemperature(3000.0, 1)
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
+    simulation.integrator.step(0)
+    with pytest.raises(ValueError, match="make a step first"):
+        simulation.integrator.temperaturesAroundBath()
+
+
+def test_reporters_and_velocities_tell_the_temperature_of_the_step_s_end(tmp_path):
+    system, places = molecules(waters=3, ions=2)
+    simulation = simulation_of(langevin(), system, places)
+    simulation.reporters.append(app.StateDataReporter(str(tmp_path / "log"), 5, temperature=True, kineticEnergy=True))
+    simulation.step(5)
+    temperature, kinetic = np.loadtxt(tmp_path / "log", delimiter=",", skiprows=1)[::-1]
+    integrator = simulation.integrator
+    energies, freedom = integrator.kineticEnergies(), sum(integrator.degreesOfFreedom())
+    assert freedom == 3 * 6 + 2 * 3
+    assert kinetic == pytest.approx(sum(e._value for e in energies), rel=1e-12)
+    assert temperature == pytest.approx(2.0 * kinetic / (freedom * R), rel=1e-12)
+    assert simulation.context.getState(energy=True).getKineticEnergy()._value == pytest.approx(kinetic, rel=1e-12)
+
+
+def test_tuning_advises_a_scheme_for_constant_energy():
+    simulation = droplet_of(langevin(30.0, 1.0, 0.01))
+    simulation.step(20)
+    result = rb.tune(simulation, target=0.1, schemes=["V2", "S2_2"], duration=0.5, levels=4)
+    assert type(result.best().integrator()) is rb.ExactRigidBodyIntegrator
+
+
+def test_a_job_knows_all_settings_of_an_integrator():
+    def key(**changes):
+        arguments = {"temperature": 300.0, "frictionCoeff": 1.0, "stepSize": 0.002} | changes
+        return rb.ensemble.Job(describe, integrator=rb.ExactRigidBodyLangevinIntegrator(**arguments)).key
+
+    others = [{"temperature": 310.0}, {"frictionCoeff": 2.0}, {"scheme": "BAOAB"}, {"rotationalFriction": 3.0}]
+    assert len({key(), *(key(**other) for other in others)}) == 5
+    assert key() == key(rotor="exact")
+
+
+def describe(integrator):
+    return integrator.getScheme().name

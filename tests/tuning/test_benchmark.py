@@ -1,0 +1,167 @@
+"""What is measured: energies at full steps, of runs from one start that conserve them."""
+
+import math
+
+import numpy as np
+import openmm
+import pytest
+from equilibrium import arrays
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb import schemes
+from openmm_exactrb.device import selection
+from openmm_exactrb.tuning import Choice
+from openmm_exactrb.tuning.benchmark import Benchmark
+from openmm_exactrb.tuning.candidates import Method
+from openmm_exactrb.tuning.equilibrium import thermalised
+from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state
+
+VERLET = Method()
+
+
+def opencl():
+    """Skip where there is no OpenCL device."""
+    try:
+        platform = openmm.Platform.getPlatform("OpenCL")
+        system = openmm.System()
+        system.addParticle(1.0)
+        openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
+    except openmm.OpenMMException as error:
+        pytest.skip(f"no OpenCL device: {error}")
+
+
+def test_verlet_starts_with_the_same_energy_and_is_read_at_full_steps(droplet):
+    system, state = droplet
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    v2 = Method(rb.SCHEMES["V2"])
+    ours, theirs = bench.under_test(v2), bench.under_test(VERLET)
+    energies = []
+    for tested in (ours, theirs):
+        tested.begin(0.001)
+        energies.append(tested.energy())
+    assert energies[1] == pytest.approx(energies[0], abs=1e-6)
+    # Velocity Verlet and SETTLE are of the same order and nearly the same method.
+    errors = [bench.error(method, 0.001, 0.5, 0.5) for method in (v2, VERLET)]
+    assert errors[1] == pytest.approx(errors[0], rel=0.5)
+
+
+def test_a_run_that_blows_up_is_unstable(droplet):
+    system, state = droplet
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    for method in (Method(rb.SCHEMES["SRKN4_6b"]), VERLET):
+        assert math.isinf(bench.error(method, 0.1, 1.0, 1.0))
+
+
+def test_what_the_cpu_platform_finds_not_finite_is_unstable(droplet):
+    system, state = droplet
+    bench = Benchmark(InitialState(system, *arrays(state), platform="CPU"))
+    assert math.isinf(bench.error(VERLET, 0.1, 1.0, 1.0))
+
+
+def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
+    system, state = droplet
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    strange = schemes.Scheme("strange", 2, schemes.spelled("A O A"))
+    with pytest.raises(ValueError, match="has a thermostat within it, but the integrator has none"):
+        bench.error(Method(strange), 0.001, 0.1, 0.1)
+
+
+@pytest.mark.opencl
+@pytest.mark.parametrize(("reason", "engine"), [(None, "device"), ("a CPU", "host")])
+def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, engine):
+    opencl()
+    monkeypatch.setattr(selection, "no_gpu", lambda context: reason)
+    system, state = droplet
+    forces = system.getNumForces()
+    start = InitialState(system, *arrays(state), platform="OpenCL", properties={"Precision": "mixed"})
+    tested = Benchmark(start).under_test(Method(rb.SCHEMES["S2_2"]))
+    tested.begin(0.001)
+    before = tested.energy()
+    tested.integrator.step(5)
+    assert tested.integrator.getEngine() == engine
+    assert system.getNumForces() == forces
+    assert tested.energy() == pytest.approx(before, abs=0.01)
+    assert tested.seconds_per_evaluation(2) > 0.0
+    integrator = Choice("S2_2", 0.001, 1e-3, 1.0, True).integrator()
+    context = start.context(integrator)
+    assert context.getIntegrator().getEngine() == engine
+
+
+def test_bodies_far_apart_have_the_time_in_which_they_turn():
+    """Two waters 3 nm apart: 1/omega from the forces would be some hundred times as long."""
+    _, system, positions = rb.rigid_water(2)
+    x = positions._value.copy()
+    x[3:] += [3.0, 0.0, 0.0]
+    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
+    scales = Benchmark(start).characteristics
+    masses = np.array([system.getParticleMass(i)._value for i in range(3)])
+    r = x[:3] - masses @ x[:3] / masses.sum()
+    inertia = np.einsum(
+        "s,sij->ij", masses, np.einsum("si,si->s", r, r)[:, None, None] * np.eye(3) - r[:, :, None] * r[:, None]
+    )
+    kT = scales.kinetic / 3.0
+    assert scales.free == pytest.approx(1.0 / np.sqrt(kT * (1.0 / np.linalg.eigvalsh(inertia)).mean()), rel=1e-3)
+    assert scales.time == scales.free
+
+
+def test_what_does_not_conserve_the_energy_is_left_out():
+    _, system, _ = rb.rigid_water(2, removeCMMotion=True)
+    system.addForce(openmm.AndersenThermostat(300.0, 1.0))
+    twin, left_out = conservative(system)
+    assert left_out == ["CMMotionRemover", "AndersenThermostat"]
+    assert twin.getNumForces() == system.getNumForces() - 2
+
+
+def test_a_start_is_thermalised():
+    _, system, positions = rb.rigid_water(27)
+    x = positions._value
+    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=True)
+    temperature = (
+        Benchmark(start).characteristics.kinetic
+        / 3.0
+        / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+    )
+    assert 150.0 < temperature < 600.0
+
+
+def test_bodies_named_by_hand_are_minimised():
+    """Two of four molecules overlap: without a minimum first they fly apart."""
+    _, system, positions = rb.rigid_water(4)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    x = positions._value.copy()
+    x[3:6] = x[:3] + np.array([0.12, 0.0, 0.0])
+    start = InitialState(
+        system, x, np.zeros_like(x), platform="Reference", bodies=[[3 * i, 3 * i + 1, 3 * i + 2] for i in range(4)]
+    )
+    warm = thermalised(start, 100.0, 1, minimise=True)
+    assert Benchmark(warm).characteristics.kinetic / 3.0 < 5.0 * 0.831
+    assert np.abs(warm.positions).max() < 3.0
+    assert np.linalg.norm(warm.positions[1] - warm.positions[0]) == pytest.approx(0.09572, abs=1e-4)
+
+
+def test_a_temperature_that_is_not_reached_is_told():
+    """Bodies that a potential without a minimum drives outwards become ever faster."""
+    _, system, positions = rb.rigid_water(2)
+    outwards = openmm.CustomExternalForce("-50000*x^2")
+    for i in range(0, 6, 3):
+        outwards.addParticle(i)
+    system.addForce(outwards)
+    x = positions._value + np.array([0.5, 0.0, 0.0])
+    with pytest.raises(ValueError, match="cannot be brought to 300 K"):
+        thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
+
+
+def test_bodies_named_in_a_simulation_are_those_that_are_measured():
+    topology, system, positions = rb.rigid_water(2)
+    while system.getNumConstraints():
+        system.removeConstraint(0)
+    named = [[0, 1, 2], [3, 4, 5]]
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=named)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    begin, _ = initial_state(simulation, None, None, None, None, None)
+    assert begin.bodies == named
+    begin.bodies[0][0] = 7
+    assert integrator.getNamedBodies() == named
