@@ -43,10 +43,11 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
 
     Parameters
     ----------
-    stepSize : float or Quantity
-        Size of a whole step of the scheme, in ps if it has no unit.
+    stepSize : float or Quantity, optional
+        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own.
+        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once a step, as
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or with a thermostat `Thermostat.scheme`.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
@@ -70,12 +71,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
+    forceInterval : float or Quantity, optional
+        Mean time between two force evaluations, in ps if it has no unit, in place of ``stepSize``: a step is this times
+        `forceEvaluationsPerStep`, so that schemes of equal intervals cost about the same.
 
     Raises
     ------
     ValueError
-        If scheme, rotor or engine is unknown, the step size is not a finite time, bodies are not lists of particles,
-        the fast forces are no force groups, or scheme or rotor are not for the device that was asked for.
+        If scheme, rotor or engine is unknown, step size and interval are both given or neither, no finite time, bodies
+        are not lists of particles, the fast forces are no force groups, or scheme or rotor are not for the device that
+        was asked for.
 
     Attributes
     ----------
@@ -84,8 +89,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
 
     def __init__(
         self,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "SRKN4_6b",
+        stepSize: float | unit.Quantity | None = None,
+        scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         bodies: Sequence[Sequence[int]] | None = None,
         fast: str | Sequence[int] | None = "auto",
@@ -93,16 +98,17 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         innerSteps: int | None = None,
         engine: Engine = "auto",
         thermostat: Thermostat | None = None,
+        forceInterval: float | unit.Quantity | None = None,
     ) -> None:
         refuse_temperature(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
             raise ValueError(f"thermostat= takes one of openmm_exactrb.thermostats, not a {type(thermostat).__name__}")
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
-        self._scheme = look_up(scheme) if thermostat is None else splitting(scheme)
+        self._scheme = look_up(scheme or DEFAULT) if thermostat is None else splitting(scheme or thermostat.scheme)
         self._rotor = look_up_rotor(rotor)
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
-        self._h = picoseconds(stepSize)
+        self._h = self._step_of(stepSize, forceInterval)
         super().__init__(self._h)
         self._noise, self._version = Noise(), 0
         self._engine = Selection(engine, self._steps(), self._rotor, self._fast, thermostat)
@@ -266,6 +272,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
         return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat)
 
+    def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
+        """Return the step size in ps, given itself or by the time between force evaluations."""
+        if (size is None) == (interval is None):
+            raise ValueError("give either stepSize=, the time of a whole step, or forceInterval=, that between forces")
+        if interval is None:
+            return picoseconds(size)
+        if not self.forceEvaluationsPerStep:
+            raise ValueError(f"scheme {self._scheme.name} evaluates no forces: give stepSize=, not forceInterval=")
+        return picoseconds(interval) * self.forceEvaluationsPerStep
+
     def _steps(self) -> Scheme:
         """Return the scheme with all substeps of a step."""
         return self._scheme if self._thermostat is None else self._thermostat.steps(self._scheme)
@@ -327,6 +343,9 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
             self._propagator.sync.taken_elsewhere = _parting(self)
         return self._propagator
 
+
+#: The scheme at constant energy, if none is named.
+DEFAULT = "W2_1"
 
 # What OpenMM's integrators are told by methods: getX and setX.
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"

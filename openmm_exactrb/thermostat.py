@@ -38,11 +38,15 @@ class Thermostat(ABC):
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
     on_device : bool
         Whether the program of a device has it.
+    scheme : str
+        The scheme of an integrator with it, if none is named: "BAOA", the splitting of LangevinMiddleIntegrator, which
+        evaluates forces once a step.
     """
 
     temperature: float
     numbers: tuple[str, ...] = ()
     on_device: ClassVar[bool] = False
+    scheme: ClassVar[str] = "BAOA"
 
     @property
     def own_numbers(self) -> tuple[str, ...]:

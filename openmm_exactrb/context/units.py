@@ -34,7 +34,7 @@ def stripped(value: Any, in_unit: unit.Unit) -> Any:
     return value.value_in_unit(in_unit) if fits else value
 
 
-def picoseconds(size: float | unit.Quantity) -> float:
+def picoseconds(size: float | unit.Quantity | None) -> float:
     """Return a time step in ps."""
     return plain(size, unit.picosecond, "a time step")
 

@@ -25,6 +25,7 @@ class Options(TypedDict, total=False):
     inner: str | Scheme | None
     innerSteps: int | None
     engine: Engine
+    forceInterval: float | unit.Quantity | None
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
@@ -45,8 +46,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def __init__(
         self,
         thermostat: Thermostat,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme,
+        stepSize: float | unit.Quantity | None,
+        scheme: str | Scheme | None,
         rotor: str | Rotor,
         **options: Unpack[Options],
     ) -> None:

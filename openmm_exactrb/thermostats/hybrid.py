@@ -149,6 +149,7 @@ class HybridMonteCarlo(Langevin):
 
     numbers = (variables.ACCEPTED, variables.PROPOSED)
     on_device: ClassVar[bool] = False
+    scheme: ClassVar[str] = "S2_2"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -182,11 +183,11 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         In K if it has no unit; above zero.
     frictionCoeff : float or Quantity
         What the thermostat renews of the momenta between proposals, as friction in 1/ps if it has no unit.
-    stepSize : float or Quantity
-        Time of a proposal, in ps if it has no unit.
-    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a thermostat within it. The
-        inner steps are those for the time of one step of the scheme.
+    stepSize : float or Quantity, optional
+        Time of a proposal, in ps if it has no unit. Give it or ``forceInterval``.
+    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval
+        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a thermostat within it, such
+        as the default, "S2_2". The inner steps are those for the time of one step of the scheme.
     stepsPerProposal : int, optional
         Steps of the scheme that a proposal is made of, of the size stepSize/stepsPerProposal.
 
@@ -203,8 +204,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         self,
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        stepSize: float | unit.Quantity | None = None,
+        scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         stepsPerProposal: int = 1,

@@ -153,20 +153,19 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         In K if it has no unit.
     frictionCoeff : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
-    stepSize : float or Quantity
-        Size of a whole step of the scheme, in ps if it has no unit.
+    stepSize : float or Quantity, optional
+        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES` without a processor or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, which have
-        the thermostat within them, or a scheme of your own. The default takes three forces per step: up to 6 fs per
-        force translation and rotation of rigid water were within a kelvin of each other (SPC/E, TIP4P/2005; friction
-        5/ps). "W2_4g" takes four, up to 4 fs per force, and has the potential energy right too. "BAOA", the splitting
-        of LangevinMiddleIntegrator, "BAOAB" and "ABOBA" take one; with a friction of 30/ps BAOA had temperatures and
-        potential energy of both right at 6 fs per force.
+        the thermostat within them, or a scheme of your own. The default, "BAOA", is the splitting of
+        LangevinMiddleIntegrator and evaluates forces once a step. "W2_3m" evaluates them three times: translation and
+        rotation of rigid water are within a kelvin of each other up to 6 fs per force (SPC/E, TIP4P/2005; friction
+        5/ps).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation; that of translation unless given.
-    bodies, fast, inner, innerSteps : optional
+    bodies, fast, inner, innerSteps, forceInterval : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise
@@ -190,8 +189,8 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         self,
         temperature: float | unit.Quantity,
         frictionCoeff: float | unit.Quantity,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "W2_3m",
+        stepSize: float | unit.Quantity | None = None,
+        scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         **options: Unpack[Options],

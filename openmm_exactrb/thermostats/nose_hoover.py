@@ -227,9 +227,9 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         In K if it has no unit; above zero.
     collisionFrequency : float or Quantity
         Of the chain, in 1/ps if it has no unit; above zero.
-    stepSize : float or Quantity
-        Size of a whole step of the scheme, in ps if it has no unit.
-    scheme, rotor, bodies, fast, inner, innerSteps
+    stepSize : float or Quantity, optional
+        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
+    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval
         As in `ExactRigidBodyLangevinIntegrator`.
     chainLength, numMTS, numYoshidaSuzuki : int, optional
         As in OpenMM's NoseHooverIntegrator: links of the chain, repetitions of a substep of it, and 1, 3, 5 or 7
@@ -256,8 +256,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         self,
         temperature: float | unit.Quantity,
         collisionFrequency: float | unit.Quantity,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        stepSize: float | unit.Quantity | None = None,
+        scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         chainLength: int = 3,
         numMTS: int = 3,

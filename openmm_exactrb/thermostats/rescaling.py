@@ -196,9 +196,9 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         In K if it has no unit.
     relaxationTime : float or Quantity
         Of the kinetic energy, in ps if it has no unit.
-    stepSize : float or Quantity
-        Size of a whole step of the scheme, in ps if it has no unit.
-    scheme, rotor, bodies, fast, inner, innerSteps
+    stepSize : float or Quantity, optional
+        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
+    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval
         As in `ExactRigidBodyLangevinIntegrator`.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.
@@ -222,8 +222,8 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         self,
         temperature: float | unit.Quantity,
         relaxationTime: float | unit.Quantity,
-        stepSize: float | unit.Quantity,
-        scheme: str | Scheme = "S2_2",
+        stepSize: float | unit.Quantity | None = None,
+        scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         together: bool = True,
         **options: Unpack[Options],
