@@ -12,22 +12,20 @@ Indices = NDArray[np.int64]
 
 
 class Graph(NamedTuple):
-    """A kind of clusters, as the kernels take it.
+    """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A.
 
     Attributes
     ----------
     inverse : (n,) array
         Inverse masses of the atoms.
-    pairs : (m, 2) array
-        The two atoms of each constraint.
-    lengths : (m,) array
-    weights : (e,) array
-        B_cd of the entries of the Cholesky factor of A that are not zero, row by row, the diagonal last.
+    pairs, lengths : (m, 2) and (m,) arrays
+        The two atoms of each constraint, and their distance.
+    weights, columns : (e,) arrays
+        B_cd and column of each entry, row by row, the diagonal last.
     rows : (m + 1,) array
-        Where the entries of a row begin.
-    columns : (e,) array
+        First entry of each row.
     starts : (e + 1,) array
-        Where the products begin that an entry is diminished by.
+        First of the products that are subtracted from each entry.
     left, right : arrays
         The two entries of each product.
     """
@@ -44,7 +42,7 @@ class Graph(NamedTuple):
 
 
 def factor(graph: Graph, r: Array) -> list[Array]:
-    """Return the Cholesky factor of A, entry by entry (N,), with the inverse of its diagonal in the place of it."""
+    """Return the Cholesky factor of A, entry by entry (N,), with its diagonal inverted."""
     A: list[Array] = []
     for c in range(len(graph.pairs)):
         for e in range(graph.rows[c], graph.rows[c + 1]):
