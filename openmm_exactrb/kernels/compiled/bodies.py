@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from openmm_exactrb.kernels.build import compiled
-from openmm_exactrb.quaternions import matrix_entries
+from openmm_exactrb.kernels.compiled.formulas import matrix_entries
 
 
 @compiled("f2 f2 i2 f3 i F2")

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from openmm_exactrb.compensated import two_difference, two_sum
 from openmm_exactrb.kernels.build import inner, inner_reordered
+from openmm_exactrb.kernels.compiled.formulas import two_difference, two_sum
 from openmm_exactrb.quaternions import TO_GRID
 
 

@@ -10,10 +10,9 @@ import math
 
 import numpy as np
 
-from openmm_exactrb.compensated import two_sum
-from openmm_exactrb.elliptic import sine_short
 from openmm_exactrb.kernels.build import compiled, inlined, inner
 from openmm_exactrb.kernels.compiled.elliptic import LANDEN, jacobi, rescaled, third_kind, third_kind_short
+from openmm_exactrb.kernels.compiled.formulas import product, separatrix_difference, sine_short, two_sum
 from openmm_exactrb.kernels.compiled.rotations import (
     cosine_and_sine,
     keep_norm,
@@ -23,8 +22,7 @@ from openmm_exactrb.kernels.compiled.rotations import (
     rotate_short,
     turned,
 )
-from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING, separatrix_difference
-from openmm_exactrb.quaternions import product
+from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
 
 # Bodies in a block. With rows at distances known at compile time they are known not to overlap.
 _BLOCK = 64

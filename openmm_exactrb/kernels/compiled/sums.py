@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from openmm_exactrb.compensated import two_sum
 from openmm_exactrb.kernels.build import compiled
+from openmm_exactrb.kernels.compiled.formulas import two_sum
 
 
 @compiled("f3 f2 f F3")
