@@ -167,8 +167,8 @@ class HeavyTop:
 
     def torque(self, q: Array) -> Array:
         """Return the torque epsilon (u2, -u1, 0), (3, N)."""
-        u = self._u(q)
-        return self.epsilon * np.stack([u[1], -u[0], np.zeros_like(u[0])])
+        u1, u2, _ = self._u(q)
+        return self.epsilon * np.stack([u2, -u1, np.zeros_like(u1)])
 
     def gradient_torque(self, q: Array) -> Array:
         """Return the torque u x dU/du of U = epsilon² (u2²/I1 + u1²/I2), (3, N)."""

@@ -12,33 +12,17 @@ Indices = NDArray[np.int64]
 
 
 class Graph(NamedTuple):
-    """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A.
+    """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
 
-    Attributes
-    ----------
-    inverse : (n,) array
-        Inverse masses of the atoms.
-    pairs, lengths : (m, 2) and (m,) arrays
-        The two atoms of each constraint, and their distance.
-    weights, columns : (e,) arrays
-        B_cd and column of each entry, row by row, the diagonal last.
-    rows : (m + 1,) array
-        First entry of each row.
-    starts : (e + 1,) array
-        First of the products that are subtracted from each entry.
-    left, right : arrays
-        The two entries of each product.
-    """
-
-    inverse: Array
-    pairs: Indices
-    lengths: Array
-    weights: Array
-    rows: Indices
-    columns: Indices
-    starts: Indices
-    left: Indices
-    right: Indices
+    inverse: Array  #: inverse masses of the atoms (n,)
+    pairs: Indices  #: the two atoms of each constraint (m, 2)
+    lengths: Array  #: of the constraints (m,)
+    weights: Array  #: B_cd of each entry (e,), row by row, the diagonal last
+    rows: Indices  #: first entry of each row (m + 1,)
+    columns: Indices  #: column of each entry (e,)
+    starts: Indices  #: first of the products that are subtracted from each entry (e + 1,)
+    left: Indices  #: first entry of each product
+    right: Indices  #: second entry of each product
 
 
 def factor(graph: Graph, r: Array) -> list[Array]:

@@ -46,40 +46,19 @@ class Phase:
 
 @dataclass(frozen=True)
 class Orbit:
-    """Bodies on their way through a step, in units where norm(m) = 1.
+    """Bodies during a step, in units where norm(m) = 1; arrays are (N,) unless another shape is named."""
 
-    Attributes
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Moments in ascending order.
-    time : (N,) array
-        The step times norm(m).
-    start, end : (3, N) arrays
-        Unit momenta at both ends.
-    energy : (N,) array
-        2T of the unit momentum.
-    excess : (N,) array
-        1 - 2T I2: negative in case (a), positive in case (b).
-    first, third : (N,) arrays
-        The largest values A1 and A3 of x1 and x3 on the orbit.
-    rate : (N,) array
-        lambda of equations (5) and (6), positive.
-    k2, kc2 : (N,) arrays
-        k² and 1 - k².
-    before, after : Phase
-    """
-
-    inertia: Array
-    time: Array
-    start: Array
-    end: Array
-    energy: Array
-    excess: Array
-    first: Array
-    third: Array
-    rate: Array
-    k2: Array
-    kc2: Array
+    inertia: Array  #: moments in ascending order, (3, 1) or (3, N)
+    time: Array  #: the step times norm(m)
+    start: Array  #: unit momenta at the start, (3, N)
+    end: Array  #: unit momenta at the end, (3, N)
+    energy: Array  #: 2T of the unit momentum
+    excess: Array  #: 1 - 2T I2: negative in case (a), positive in case (b)
+    first: Array  #: the largest value A1 of x1 on the orbit
+    third: Array  #: the largest value A3 of x3 on the orbit
+    rate: Array  #: lambda of equations (5) and (6), positive
+    k2: Array  #: k²
+    kc2: Array  #: 1 - k²
     before: Phase
     after: Phase
 

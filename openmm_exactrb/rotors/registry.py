@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import ArrayLike
 from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
-from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow, fitting
 
 #: Between them a moment and its reciprocal are normal numbers.
@@ -60,13 +60,13 @@ class Rotor:
         return f"Rotor({self.name!r}, {order}, {self.reference})"
 
 
-def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
-    """Return the factory of flows with Gauss's rule in place of the exact integral."""
-    return lambda inertia: factory(inertia, euler.gauss(points))
-
-
 _HAIRER_VILMART = "Hairer and Vilmart (2006), doi:10.1088/0305-4470/39/42/006"
 _PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
+_GAUSS = tuple(
+    Rotor(f"{name}_gauss{2 * p}", 2 * p, partial(factory, third_kind=euler.gauss(p)), f"{_PAPER}, equation (39)")
+    for name, factory in (("rotation", rotation.rotor), ("quaternion", quaternion.kosenko))
+    for p in (3, 4, 5)
+)
 
 #: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
@@ -80,11 +80,7 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
             Rotor("quaternion_c", None, quaternion.van_zon_schofield, f"{_PAPER}, section 2.4 (c)"),
-            *(
-                Rotor(f"{name}_gauss{2 * p}", 2 * p, _with_gauss(factory, p), f"{_PAPER}, equation (39)")
-                for name, factory in (("rotation", rotation.rotor), ("quaternion", quaternion.kosenko))
-                for p in (3, 4, 5)
-            ),
+            *_GAUSS,
             *(Rotor(f"dmv{n}", n, moser_veselov.rotor(n), _HAIRER_VILMART, largest_angle=1.0) for n in (6, 8, 10)),
             Rotor(
                 "mclachlan_reich",
