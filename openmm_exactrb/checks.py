@@ -1,4 +1,4 @@
-"""Numbers that a user hands over: looked at in one place, refused in one sentence."""
+"""Checks of numbers that a user hands over, each with a message of one sentence."""
 
 from __future__ import annotations
 
@@ -13,21 +13,7 @@ from numpy.typing import NDArray
 
 
 def number(value: Any, name: str, of: str = "") -> float:
-    """Return a finite number as a float.
-
-    Parameters
-    ----------
-    value : object
-    name : str
-        What it is, for the message.
-    of : str, optional
-        Its unit, for the message.
-
-    Raises
-    ------
-    ValueError
-        If it is no number, or not finite.
-    """
+    """Return a finite number as a float; a ValueError with its name and unit (`of`) if it is none."""
     return _checked(value, name, of, "a finite number{}", lambda x: True)
 
 
@@ -51,20 +37,12 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
 def array(
     value: Any, name: str, asked: str = "real numbers in rows of one length, without a unit"
 ) -> NDArray[np.float64]:
-    """Return real numbers as an array of floats; they may be nan or infinite.
-
-    Parameters
-    ----------
-    value : array_like
-    name : str
-        What it is, for the message.
-    asked : str, optional
-        What it must be, for the message.
+    """Return real numbers, also nan or infinite, as an array of floats.
 
     Raises
     ------
     ValueError
-        If it is complex, text, a Quantity, or in rows of different lengths.
+        If it is complex, text, a Quantity, or in rows of different lengths; the message says what is `asked`.
     """
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         given = np.asarray(value)
@@ -86,7 +64,7 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
 
 
 def _has_unit(value: Any) -> bool:
-    """Tell whether a value, or one in a list of values, is a Quantity."""
+    """Return whether a value, or one in a list of values, is a Quantity."""
     return hasattr(value, "unit") or (isinstance(value, (list, tuple)) and any(hasattr(x, "unit") for x in value))
 
 
@@ -100,19 +78,8 @@ def _index(value: Any) -> bool:
 
 def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
-    if not plain or not _finite(value) or not fits(value):
-        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {_shown(value)}")
+    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # has no float
+    if not plain or huge or not math.isfinite(value) or not fits(value):
+        shown = f"one beyond {sys.float_info.max:.2g}" if huge else repr(value)
+        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")
     return float(value)
-
-
-def _finite(value: Any) -> bool:
-    return not _beyond(value) and math.isfinite(value)
-
-
-def _beyond(value: Any) -> bool:
-    """Tell whether a value is an int larger than all floats."""
-    return isinstance(value, int) and abs(value) > sys.float_info.max
-
-
-def _shown(value: Any) -> str:
-    return f"one beyond {sys.float_info.max:.2g}" if _beyond(value) else repr(value)

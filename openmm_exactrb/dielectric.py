@@ -17,18 +17,7 @@ _LARGEST = 1e100  # whose squares, and the sums of many, are still numbers
 
 
 def reaction(dielectric: float) -> float:
-    """Return the factor 2 (eps - 1)/(2 eps + 1) of the field with which surroundings answer a dipole.
-
-    Parameters
-    ----------
-    dielectric : float
-        Relative permittivity eps of the surroundings: infinity for a conductor, 1 for vacuum.
-
-    Raises
-    ------
-    ValueError
-        If it is less than 1.
-    """
+    """Return the factor 2 (eps - 1)/(2 eps + 1) of the reaction field of a medium; a ValueError if eps < 1."""
     if not (dielectric == np.inf or checks.number(dielectric, "dielectric") >= 1.0):
         raise ValueError(f"dielectric must be at least 1, not {dielectric}")
     return float(2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric))

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.quaternions import Numbers
+
 Array = NDArray[np.float64]
 
 #: Beyond this argument sech(v)² would leave the range of float64; on the separatrix nothing changes any more.
@@ -22,21 +24,10 @@ TINY_SQUARE = 1e-60
 
 
 def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
-    """Jacobi's sn, cn and dn from the complementary parameter, by the arithmetic-geometric mean.
+    """Return Jacobi's sn, cn and dn of v (N,), and the integer nearest to v/2K, odd where cn < 0 (0 where kc = 0).
 
-    Parameters
-    ----------
-    v : (N,) array
-        Argument, of any sign and size.
-    kc2 : (N,) array
-        Complementary parameter 1 - k², between 0 (tanh and sech) and 1 (sine and cosine).
-
-    Returns
-    -------
-    sn, cn, dn : (N,) arrays
-        cn and dn keep their relative accuracy where they are small.
-    half_turns : (N,) array
-        The integer N nearest to v / 2K, odd where cn is negative and even elsewhere (0 where kc = 0).
+    kc2 (N,) is the complementary parameter 1 - k², from 0 (tanh and sech) to 1 (sine and cosine). Small cn and dn keep
+    their relative accuracy.
 
     Notes
     -----
@@ -69,11 +60,8 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
     cn = c * sn
 
     if tiny.any():
-        sn, cn, dn = (
-            np.where(tiny, v, sn),
-            np.where(tiny, np.copysign(1.0, cosine), cn),
-            np.where(tiny, 1.0, dn),
-        )
+        sn, cn = np.where(tiny, v, sn), np.where(tiny, np.copysign(1.0, cosine), cn)
+        dn = np.where(tiny, 1.0, dn)
     odd = np.where(cn < 0.0, 1.0, 0.0)
     half_turns = odd + 2.0 * np.rint(0.5 * (phase / np.pi - odd))
     if separatrix.any():
@@ -88,20 +76,8 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
 def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array) -> Array:
     """Integrate b w² / (1 + b w²) over v/c, where w = sn(v)/c, from 0 to v, past any number of half periods.
 
-    Parameters
-    ----------
-    v, kc2 : (N,) arrays
-        As in `jacobi`.
-    c : (N,) array
-        Frequency, not negative; zero is allowed and means that v is zero and sn(v)/c has its limit w.
-    b : (N,) array
-        Not negative, so that nothing cancels.
-    w, cn, dn, half_turns : (N,) arrays
-        sn(v)/c, and what `jacobi` returned for v and kc2.
-
-    Returns
-    -------
-    (N,) array
+    cn, dn and half_turns are what `jacobi` returned for v and kc2; b and c are not negative. Where c is zero, v is zero
+    and w the limit of sn(v)/c.
 
     Notes
     -----
@@ -127,16 +103,7 @@ def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn
 
 
 def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
-    """Carlson's R_J(x, y, 1, p) for 0 <= x, y <= 1 and positive p.
-
-    Parameters
-    ----------
-    x, y, p : (N,) arrays
-        x may be one number for all.
-
-    Returns
-    -------
-    (N,) array
+    """Return Carlson's R_J(x, y, 1, p) for 0 <= x, y <= 1 and positive p, (N,); x may be one number for all.
 
     Notes
     -----
@@ -166,14 +133,6 @@ def third_kind_short(w: Array, x: Array, z: Array, b: Array) -> Array:
     Gauss's rule with ten nodes on [-w, w], or six for w up to 0.1: the integrand is even, so half of them are
     evaluated. With x, z and b in [0, 1] its singularities are at least 1 away from zero and the rule is exact to
     roundoff.
-
-    Parameters
-    ----------
-    w, x, z, b : (N,) arrays
-
-    Returns
-    -------
-    (N,) array
     """
     nodes_squared, weights = RULES[0] if np.max(np.abs(w), initial=0.0) <= 0.1 else RULES[1]
     square = nodes_squared * (w * w)
@@ -195,19 +154,10 @@ def _even_rule(n: int) -> tuple[Array, Array]:
 RULES = (_even_rule(3), _even_rule(5))
 
 
-def sine_short(s: Array, x: Array, z: Array) -> Array:
-    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)).
+def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
+    """Return w = sn(v)/c at s = v/c for abs(s) <= 0.3, where dw/ds = sqrt((1 - x w²)(1 - z w²)), x and z in [0, 1].
 
     The Taylor series to the eleventh order at s/2, and one duplication.
-
-    Parameters
-    ----------
-    s, x, z : (N,) arrays
-        x and z in [0, 1]; dn² = 1 - z w² and cn² = 1 - x w², or the other way round.
-
-    Returns
-    -------
-    (N,) array
     """
     half = 0.5 * s
     u = half * half
@@ -217,31 +167,14 @@ def sine_short(s: Array, x: Array, z: Array) -> Array:
     w = half * (in_P + q * in_q)
     u = w * w
     xu, zu = x * u, z * u
-    doubled: Array = 2.0 * w * np.sqrt((1.0 - xu) * (1.0 - zu)) / (1.0 - xu * zu)
-    return doubled
+    return 2.0 * w * np.sqrt((1.0 - xu) * (1.0 - zu)) / (1.0 - xu * zu)
 
 
 def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
     """Legendre's incomplete integral of the third kind less its argument, Pi(n; am u, k) - u, past any half period.
 
-    That is the integral of n sn² / (1 - n sn²) from 0 to u.
-
-    Parameters
-    ----------
-    sn, cn, dn, half_turns : (N,) arrays
-        What `jacobi` returns for u and kc2.
-    kc2 : (N,) array
-        Complementary parameter 1 - k², positive.
-    nc : (N,) array
-        Complementary characteristic 1 - n, positive.
-
-    Returns
-    -------
-    (N,) array
-
-    Notes
-    -----
-    n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period, with Carlson's R_J (DLMF 19.25.14).
+    That is the integral of n sn² / (1 - n sn²) from 0 to u, for what `jacobi` returns for u and positive kc2 = 1 - k²,
+    and positive nc = 1 - n: n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period (DLMF 19.25.14).
     """
     sn2, cn2 = sn * sn, cn * cn
     folded = np.where(cn < 0.0, -sn, sn)

@@ -1,7 +1,6 @@
-"""Rigid bodies that turn about a fixed point in a potential: energies, torques, and the paper's initial values.
+"""Rigid bodies about a fixed point in a potential: energies, torques, and the paper's initial values.
 
-All arrays are component-first: attitudes q (4, N), body-frame angular momenta m (3, N), so that many copies of a
-problem move as one.
+All arrays are component-first, for many copies of a problem: attitudes q (4, N), body-frame angular momenta m (3, N).
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import Force, Substep
 
 Array = NDArray[np.float64]
-#: Attitudes (4, N) and body-frame angular momenta (3, N), or sums of them.
+#: Attitudes (4, N) and body-frame angular momenta (3, N), or double-doubles of them.
 TopState = tuple[Array, Array]
 
 
@@ -64,13 +63,13 @@ def integrate(
     ----------
     problem : Problem
     state : tuple
-        (q, m), not changed: arrays (4, N) and (3, N), or sums (2, 4, N) and (2, 3, N) of `openmm_exactrb.compensated`.
-        Within a call everything is a sum; between calls only if sums are handed in.
+        (q, m), not changed: arrays (4, N) and (3, N), or double-doubles (2, 4, N) and (2, 3, N) of
+        `openmm_exactrb.compensated`, as they are within a call.
     h : float
         Step size.
     n : int
-        Number of steps. The last stage of a step and the first of the next are one, and a processed scheme prepares the
-        state before them and finishes it after them.
+        Number of steps. The last stage of a step and the first of the next are one; a processor is applied before the
+        first step, and its inverse after the last.
     scheme : Scheme
     method : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an entry of your own.
@@ -78,7 +77,7 @@ def integrate(
     Returns
     -------
     tuple
-        (q, m) after the last step, as it was handed in.
+        (q, m) after the last step, in the form of `state`.
 
     Raises
     ------
@@ -95,14 +94,14 @@ def integrate(
 
 @dataclass(frozen=True)
 class ProblemEnvironment:
-    """What substeps are bound to for a problem; see `openmm_exactrb.substeps.Environment`."""
+    """The `openmm_exactrb.substeps.Environment` of a problem."""
 
     problem: Problem
     kinetic: Kinetic
     inertia: Array
 
     def forces(self, group: int | None = None) -> Callable[[State], Force]:
-        """Return the torque of the potential: bodies do not move from their place."""
+        """Return the torque of the potential, and no force."""
         return lambda state: (_NOWHERE, self.problem.torque(state.q[0]))
 
     def gradient(self, state: State) -> Force:
@@ -110,7 +109,7 @@ class ProblemEnvironment:
         return _NOWHERE, self.problem.gradient_torque(state.q[0])
 
     def check(self, state: State) -> None:
-        """Check nothing: what is not finite stays so."""
+        """Accept any state: numbers that are not finite stay so."""
 
 
 def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[Substep, Flow[State]]:
@@ -168,8 +167,8 @@ class HeavyTop:
 
     def torque(self, q: Array) -> Array:
         """Return the torque epsilon (u2, -u1, 0), (3, N)."""
-        u = self._u(q)
-        return self.epsilon * np.stack([u[1], -u[0], np.zeros_like(u[0])])
+        u1, u2, _ = self._u(q)
+        return self.epsilon * np.stack([u2, -u1, np.zeros_like(u1)])
 
     def gradient_torque(self, q: Array) -> Array:
         """Return the torque u x dU/du of U = epsilon² (u2²/I1 + u1²/I2), (3, N)."""

@@ -5,10 +5,14 @@ Inner loops hold them component-first, (4, N): one contiguous row a component.
 
 from __future__ import annotations
 
+from typing import Any, TypeAlias
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+#: An array, or in compiled code a scalar.
+Numbers: TypeAlias = Any
 
 #: Adding and subtracting it rounds numbers between -1 and 1 to multiples of 2^-26.
 TO_GRID = 1.5 * 2.0**26
@@ -16,14 +20,19 @@ TO_GRID = 1.5 * 2.0**26
 
 def multiply(p: Array, q: Array) -> Array:
     """Return the product p q of component-first quaternions (4, N); q may be one for all, (4, 1)."""
-    p0, p1, p2, p3 = p
-    q0, q1, q2, q3 = q
-    out = np.empty((4, *np.broadcast_shapes(p0.shape, q0.shape)), dtype=np.result_type(p0, q0, np.float64))
-    out[0] = p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3
-    out[1] = p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2
-    out[2] = p0 * q2 - p1 * q3 + p2 * q0 + p3 * q1
-    out[3] = p0 * q3 + p1 * q2 - p2 * q1 + p3 * q0
-    return out
+    return np.array(product(*p, *q))
+
+
+def product(
+    p0: Numbers, p1: Numbers, p2: Numbers, p3: Numbers, q0: Numbers, q1: Numbers, q2: Numbers, q3: Numbers
+) -> tuple[Numbers, ...]:
+    """Return the components of p q, for arrays, and for scalars in compiled code."""
+    return (
+        p0 * q0 - p1 * q1 - p2 * q2 - p3 * q3,
+        p0 * q1 + p1 * q0 + p2 * q3 - p3 * q2,
+        p0 * q2 - p1 * q3 + p2 * q0 + p3 * q1,
+        p0 * q3 + p1 * q2 - p2 * q1 + p3 * q0,
+    )
 
 
 def exponential(turn: Array) -> Array:
@@ -33,7 +42,7 @@ def exponential(turn: Array) -> Array:
 
 
 def renormalise(x: Array) -> Array:
-    """Bring component-first vectors that are unit up to roundoff back to norm one, in place.
+    """Normalise component-first vectors that are unit up to roundoff, in place.
 
     The correction x (1 - x.x)/2 is added: dividing by a square root rounds with a bias, which shows as a drift
     over a million steps.
@@ -42,7 +51,7 @@ def renormalise(x: Array) -> Array:
     return x
 
 
-def one_less_square(q: Array) -> Array:
+def norm_defect(q: Array) -> Array:
     """Return 1 - q.q of component-first unit quaternions (4, N), with an error of 1e-24.
 
     In float64 the sum has an error of 1e-16 that depends on q: a norm corrected by it, and the force with the norm,
@@ -65,22 +74,16 @@ def rotation_matrix(q: ArrayLike) -> Array:
 
 def matrix(q: Array) -> Array:
     """Return the rotation matrices (3, 3, ...) of component-first unit quaternions (4, ...)."""
-    w, x, y, z = q
+    return np.array(matrix_entries(*q)).reshape(3, 3, *q.shape[1:])
+
+
+def matrix_entries(w: Numbers, x: Numbers, y: Numbers, z: Numbers) -> tuple[Numbers, ...]:
+    """Return the nine entries of a rotation matrix row by row, for arrays, and for scalars in compiled code."""
     x2, y2, z2 = x + x, y + y, z + z
     xx, yy, zz = x * x2, y * y2, z * z2
     xy, xz, yz = x * y2, x * z2, y * z2
     wx, wy, wz = w * x2, w * y2, w * z2
-    out = np.empty((3, 3, *q.shape[1:]))
-    out[0, 0] = 1.0 - (yy + zz)
-    out[0, 1] = xy - wz
-    out[0, 2] = xz + wy
-    out[1, 0] = xy + wz
-    out[1, 1] = 1.0 - (xx + zz)
-    out[1, 2] = yz - wx
-    out[2, 0] = xz - wy
-    out[2, 1] = yz + wx
-    out[2, 2] = 1.0 - (xx + yy)
-    return out
+    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
 
 
 def from_matrix(Q: Array) -> Array:

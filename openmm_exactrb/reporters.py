@@ -27,18 +27,20 @@ class _Lines:
     """Lines of CSV at intervals, each flushed at once."""
 
     def __init__(
-        self,
-        file: str | os.PathLike[str] | TextIO,
-        reportInterval: int,
-        columns: Sequence[str],
-        append: bool,
+        self, file: str | os.PathLike[str] | TextIO, reportInterval: int, columns: Sequence[str], append: bool
     ) -> None:
         self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
-        if not isinstance(file, (str, os.PathLike)) and not hasattr(file, "write"):
-            raise ValueError(f"file must be a path or an open text file, not {file!r}")
         self._owned = isinstance(file, (str, os.PathLike))
         head = ",".join(columns)
-        self._out: TextIO = _open(Path(file), head, append) if isinstance(file, (str, os.PathLike)) else file
+        if isinstance(file, (str, os.PathLike)):
+            path = Path(file)
+            if append and path.is_file():
+                _cut_to_lines(path, head)
+            self._out: TextIO = path.open("a" if append else "w")
+        elif hasattr(file, "write"):
+            self._out = file
+        else:
+            raise ValueError(f"file must be a path or an open text file, not {file!r}")
         if not append or (self._owned and self._out.tell() == 0):
             self._out.write(f"{head}\n")
 
@@ -93,14 +95,7 @@ class EnergyReporter(_Lines):
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
 
     def report(self, simulation: Any, state: Any) -> None:
-        """Write a line.
-
-        Parameters
-        ----------
-        simulation : openmm.app.Simulation
-        state : openmm.State
-            With energies.
-        """
+        """Write a line for a Simulation and a State with energies."""
         translational, rotational = (e._value for e in simulation.integrator.kineticEnergies())
         kinetic = translational + rotational
         potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
@@ -150,21 +145,16 @@ class MomentReporter(_Lines):
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
-        """Write a line.
-
-        Parameters
-        ----------
-        simulation : openmm.app.Simulation
-        state : openmm.State
-            With positions.
-        """
+        """Write a line for a Simulation and a State with positions."""
         x, molecules = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), self._molecules_of(simulation)
         if simulation.system.usesPeriodicBoundaryConditions():
-            x = _whole(x, molecules, state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer))
+            box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
+            for particles in molecules:
+                x = joined(x, particles, box)
         self._write(simulation, state, self._charges @ x)
 
     def _molecules_of(self, simulation: Any) -> list[NDArray[np.intp]]:
-        """Return the particles (n, k) of the molecules of each size k, after checking the charges."""
+        """Return the particles (n, k) of the molecules of each size k > 1, after checking the charges."""
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
@@ -174,7 +164,13 @@ class MomentReporter(_Lines):
         if self._molecules is None:
             molecule = _molecules(simulation)
             _refuse_ions(self._charges, molecule)
-            self._molecules = _by_size(molecule)
+            sizes = np.bincount(molecule)
+            order, ends = np.argsort(molecule, kind="stable"), np.cumsum(sizes)
+            self._molecules = [
+                np.stack([order[end - k : end] for end in ends[sizes == k]])
+                for k in map(int, np.unique(sizes))
+                if k > 1
+            ]
         return self._molecules
 
 
@@ -190,20 +186,6 @@ def _elementary(charges: Any) -> Array:
         first = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"charges must be finite numbers, and that of particle {first} is {values[first]}")
     return values
-
-
-def _whole(x: Array, molecules: Iterable[NDArray[np.intp]], box: Array) -> Array:
-    """Return positions with molecules whole, across the faces of the box."""
-    for particles in molecules:
-        x = joined(x, particles, box)
-    return x
-
-
-def _by_size(molecule: NDArray[np.integer[Any]]) -> list[NDArray[np.intp]]:
-    """Return the particles (n, k) of the molecules of each size k from 2 on, from the molecule of each particle."""
-    sizes = np.bincount(molecule)
-    order, ends = np.argsort(molecule, kind="stable"), np.cumsum(sizes)
-    return [np.stack([order[end - k : end] for end in ends[sizes == k]]) for k in map(int, np.unique(sizes)) if k > 1]
 
 
 def _refuse_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
@@ -231,21 +213,8 @@ def _molecules(simulation: Any) -> NDArray[np.integer[Any]]:
     return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _open(file: Path, columns: str, append: bool) -> TextIO:
-    """Open a table; one that is appended to ends with a whole line."""
-    if append and file.is_file():
-        _cut_to_lines(file, columns)
-    return file.open("a" if append else "w")
-
-
 def _cut_to_lines(file: Path, columns: str) -> None:
-    """Cut a table back to the end of its last whole line.
-
-    Raises
-    ------
-    ValueError
-        If it would have to be cut, and does not begin with the names of the columns.
-    """
+    """Cut a table back to the end of its last whole line; a ValueError if it does not begin with the columns."""
     with file.open("r+b") as table:
         end = _end_of_lines(table)
         if end == table.seek(0, os.SEEK_END):

@@ -1,4 +1,4 @@
-"""Text that represents a value identically in every process: job keys and the identity of runs are built from it."""
+"""Text that represents a value identically in every process, for job keys and the identity of runs."""
 
 from __future__ import annotations
 

@@ -13,9 +13,9 @@ from openmm import app
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved under another integrator.
 
-    OpenMM's own ``simulation.loadState(file)`` and ``context.setState(state)`` require a State of the same kind of
-    integrator if the new one is a CustomIntegrator, and fail with "Unknown property 'version'". The opposite direction
-    works: other integrators read States of this package with ``simulation.loadState``.
+    OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
+    the new integrator is a CustomIntegrator and the old one is not. Other integrators read States of this package with
+    ``simulation.loadState``.
 
     Parameters
     ----------
@@ -65,15 +65,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
 
 
 def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openmm.XmlSerializer") -> Any:
-    """Read a System, State or Integrator that was serialised.
-
-    Parameters
-    ----------
-    file : str or path
-    kind : type
-        Such as openmm.System.
-    writer : str, optional
-        The function that writes such files, for the message.
+    """Read an object of this kind, such as openmm.System, from the XML of a `writer`.
 
     Raises
     ------

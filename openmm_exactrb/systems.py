@@ -131,8 +131,8 @@ def dipole_fluid(
     Returns
     -------
     topology : openmm.app.Topology
-        One residue a sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole), which
-        a bond joins to an arrow.
+        One residue a sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole) with a
+        bond between them.
     system : openmm.System
         Constraints hold the sites together, the potential acts on the virtual sites.
     positions : Quantity
@@ -148,7 +148,9 @@ def dipole_fluid(
     sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
     mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
     trap, density = stripped(trap, _STIFFNESS), stripped(density, unit.nanometer**-3)
-    vector = _dipole_vector(dipole)
+    vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
     n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
     checks.positive(epsilon, "epsilon", "kJ/mol")
     spacing = checks.positive(spacing, "spacing", "nm")
@@ -163,7 +165,7 @@ def dipole_fluid(
     chain = topology.addChain()
     for _ in range(n):
         arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
-    potential = soft_dipole_force(
+    force = soft_dipole_force(
         arrows,
         strength=strength,
         length=0.5 * sigma,
@@ -175,7 +177,7 @@ def dipole_fluid(
         boundary=boundary,
         kernel=kernel,
     )
-    system.addForce(potential)
+    system.addForce(force)
     if box is not None:
         spacing = box / _places_a_side(n)
         vectors = box * np.eye(3)
@@ -201,7 +203,7 @@ def _lattice(n: int) -> Array:
 
 
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
-    """Return the sites of molecules with this shape (k, 3) at these places, each turned at random."""
+    """Return the positions of molecules with this shape (k, 3) at these centres, each turned at random."""
     Q = quaternions.rotation_matrix(quaternions.random(rng, len(centres)))
     positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
     return unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
@@ -228,21 +230,8 @@ def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternal
     return force
 
 
-def _dipole_vector(dipole: Any) -> Array:
-    values = [dipole_strength(d) for d in dipole] if np.iterable(dipole) else []
-    vector = np.asarray(values, dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
-    return vector
-
-
 def _add_molecule(
-    system: openmm.System,
-    topology: app.Topology,
-    chain: app.topology.Chain,
-    mass: float,
-    sites: Array,
-    arrow: Array,
+    system: openmm.System, topology: app.Topology, chain: app.topology.Chain, mass: float, sites: Array, arrow: Array
 ) -> tuple[int, int]:
     """Add a rigid molecule with the virtual sites C and D; return their particles."""
     first, k = system.getNumParticles(), len(sites)
@@ -263,9 +252,9 @@ def _add_molecule(
 
 
 def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
-    """Return a virtual site at a place given in the principal axes of the body.
+    """Return a virtual site at a position in the principal axes of the body.
 
-    OpenMM needs a third of the time of a LocalCoordinatesSite for it.
+    It costs OpenMM a third of the time of a LocalCoordinatesSite.
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
     frame = np.column_stack([to_second, to_third, np.cross(to_second, to_third)])

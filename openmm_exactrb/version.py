@@ -8,13 +8,7 @@ from importlib import metadata
 
 @cache
 def version(otherwise: str) -> str:
-    """Return the version of this package.
-
-    Parameters
-    ----------
-    otherwise : str
-        What is returned where the package is not installed, but a source folder on the path.
-    """
+    """Return the version of this package, or `otherwise` if it is not installed, but a source folder on the path."""
     try:
         return metadata.version("openmm-exactrb")
     except metadata.PackageNotFoundError:

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.compensated import add
-from openmm_exactrb.kernels.compiled.cluster_rows import TO_GRID
 from openmm_exactrb.kernels.compiled.clusters import HALVINGS, ORDERS, SETTLED
 from openmm_exactrb.kernels.graph import Array, Graph, factor
 from openmm_exactrb.mechanics.clusters import Clusters
+from openmm_exactrb.quaternions import TO_GRID
 
 
 class ReferenceClusters(Clusters):

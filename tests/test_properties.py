@@ -214,7 +214,7 @@ def test_the_defect_of_a_norm_is_exact(x):
     assume((size > 0.1).all())
     q = x / size
     exact = [float(1 - sum(Fraction(component) ** 2 for component in column)) for column in q.T]
-    np.testing.assert_allclose(quaternions.one_less_square(q), exact, rtol=0.0, atol=1e-23)
+    np.testing.assert_allclose(quaternions.norm_defect(q), exact, rtol=0.0, atol=1e-23)
 
 
 def test_a_quaternion_that_is_not_finite_spoils_no_neighbour():

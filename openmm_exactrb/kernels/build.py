@@ -1,4 +1,4 @@
-"""How functions are compiled and kept on disk, and a word to who waits for it. Importing this imports numba."""
+"""Compilation of functions by numba, which is imported with this module, and its cache on disk."""
 
 from __future__ import annotations
 
@@ -18,21 +18,16 @@ _log = logging.getLogger("openmm_exactrb")
 Function = Callable[..., Any]
 
 _REORDERED = {"reassoc", "contract", "arcp", "nsz"}
-# What only compiled code calls needs no door from Python and no place on disk: they take longer than a short function.
-_UNSEEN = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+# Functions that only compiled code calls need no wrappers, which take longer to compile than a short function.
+_NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PACKAGE = Path(__file__).parent.parent
 
 
 def compiled(arguments: str) -> Callable[[Function], Function]:
-    """Compile a function when it is defined, or load it from numba's cache on disk.
+    """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
 
-    Compiled code runs without Python's global lock, and divides as IEEE 754 says.
-
-    Parameters
-    ----------
-    arguments : str
-        What the function takes: "f" for a float, "i" for an integer, and for contiguous arrays of them their number
-        of axes behind it; a capital letter is an array that the function writes to. "f2 F1" is a matrix and a result.
+    `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
+    a capital letter is an array that the function writes to. "f2 F1" is a matrix and a vector for the result.
     """
     scalars = {"f": types.float64, "i": types.int64}
 
@@ -43,7 +38,7 @@ def compiled(arguments: str) -> Callable[[Function], Function]:
     signature = types.void(*map(type_of, arguments.split()))
 
     def decorate(function: Function) -> Function:
-        dispatcher: Any = _kept(njit(error_model="numpy", nogil=True)(function))
+        dispatcher: Any = _cached(njit(error_model="numpy", nogil=True)(function))
         dispatcher.compile(signature.args)
         dispatcher.disable_compile()
         ready: Function = dispatcher
@@ -53,54 +48,52 @@ def compiled(arguments: str) -> Callable[[Function], Function]:
 
 
 def reordered(function: Function) -> Function:
-    """Compile a function for the arguments of its first call, with sums reordered and products fused.
-
-    nan and inf stay what they are, no square root or division is approximated.
-    """
-    fast: Function = _kept(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
+    """Compile a function at its first call, with sums reordered and products fused, but no other fast mathematics."""
+    fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 
 
 def inner(function: Function) -> Function:
-    """Mark a function that compiled ones call, and nobody else."""
-    callee: Function = njit(error_model="numpy", **_UNSEEN)(function)
+    """Mark a function that only compiled ones call."""
+    callee: Function = njit(error_model="numpy", **_NO_WRAPPERS)(function)
     return callee
 
 
 def inner_reordered(function: Function) -> Function:
-    """Mark a function that compiled ones call, and nobody else, with the freedom of `reordered`."""
-    callee: Function = njit(error_model="numpy", fastmath=_REORDERED, **_UNSEEN)(function)
+    """Do as `inner`, with sums reordered and products fused."""
+    callee: Function = njit(error_model="numpy", fastmath=_REORDERED, **_NO_WRAPPERS)(function)
     return callee
 
 
 def inlined(function: Function) -> Function:
-    """Mark a function that becomes a part of those that call it."""
+    """Mark a function that is inlined into compiled ones."""
     part: Function = njit(error_model="numpy", inline="always")(function)
     return part
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache, which looks at the file of a function only, with all sources of the kernels in its key."""
+    """numba's cache with all sources of the kernels in its key, not only the file of a function."""
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(sig, codegen), sources())
 
 
-def _kept(dispatcher: Any) -> Any:
-    """Have numba keep on disk what it compiles."""
-    dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba has no door to the key of its cache
+def _cached(dispatcher: Any) -> Any:
+    """Have numba cache compiled code on disk."""
+    dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba's interface has no other key
     return dispatcher
 
 
 @cache
 def sources() -> str:
-    """Return a hash of all files that compiled code may be made of: functions are inlined from one into another."""
-    files = [*sorted(_PACKAGE.glob("kernels/**/*.py")), _PACKAGE / "elliptic.py", _PACKAGE / "quaternions.py"]
+    """Return a hash of all files from which functions are inlined into compiled code."""
+    shared = (_PACKAGE / f"{name}.py" for name in ("compensated", "elliptic", "quaternions"))
+    files = [*sorted(_PACKAGE.glob("kernels/**/*.py")), *shared]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
 class _Announcer(event.Listener):  # type: ignore[misc]
-    """Says once what the first run waits for."""
+    """Logs once that kernels are being compiled."""
 
     told = False
 

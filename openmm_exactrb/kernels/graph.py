@@ -12,39 +12,21 @@ Indices = NDArray[np.int64]
 
 
 class Graph(NamedTuple):
-    """A kind of clusters, as the kernels take it.
+    """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
 
-    Attributes
-    ----------
-    inverse : (n,) array
-        Inverse masses of the atoms.
-    pairs : (m, 2) array
-        The two atoms of each constraint.
-    lengths : (m,) array
-    weights : (e,) array
-        B_cd of the entries of the Cholesky factor of A that are not zero, row by row, the diagonal last.
-    rows : (m + 1,) array
-        Where the entries of a row begin.
-    columns : (e,) array
-    starts : (e + 1,) array
-        Where the products begin that an entry is diminished by.
-    left, right : arrays
-        The two entries of each product.
-    """
-
-    inverse: Array
-    pairs: Indices
-    lengths: Array
-    weights: Array
-    rows: Indices
-    columns: Indices
-    starts: Indices
-    left: Indices
-    right: Indices
+    inverse: Array  #: inverse masses of the atoms (n,)
+    pairs: Indices  #: the two atoms of each constraint (m, 2)
+    lengths: Array  #: of the constraints (m,)
+    weights: Array  #: B_cd of each entry (e,), row by row, the diagonal last
+    rows: Indices  #: first entry of each row (m + 1,)
+    columns: Indices  #: column of each entry (e,)
+    starts: Indices  #: first of the products that are subtracted from each entry (e + 1,)
+    left: Indices  #: first entry of each product
+    right: Indices  #: second entry of each product
 
 
 def factor(graph: Graph, r: Array) -> list[Array]:
-    """Return the Cholesky factor of A, entry by entry (N,), with the inverse of its diagonal in the place of it."""
+    """Return the Cholesky factor of A, entry by entry (N,), with its diagonal inverted."""
     A: list[Array] = []
     for c in range(len(graph.pairs)):
         for e in range(graph.rows[c], graph.rows[c + 1]):

@@ -1,4 +1,4 @@
-"""Work that is shared out among threads."""
+"""Loops shared among threads."""
 
 from __future__ import annotations
 
@@ -19,16 +19,8 @@ def cores() -> int:
 
 
 def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
-    """Call ``function(first, last)`` on ranges of about equal work, each in a thread of its own, this one included.
-
-    Parameters
-    ----------
-    function : callable
-    work : (n,) array
-        What each of n items costs, in any unit.
-    threads : int
-    """
-    if threads == 1:  # spares the microseconds of what follows
+    """Call ``function(first, last)`` on ranges of items with about equal work (n,), each in a thread of its own."""
+    if threads == 1:
         function(0, len(work))
         return
     done = np.cumsum(work)

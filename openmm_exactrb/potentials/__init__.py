@@ -3,13 +3,11 @@
 OpenMM's units, amu, nm, ps and kJ/mol, are a consistent set: reduced units map to them one to one.
 """
 
-from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Open, ReactionField
+from openmm_exactrb.potentials.boundaries import Ewald, Open, ReactionField
 from openmm_exactrb.potentials.dipoles import SoftDipoles, soft_dipole_force
 from openmm_exactrb.potentials.moments import dipole_strength
 
 __all__ = [
-    "OPEN",
-    "Boundary",
     "Ewald",
     "Open",
     "ReactionField",

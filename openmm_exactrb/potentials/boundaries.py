@@ -1,8 +1,8 @@
-"""What is around a sample of dipoles: nothing, a dielectric beyond a cutoff, or all its images.
+"""Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-Within a cutoff the pairs are nearest images, and a switch S on their whole energy ends it. S is proportional to the
-integral of (s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`: forces have five
-continuous derivatives, as schemes of order 6 need them.
+A switch S on the energy of pairs of nearest images ends it at the cutoff. S is proportional to the integral of
+(s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`: forces have five continuous
+derivatives, as schemes of order 6 need them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ class Open:
     """No box: all pairs, at any distance."""
 
     periodic: ClassVar[bool] = False
-    needs_kernel: ClassVar[bool] = False
 
     def truncation(self, box: Edges | None) -> None:
         """Return that there is none, nor a box."""
@@ -43,7 +42,7 @@ class Open:
 
 @dataclass(frozen=True, kw_only=True)
 class _Periodic:
-    """What periodic boundaries have in common."""
+    """Common settings of periodic boundaries."""
 
     cutoff: float | None = None
     switch: float | None = None
@@ -52,7 +51,7 @@ class _Periodic:
     periodic: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse what no box can mend."""
+        """Refuse what fits no box."""
         if self.cutoff is not None:
             checks.positive(self.cutoff, "cutoff", "nm")
         if self.switch is not None:
@@ -62,13 +61,7 @@ class _Periodic:
         reaction(self.dielectric)
 
     def distances(self, box: Edges | None) -> tuple[float, float]:
-        """Return cutoff and begin of the switch (nm) in a box.
-
-        Raises
-        ------
-        ValueError
-            If there is none, or they do not fit it.
-        """
+        """Return cutoff and begin of the switch (nm); a ValueError if there is no box, or they do not fit it."""
         if box is None:
             raise ValueError(f"{self} needs a periodic box: add box=(a, b, c), its edges in nm")
         cutoff = 0.5 * min(box) if self.cutoff is None else _plain(self.cutoff)
@@ -100,8 +93,6 @@ class ReactionField(_Periodic):
     ValueError
         If a number is out of its range.
     """
-
-    needs_kernel: ClassVar[bool] = False
 
     def truncation(self, box: Edges | None) -> Truncation:
         """Return cutoff, begin of the switch (nm) and strength of the reaction field (1/nm³) in a box."""
@@ -138,10 +129,8 @@ class Ewald(_Periodic):
 
     tolerance: float = 1e-4
 
-    needs_kernel: ClassVar[bool] = True
-
     def __post_init__(self) -> None:
-        """Refuse what no box can mend."""
+        """Refuse what fits no box."""
         super().__post_init__()
         if not 1e-13 <= checks.number(self.tolerance, "tolerance") <= 1e-2:
             raise ValueError(f"tolerance must be between 1e-13 and 1e-2, not {self.tolerance!r}")
@@ -159,25 +148,19 @@ class Ewald(_Periodic):
 
 Boundary: TypeAlias = Open | ReactionField | Ewald
 
-#: The boundary of who asks for none.
+#: The default.
 OPEN = Open()
 
 
 def checked(boundary: Boundary) -> Boundary:
-    """Return a boundary, or raise a ValueError if it is none."""
+    """Return a boundary; a ValueError if it is none."""
     if not isinstance(boundary, Open | ReactionField | Ewald):
         raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {boundary!r}")
     return boundary
 
 
 def edges_of(box: Sequence[float]) -> Edges:
-    """Return the edges of a rectangular box (nm) as floats.
-
-    Raises
-    ------
-    ValueError
-        If these are no three positive edges.
-    """
+    """Return the edges of a rectangular box (nm) as floats; a ValueError if these are no three positive numbers."""
     if unit.is_quantity(box) or np.shape(box) != (3,):
         raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {box!r}")
     a, b, c = (checks.positive(edge, "each edge of the box", "nm") for edge in box)

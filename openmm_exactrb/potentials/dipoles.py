@@ -1,4 +1,4 @@
-"""Soft dipolar spheres: the force, and what its PythonForce computes."""
+"""Soft dipolar spheres: the force, and the function of its PythonForce."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb import checks
+from openmm_exactrb import checks, kernels
 from openmm_exactrb.context import arrays
-from openmm_exactrb.potentials import compiled
-from openmm_exactrb.potentials.boundaries import OPEN, Boundary, check_cutoff, checked, edges_of
+from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_formula
 
 Array = NDArray[np.float64]
@@ -87,12 +86,11 @@ def soft_dipole_force(
     arrows = _pairs(arrows)
     edges = None if box is None else edges_of(box)
     truncation = checked(boundary).truncation(edges)
-    in_kernel = compiled.chosen(kernel, needed=boundary.needs_kernel)
+    in_kernel = _takes_compiled(kernel, needed=isinstance(boundary, Ewald))
     parameters = _parameters(strength, length, sigma, epsilon, attraction)
     if wca and not (attraction > 0.0 and epsilon > 0.0):
         raise ValueError(
-            "without an attraction there is no minimum: wca needs a positive one, 1 for Lennard-Jones, and a positive "
-            "epsilon"
+            "without an attraction there is no minimum: wca needs a positive attraction and a positive epsilon"
         )
     if in_kernel:
         force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
@@ -105,14 +103,22 @@ def soft_dipole_force(
     return force
 
 
-def _pairs(arrows: Any) -> list[tuple[int, int]]:
-    """Return arrows as pairs of particles.
+def _takes_compiled(kernel: str, *, needed: bool) -> bool:
+    """Return whether "auto", "openmm" or "compiled" means the compiled kernel, which an Ewald sum needs."""
+    if needed or kernel == "compiled":
+        kernels.require()
+    if kernel not in ("auto", "openmm", "compiled"):
+        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, compiled")
+    takes = kernel == "compiled" or (kernel == "auto" and kernels.available())
+    if needed and not takes:
+        raise ValueError(
+            "only the compiled kernel has an Ewald sum: ask for kernel='compiled', or for boundary=ReactionField()"
+        )
+    return takes
 
-    Raises
-    ------
-    ValueError
-        If there is none, they are no pairs of numbers of at least 0, or a particle is in two of them.
-    """
+
+def _pairs(arrows: Any) -> list[tuple[int, int]]:
+    """Return arrows as pairs of particles, each particle in one of them."""
     rows = checks.lists_of_indices(arrows, "arrows")
     if not rows:
         raise ValueError("soft dipoles need at least one arrow (centre, tip)")
@@ -137,7 +143,7 @@ def _parameters(strength: float, length: float, sigma: float, epsilon: float, at
 
 
 class SoftDipoles:
-    """What the PythonForce of soft dipoles computes; it can be pickled.
+    """The function of the PythonForce of soft dipoles; it can be pickled.
 
     Parameters
     ----------
@@ -150,7 +156,7 @@ class SoftDipoles:
         Whether the spheres' energy ends at its minimum.
     """
 
-    # System XML has a pickle of it, in which this name and those of the attributes are written.
+    # Pickles in System XML name this module and the attributes.
     __module__ = "openmm_exactrb.potentials"
 
     def __init__(
@@ -172,33 +178,26 @@ class SoftDipoles:
     def energy_and_forces(
         self, positions: Array, parameters: Mapping[str, float], box: Array | None = None, threads: int | None = None
     ) -> tuple[float, Array]:
-        """Return the energy and the forces on centres and tips.
+        """Return the energy (kJ/mol) and the forces (2 n, 3) (kJ/mol/nm) on centres and tips in turns.
 
         Parameters
         ----------
         positions : (2 n, 3) array
             In nm: centre and tip of the first arrow, of the second, ...
         parameters : mapping
-            What a Context has: `soft_repulsion` (kJ/mol nm^12), `dipole_coupling` (kJ/mol nm) and, where there is an
-            attraction, `soft_attraction` (kJ/mol nm^6).
+            Those of a Context: `soft_repulsion` (kJ/mol nm^12), `dipole_coupling` (kJ/mol nm) and, with an attraction,
+            `soft_attraction` (kJ/mol nm^6).
         box : (3, 3) array, optional
             Vectors in nm; for a truncation.
         threads : int, optional
-            As many as the pairs are worth. Any number gives the same bits.
-
-        Returns
-        -------
-        energy : float
-            In kJ/mol.
-        forces : (2 n, 3) array
-            In kJ/mol/nm.
+            By default as many as the pairs are worth. Any number gives the same bits.
 
         Raises
         ------
         ValueError
             If the box is not rectangular or too small, or spheres that end at a minimum do not repel.
         """
-        return compiled.pair_sum().soft_dipoles(  # type: ignore[no-any-return]
+        return kernels.load("pairs", "numba").soft_dipoles(  # type: ignore[no-any-return]
             positions,
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],

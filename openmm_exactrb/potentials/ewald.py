@@ -1,10 +1,10 @@
-"""How an Ewald sum of dipoles is split in two for a wanted error."""
+"""How an Ewald sum of dipoles is split in two for a given tolerance."""
 
 from __future__ import annotations
 
 import math
 
-from openmm_exactrb.potentials import compiled
+from openmm_exactrb import kernels
 
 #: The most waves of a sum: so many take 100 MB, and 1 ms a dipole.
 MOST_WAVES = 1_000_000
@@ -13,22 +13,12 @@ MOST_WAVES = 1_000_000
 def splitting(
     n: int, box: tuple[float, float, float], cutoff: float, switch: float, tolerance: float
 ) -> tuple[float, float]:
-    """Return inverse width of the clouds, alpha, and largest wave number, both in 1/nm.
+    """Return the inverse width of the Gaussians, alpha, and the largest wave number (1/nm) for n dipoles.
 
-    What is left out of either sum is a Gaussian, exp(-x²) with x = alpha switch or y = k_max/(2 alpha), times powers of
-    x or y and of a, alpha times the distance between dipoles: the sums over random dipoles have these powers. The
-    factors before them are the largest that were measured in liquids and gases of 8 to 256 dipoles.
-
-    Parameters
-    ----------
-    n : int
-        Number of dipoles.
-    box : three float
-        Edges in nm.
-    cutoff, switch : float
-        Where the sum over pairs ends, and where its switch begins, in nm.
-    tolerance : float
-        Error of forces and fields, as a part of their root mean square.
+    The truncation error of either sum is exp(-x²), x = alpha switch or y = k_max/(2 alpha), times powers of x or y and
+    of a, alpha times the distance between dipoles, as sums over random dipoles have them. Their factors are the largest
+    that were measured in liquids and gases of 8 to 256 dipoles. Lengths are in nm; the tolerance is relative to the
+    root mean square of forces and fields.
 
     Raises
     ------
@@ -43,7 +33,7 @@ def splitting(
         x = math.log(max(a**2.5 * x**1.5 / tolerance, math.e)) ** 0.5
         y = math.log(max(0.7 * a**2.5 * y**1.5 / tolerance, 0.9 * a**3 * y / tolerance, math.e)) ** 0.5
     alpha = x / switch
-    waves = compiled.pair_sum().number_of_waves(box, 2.0 * alpha * y)
+    waves = kernels.load("pairs", "numba").number_of_waves(box, 2.0 * alpha * y)
     if waves > MOST_WAVES:
         raise ValueError(
             f"an Ewald sum with a switch at {switch:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "

@@ -15,18 +15,9 @@ def soft_dipole_formula(
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential of `soft_dipole_force` with all pairs as bonds.
 
-    The formula has products of coordinates, one reciprocal and one square root: OpenMM's compiler makes this three
-    times faster than the same energy in `distance` or in powers of r.
-
-    Parameters
-    ----------
-    arrows : sequence of (centre, tip)
-    parameters : mapping
-        Context parameters and their values; with a truncation also the edges of the box, box_x, box_y and box_z.
-    truncation : (cutoff, switch, reaction), optional
-        Distances in nm and the strength of the reaction field in 1/nm³.
-    wca : bool
-        Whether the spheres' energy ends at its minimum.
+    With a truncation (cutoff and switch in nm, strength of the reaction field in 1/nm³) the Context parameters include
+    the edges of the box, box_x, box_y and box_z. Products of coordinates, one reciprocal and one square root are three
+    times faster in OpenMM than the same energy in `distance` or in powers of r.
     """
     force = openmm.CustomCompoundBondForce(
         4,
@@ -66,7 +57,7 @@ def _energy(core: str, truncation: Truncation | None) -> str:
 
 
 def _displacement(*, periodic: bool) -> str:
-    """Return the way from the second centre to the first, or to its nearest image."""
+    """Return the vector from the second centre to the first, or to its nearest image."""
     if not periodic:
         return "x = x1 - x3; y = y1 - y3; z = z1 - z3;"
     return "".join(f"{x} = d{x} - box_{x}*floor(d{x}/box_{x} + 0.5); d{x} = {x}1 - {x}3;" for x in ("x", "y", "z"))

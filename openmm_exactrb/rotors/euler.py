@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.compensated import keep_norm
 from openmm_exactrb.elliptic import jacobi, third_kind_legendre
+from openmm_exactrb.kernels.plain.exact import SAFE
 from openmm_exactrb.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.exact import rotor as exact_rotor
 from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14
-# Where the squares of a momentum are safe from over- and underflow.
-_SAFE = (1e-70, 1e70)
 
 
 @dataclass(frozen=True)
@@ -47,40 +46,19 @@ class Phase:
 
 @dataclass(frozen=True)
 class Orbit:
-    """Bodies on their way through a step, in units where norm(m) = 1.
+    """Bodies during a step, in units where norm(m) = 1; arrays are (N,) unless another shape is named."""
 
-    Attributes
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Moments in ascending order.
-    time : (N,) array
-        The step times norm(m).
-    start, end : (3, N) arrays
-        Unit momenta at both ends.
-    energy : (N,) array
-        2T of the unit momentum.
-    excess : (N,) array
-        1 - 2T I2: negative in case (a), positive in case (b).
-    first, third : (N,) arrays
-        The largest values A1 and A3 of x1 and x3 on the orbit.
-    rate : (N,) array
-        lambda of equations (5) and (6), positive.
-    k2, kc2 : (N,) arrays
-        k² and 1 - k².
-    before, after : Phase
-    """
-
-    inertia: Array
-    time: Array
-    start: Array
-    end: Array
-    energy: Array
-    excess: Array
-    first: Array
-    third: Array
-    rate: Array
-    k2: Array
-    kc2: Array
+    inertia: Array  #: moments in ascending order, (3, 1) or (3, N)
+    time: Array  #: the step times norm(m)
+    start: Array  #: unit momenta at the start, (3, N)
+    end: Array  #: unit momenta at the end, (3, N)
+    energy: Array  #: 2T of the unit momentum
+    excess: Array  #: 1 - 2T I2: negative in case (a), positive in case (b)
+    first: Array  #: the largest value A1 of x1 on the orbit
+    third: Array  #: the largest value A3 of x3 on the orbit
+    rate: Array  #: lambda of equations (5) and (6), positive
+    k2: Array  #: k²
+    kc2: Array  #: 1 - k²
     before: Phase
     after: Phase
 
@@ -97,19 +75,9 @@ Attitude = Callable[[Orbit], Array]
 
 
 def flow_of(inertia: Array, attitude: Attitude) -> Flow:
-    """Return the flow of free bodies whose momentum follows Jacobi's solution and whose attitude is as given.
+    """Return the flow with the momentum of Jacobi's solution and a given attitude, for moments (3, 1) or (3, N).
 
     Bodies for which that solution is singular take the exact flow: see `is_regular`.
-
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Positive moments in any order.
-    attitude : callable
-
-    Returns
-    -------
-    flow : callable
     """
     order, back, handedness = ascending(inertia)
     scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
@@ -140,25 +108,15 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
 
 
 def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
-    """Tell the bodies that the paper's solution covers.
+    """Return which bodies the paper's solution covers, for ascending moments (3, 1) or (3, N) and momenta m (3, N).
 
     They have three different moments and a momentum that is finite, not zero, on none of the principal axes and not
     on the separatrix, each by a relative distance of `NEAREST`.
-
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Moments in ascending order.
-    m : (3, N) array
-
-    Returns
-    -------
-    (N,) array of bool
     """
     I1, I2, I3 = inertia
     with np.errstate(all="ignore"):
         G = np.sqrt(np.einsum("in,in->n", m, m))
-        safe = (_SAFE[0] < G) & (_SAFE[1] > G)
+        safe = (SAFE[0] < G) & (SAFE[1] > G)
         x1, x2, x3 = np.abs(m / np.where(safe, G, 1.0))
     asymmetric = (I2 - I1 > NEAREST * I3) & (I3 - I2 > NEAREST * I3)
     moving = x1 * x2 + x2 * x3 + x3 * x1 > NEAREST
@@ -182,14 +140,6 @@ def gauss(points: int) -> ThirdKind:
 
     Its error is of order 2 points + 1 in the step, and large once the amplitude changes by more than about one, near
     the separatrix earlier.
-
-    Parameters
-    ----------
-    points : int
-
-    Returns
-    -------
-    third_kind : callable
     """
     nodes, weights = np.polynomial.legendre.leggauss(points)
     nodes, weights = 0.5 * (1.0 + nodes[:, None]), 0.5 * weights
@@ -217,25 +167,14 @@ def _step(inertia: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array
 
 
 def solve(inertia: Array, x: Array, time: Array) -> Orbit:
-    """Solve Euler's equations for unit momenta with x1, x3 >= 0: equations (4) to (8).
-
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Moments in ascending order, all different.
-    x : (3, N) array
-    time : (N,) array
-
-    Returns
-    -------
-    Orbit
-    """
+    """Solve Euler's equations (4) to (8) for unit momenta x (3, N) with x1, x3 >= 0 and ascending moments."""
     from scipy.special import elliprf  # here, for a short import of the package
 
     I1, I2, I3 = inertia
     x1, x2, x3 = x
     a1_squared = x1 * x1 * (I3 - I1) / I1 + x2 * x2 * (I3 - I2) / I2  # 2T I3 - 1
     a3_squared = x3 * x3 * (I3 - I1) / I3 + x2 * x2 * (I2 - I1) / I2  # 1 - 2T I1
+    energy = x1 * x1 / I1 + x2 * x2 / I2 + x3 * x3 / I3
     excess = x3 * x3 * (I3 - I2) / I3 - x1 * x1 * (I2 - I1) / I1  # 1 - 2T I2
     high = excess < 0.0
     first, third = np.sqrt(I1 * a1_squared / (I3 - I1)), np.sqrt(I3 * a3_squared / (I3 - I1))
@@ -252,12 +191,6 @@ def solve(inertia: Array, x: Array, time: Array) -> Orbit:
     before = Phase(sn, cn, dn, np.zeros_like(sn))
     after = Phase(*jacobi(sn * elliprf(cn * cn, dn * dn, 1.0) + rate * time, kc2))
 
-    end = np.stack(
-        [
-            first * np.where(high, after.dn, after.cn),
-            second * after.sn,
-            third * np.where(high, after.cn, after.dn),
-        ]
-    )
-    energy = x1 * x1 / I1 + x2 * x2 / I2 + x3 * x3 / I3
+    x1, x3 = first * np.where(high, after.dn, after.cn), third * np.where(high, after.cn, after.dn)
+    end = np.stack([x1, second * after.sn, x3])
     return Orbit(inertia, time, x, renormalise(end), energy, excess, first, third, rate, k2, kc2, before, after)

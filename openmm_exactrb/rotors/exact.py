@@ -13,25 +13,15 @@ from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 
 def rotor(which: Literal["fastest", "numpy", "numba"]) -> Callable[[Array], Flow]:
-    """Return the factory of exact flows with one of the kernels.
+    """Return the factory of exact flows, for moments (3, 1) or (3, N), with one of the kernels; see `kernels.load`.
 
-    Parameters
-    ----------
-    which : {"fastest", "numpy", "numba"}
-        As `openmm_exactrb.kernels.load` takes it.
-
-    Returns
-    -------
-    factory : callable
-        ``factory(inertia)`` takes positive moments (3, 1) or (3, N) in any order, one body's for all or one column a
-        body, and returns flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,); or
-        with sums q (2, 4, N) and m (2, 3, N). It raises ModuleNotFoundError if numba is asked for and not installed.
+    The flows also take double-doubles q (2, 4, N) and m (2, 3, N).
     """
     return lambda inertia: _in_any_order(inertia, kernels.load("exact", which).advance)
 
 
 def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
-    """Return the flow of bodies whose moments stand in any order, by a kernel for ascending ones."""
+    """Return the flow for moments in any order, by a kernel for ascending ones."""
     order, back, handedness = ascending(inertia)
     body = constants(np.take_along_axis(inertia, order, axis=0))
     ordered = bool((order == np.arange(3)[:, None]).all())

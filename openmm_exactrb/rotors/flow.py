@@ -1,4 +1,4 @@
-"""What flows of the free rigid body share: their type, and the order of the axes."""
+"""The type of flows of the free rigid body, the check of their arguments, and the order of the axes."""
 
 from __future__ import annotations
 
@@ -12,23 +12,17 @@ from openmm_exactrb import checks
 Array = NDArray[np.float64]
 
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
-#: Some take sums high + low too, (2, 4, N) and (2, 3, N).
+#: Some also take double-doubles, (2, 4, N) and (2, 3, N).
 Flow = Callable[[Array, Array, Array | float], tuple[Array, Array]]
 _FLOAT = np.dtype(np.float64)
 
 
 def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
-    """Return a flow that refuses arrays which are not of one number of bodies: compiled code would pass their ends.
+    """Return a flow that refuses arrays of different numbers of bodies, beyond whose ends compiled code would write.
 
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-    flow : callable
-        Is handed q, m and t as floats.
-    sums : bool
-        Whether it takes sums too.
+    `sums` says whether the flow takes double-doubles.
     """
-    seen = None  # a run hands over arrays of the same shapes at every step
+    seen = None  # shapes are the same at every step of a run
 
     def fitted(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         nonlocal seen
@@ -59,19 +53,9 @@ def _check_one_number(
 
 
 def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Return how to bring bodies to ascending principal axes and back.
+    """Return the permutation that sorts moments (3, 1) or (3, N), its inverse, and its sign (1,) or (N,).
 
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-
-    Returns
-    -------
-    order, back : arrays of int of the same shape
-        Places of the axes in ascending order, and their inverse.
-    handedness : (1,) or (N,) array
-        -1 for an odd permutation, which is a reflection: momenta and vector parts of quaternions are pseudovectors and
-        change their sign with it. Else 1.
+    An odd permutation is a reflection: momenta and vector parts of quaternions, as pseudovectors, take its sign.
     """
     order = np.argsort(inertia, axis=0, kind="stable")
     return order, np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)

@@ -1,4 +1,4 @@
-"""The flow alone, for a user: any number of bodies, any moments, momenta and times."""
+"""The public function of the flows: any number of bodies, any moments, momenta and times."""
 
 from __future__ import annotations
 

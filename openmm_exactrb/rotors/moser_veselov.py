@@ -37,18 +37,7 @@ class NotConvergedWarning(RuntimeWarning):
 
 
 def rotor(order: int) -> Callable[[Array], Flow]:
-    """Return the factory of preprocessed discrete Moser-Veselov flows of this order.
-
-    Parameters
-    ----------
-    order : {4, 6, 8, 10}
-
-    Returns
-    -------
-    factory : callable
-        factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N) in any order, and
-        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
-    """
+    """Return the factory of preprocessed discrete Moser-Veselov flows of order 4, 6, 8 or 10."""
 
     def factory(inertia: Array) -> Flow:
         scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
@@ -56,7 +45,7 @@ def rotor(order: int) -> Callable[[Array], Flow]:
         series = _series(moments, order)
 
         def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-            # Powers of two take the squares of momenta away from over- and underflow.
+            # Powers of two avoid over- and underflow of the squares of momenta.
             exponent = np.frexp(np.abs(m).max(axis=0))[1]
             unit, h = np.ldexp(m, -exponent), np.ldexp(t / scale, exponent)
             with np.errstate(all="ignore"):  # a step far too long overflows, and is reported
@@ -96,13 +85,8 @@ def _modified(moments: Array, series: Sequence[tuple[Array, Array]], m: Array, h
 def _iterate(inverse: Array, m: Array, h: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Solve I~_1 a_1 = alpha h m_1 + (I~_2 - I~_3) a_2 a_3/2 and cyclic, where alpha = 1 + a.a/4.
 
-    A body that has converged is left alone, so that it does not depend on its neighbours.
-
-    Returns
-    -------
-    angle : (3, N) array
-        The vector a, twice the Cayley vector of the step's rotation.
-    converged : (N,) array of bool
+    Return a (3, N), twice the Cayley vector of the step's rotation, and which bodies converged; these are left alone,
+    so that none depends on its neighbours.
     """
     after, before = np.roll(inverse, -1, axis=0), np.roll(inverse, 1, axis=0)
     gyration = 0.5 * (before - after) / (before * after)

@@ -24,34 +24,46 @@ from openmm_exactrb.rotors.flow import Array, Flow
 
 
 def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
-    """Return the flow with choice (a) of the paper, theta = 0: I. I. Kosenko (1998).
+    """Return the flow with choice (a) of the paper, theta = 0: I. I. Kosenko (1998), equation (38).
 
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Positive moments in any order.
-    third_kind : callable, optional
-        How the elliptic integral is evaluated: `euler.carlson` or `euler.gauss`.
-
-    Returns
-    -------
-    flow : callable
-        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
+    The integrand (2T + omega3)/(1 + x3) is (2T + omega3)(1 - x3)/(1 - x3²), whose two parts give the integral of the
+    third kind of `_precession` and an inverse tangent. Parameters are those of `rotation.rotor`.
     """
-    return _flow(inertia, lambda orbit: _kosenko_angle(orbit, third_kind))
+
+    def angle(orbit: Orbit) -> Array:
+        change = _inverse_tangent(orbit, orbit.after) - _inverse_tangent(orbit, orbit.before)
+        psi: Array = _precession(orbit, third_kind) - _b(orbit) / orbit.rate * orbit.third * change
+        return psi
+
+    return _flow(inertia, angle)
 
 
 def moving_frame(inertia: Array) -> Flow:
-    """Return the flow with choice (b) of the paper, the frame (mdot, m x mdot, m); parameters as in `kosenko`."""
-    return _flow(inertia, _moving_frame_angle)
+    """Return the flow with choice (b) of the paper, the frame (mdot, m x mdot, m) of the rotation matrices."""
+
+    def theta(inertia: Array, x: Array) -> Array:
+        v, w, _ = rotation.frame(inertia, x)
+        angle: Array = np.arctan2(w[0] - v[1], v[0] + w[1])
+        return angle
+
+    def angle(orbit: Orbit) -> Array:
+        return rotation.angle(orbit, carlson) + theta(orbit.inertia, orbit.end) - theta(orbit.inertia, orbit.start)
+
+    return _flow(inertia, angle)
 
 
 def van_zon_schofield(inertia: Array) -> Flow:
-    """Return the flow with choice (c) of the paper, the frame (m x e3, m x (m x e3), m); parameters as in `kosenko`.
+    """Return the flow with choice (c) of the paper, the frame (m x e3, m x (m x e3), m).
 
     R. van Zon and J. Schofield, J. Comput. Phys. 225, 145 (2007), doi:10.1016/j.jcp.2006.11.019.
     """
-    return _flow(inertia, _van_zon_schofield_angle)
+
+    def angle(orbit: Orbit) -> Array:
+        x, y = orbit.start, orbit.end
+        psi: Array = _precession(orbit, carlson) + np.arctan2(y[0], y[1]) - np.arctan2(x[0], x[1])
+        return psi
+
+    return _flow(inertia, angle)
 
 
 def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
@@ -74,35 +86,6 @@ def _smallest_rotation(x: Array) -> Array:
     above = np.where(x3 > -0.5, 1.0 + x3, (x1 * x1 + x2 * x2) / (1.0 - x3))
     p: Array = np.stack([above, x2, -x1, np.zeros_like(x3)]) / np.sqrt(2.0 * above)
     return p
-
-
-def _kosenko_angle(orbit: Orbit, third_kind: ThirdKind) -> Array:
-    """Return the integral of (2T + omega3)/(1 + x3): equation (38).
-
-    1/(1 + x3) is (1 - x3)/(1 - x3²), whose two parts give the integral of the third kind of `_precession` and an
-    inverse tangent.
-    """
-    change = _inverse_tangent(orbit, orbit.after) - _inverse_tangent(orbit, orbit.before)
-    psi: Array = _precession(orbit, third_kind) - _b(orbit) / orbit.rate * orbit.third * change
-    return psi
-
-
-def _moving_frame_angle(orbit: Orbit) -> Array:
-    """Return the angle of the rotation-matrix formulation, and theta of its frame."""
-
-    def theta(x: Array) -> Array:
-        v, w, _ = rotation.frame(orbit.inertia, x)
-        angle: Array = np.arctan2(w[0] - v[1], v[0] + w[1])
-        return angle
-
-    return rotation.angle(orbit, carlson) + theta(orbit.end) - theta(orbit.start)
-
-
-def _van_zon_schofield_angle(orbit: Orbit) -> Array:
-    """Return the precession about the momentum, and theta of the node line."""
-    x, y = orbit.start, orbit.end
-    psi: Array = _precession(orbit, carlson) + np.arctan2(y[0], y[1]) - np.arctan2(x[0], x[1])
-    return psi
 
 
 def _precession(orbit: Orbit, third_kind: ThirdKind) -> Array:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -17,7 +18,6 @@ from numpy.typing import ArrayLike
 from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
-from openmm_exactrb.rotors.euler import ThirdKind
 from openmm_exactrb.rotors.flow import Array, Flow, fitting
 
 #: Between them a moment and its reciprocal are normal numbers.
@@ -43,7 +43,7 @@ class Rotor:
     largest_angle : float
         Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
     sums : bool
-        Whether the flow takes sums high + low of `openmm_exactrb.compensated` too, and then rounds next to nothing.
+        Whether the flow also takes the double-doubles of `openmm_exactrb.compensated`.
     """
 
     name: str
@@ -55,18 +55,18 @@ class Rotor:
     sums: bool = False
 
     def __repr__(self) -> str:
-        """Return a line for people."""
+        """Return a line of text."""
         order = "exact" if self.order is None else f"order {self.order}"
         return f"Rotor({self.name!r}, {order}, {self.reference})"
 
 
-def _with_gauss(factory: Callable[[Array, ThirdKind], Flow], points: int) -> Callable[[Array], Flow]:
-    """Return the factory of flows with Gauss's rule in place of the exact integral."""
-    return lambda inertia: factory(inertia, euler.gauss(points))
-
-
 _HAIRER_VILMART = "Hairer and Vilmart (2006), doi:10.1088/0305-4470/39/42/006"
 _PAPER = "Celledoni, Fassò, Säfström and Zanna, doi:10.1137/070704393"
+_GAUSS = tuple(
+    Rotor(f"{name}_gauss{2 * p}", 2 * p, partial(factory, third_kind=euler.gauss(p)), f"{_PAPER}, equation (39)")
+    for name, factory in (("rotation", rotation.rotor), ("quaternion", quaternion.kosenko))
+    for p in (3, 4, 5)
+)
 
 #: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
@@ -80,14 +80,7 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
             Rotor("quaternion_c", None, quaternion.van_zon_schofield, f"{_PAPER}, section 2.4 (c)"),
-            *(
-                Rotor(f"rotation_gauss{2 * p}", 2 * p, _with_gauss(rotation.rotor, p), f"{_PAPER}, equation (39)")
-                for p in (3, 4, 5)
-            ),
-            *(
-                Rotor(f"quaternion_gauss{2 * p}", 2 * p, _with_gauss(quaternion.kosenko, p), f"{_PAPER}, equation (39)")
-                for p in (3, 4, 5)
-            ),
+            *_GAUSS,
             *(Rotor(f"dmv{n}", n, moser_veselov.rotor(n), _HAIRER_VILMART, largest_angle=1.0) for n in (6, 8, 10)),
             Rotor(
                 "mclachlan_reich",
@@ -162,10 +155,10 @@ def _columns(inertia: ArrayLike) -> Array:
 
 
 def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Flow:
-    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are sums high + low.
+    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are double-doubles.
 
-    Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` round what they return to the high part.
-    Arrays that are known to fit need not be `checked` at each call: compiled code would pass the ends of others.
+    Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` return rounded numbers. Unless shapes are
+    `checked` at each call, compiled code writes beyond the ends of arrays that do not fit.
     """
     entry, columns = look_up(method), _columns(inertia)
     flow = fitting(columns, entry.factory(columns), entry.sums) if checked else entry.factory(columns)

@@ -18,19 +18,9 @@ from openmm_exactrb.rotors.flow import Array, Flow
 
 
 def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
-    """Return the rotation-matrix flow of free bodies with these principal moments of inertia.
+    """Return the rotation-matrix flow of free bodies with these moments of inertia, (3, 1) or (3, N) in any order.
 
-    Parameters
-    ----------
-    inertia : (3, 1) or (3, N) array
-        Positive moments in any order.
-    third_kind : callable, optional
-        How the elliptic integral is evaluated: `euler.carlson` or `euler.gauss`.
-
-    Returns
-    -------
-    flow : callable
-        flow(q, m, t) -> (q, m) with component-first q (4, N), m (3, N), and t a scalar or (N,).
+    `third_kind` evaluates the elliptic integral: `euler.carlson`, or what `euler.gauss` returns.
     """
 
     def attitude(orbit: Orbit) -> Array:

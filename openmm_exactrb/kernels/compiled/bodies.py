@@ -2,17 +2,8 @@
 
 from __future__ import annotations
 
-from openmm_exactrb.kernels.build import compiled, inlined
-
-
-@inlined
-def _matrix(w, x, y, z):
-    """Return the rows of the rotation matrix of a unit quaternion."""
-    x2, y2, z2 = x + x, y + y, z + z
-    xx, yy, zz = x * x2, y * y2, z * z2
-    xy, xz, yz = x * y2, x * z2, y * z2
-    wx, wy, wz = w * x2, w * y2, w * z2
-    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
+from openmm_exactrb.kernels.build import compiled
+from openmm_exactrb.kernels.compiled.formulas import matrix_entries
 
 
 @compiled("f2 f2 i2 f3 i F2")
@@ -22,7 +13,7 @@ def place(R, q, particles, sites, first, x):
     own = sites.shape[0] > 1
     for i in range(n):
         body = first + i
-        a, b, c, d, e, f, g, h, j = _matrix(q[0, body], q[1, body], q[2, body], q[3, body])
+        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
         R0, R1, R2 = R[0, body], R[1, body], R[2, body]
         shape = i if own else 0
         for s in range(k):
@@ -40,7 +31,7 @@ def collect(q, particles, sites, first, forces, total, torque):
     own = sites.shape[0] > 1
     for i in range(n):
         body = first + i
-        a, b, c, d, e, f, g, h, j = _matrix(q[0, body], q[1, body], q[2, body], q[3, body])
+        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
         T0 = T1 = T2 = 0.0
         N0 = N1 = N2 = 0.0
         shape = i if own else 0

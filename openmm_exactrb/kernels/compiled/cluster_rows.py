@@ -1,8 +1,7 @@
-"""Rows of numbers of a block of L clusters: what `clusters` is put together from.
+"""Operations of `clusters` on blocks of L clusters.
 
-A block keeps a vector of each atom, or of each constraint, as a row of 3 L numbers, component by component, and a
-number of each constraint as a row of L. Innermost loops run along such rows, or along many of them as one, so that the
-compiler advances as many clusters at once as a vector register holds.
+A block holds a vector of each atom or constraint as a row of 3 L numbers, component by component, and a number of each
+constraint as a row of L. Innermost loops along such rows are vectorised.
 """
 
 from __future__ import annotations
@@ -10,14 +9,13 @@ from __future__ import annotations
 import math
 
 from openmm_exactrb.kernels.build import inner, inner_reordered
-
-#: Adding and subtracting it rounds numbers between -1 and 1 to multiples of 2^-26.
-TO_GRID = 1.5 * 2.0**26
+from openmm_exactrb.kernels.compiled.formulas import two_difference, two_sum
+from openmm_exactrb.quaternions import TO_GRID
 
 
 @inner
 def gather(x, first, count, start, block):
-    """Copy clusters `start` and on into a block (sums, n, 3 L); the last one fills lanes to spare."""
+    """Copy clusters `start` and on into a block (., n, 3 L); the last cluster pads it."""
     sums, atoms, width = block.shape
     L = width // 3
     used = min(L, count - start)
@@ -45,8 +43,8 @@ def scatter(block, first, count, start, x):
 
 
 @inner
-def add_to_sums(x, step):
-    """Add a step (n, 3 L) to sums (2, n, 3 L) in place, or to plain numbers (1, n, 3 L)."""
+def add_compensated(x, step):
+    """Add a step (n, 3 L) to double-doubles (2, n, 3 L) in place, or to plain numbers (1, n, 3 L)."""
     for a in range(len(step)):
         high, low, change = x[0, a], x[-1, a], step[a]
         if len(x) == 1:
@@ -54,11 +52,7 @@ def add_to_sums(x, step):
                 high[i] += change[i]
         else:
             for i in range(len(high)):
-                part = change[i] + low[i]
-                total = high[i] + part
-                shadow = total - high[i]
-                low[i] = (high[i] - (total - shadow)) + (part - shadow)
-                high[i] = total
+                high[i], low[i] = two_sum(high[i], change[i] + low[i])
 
 
 @inner
@@ -71,13 +65,12 @@ def vectors(x, pairs, lengths, r, defect):
         coarse_d = (d + to_grid) - to_grid
         for l in range(L):
             defect[c, l] = coarse_d * coarse_d
-        for e in range(3):  # first what is exact
+        for e in range(3):  # the exact part
             a, b, out = x[0, i, e * L :], x[0, j, e * L :], r[c, e * L :]
             a_low, b_low = x[-1, i, e * L :], x[-1, j, e * L :]
             for l in range(L):
-                high = a[l] - b[l]
-                shadow = high - a[l]
-                out[l] = high + (((a[l] - (high - shadow)) - (b[l] + shadow)) + weight * (a_low[l] - b_low[l]))
+                high, error = two_difference(a[l], b[l])
+                out[l] = high + (error + weight * (a_low[l] - b_low[l]))
             for l in range(L):
                 near = (out[l] + to_grid) - to_grid
                 defect[c, l] -= near * near
@@ -85,11 +78,9 @@ def vectors(x, pairs, lengths, r, defect):
             a, b, out = x[0, i, e * L :], x[0, j, e * L :], r[c, e * L :]
             a_low, b_low = x[-1, i, e * L :], x[-1, j, e * L :]
             for l in range(L):
-                high = a[l] - b[l]
-                shadow = high - a[l]
-                low = ((a[l] - (high - shadow)) - (b[l] + shadow)) + weight * (a_low[l] - b_low[l])
+                high, error = two_difference(a[l], b[l])
+                low = error + weight * (a_low[l] - b_low[l]) - (out[l] - high)
                 near = (out[l] + to_grid) - to_grid
-                low -= out[l] - high
                 defect[c, l] -= (out[l] - near) * (out[l] + near) + 2.0 * out[l] * low
         for l in range(L):
             defect[c, l] = 0.5 * (defect[c, l] + (d - coarse_d) * (d + coarse_d))
@@ -97,7 +88,7 @@ def vectors(x, pairs, lengths, r, defect):
 
 @inner_reordered
 def factorise(r, graph, A):
-    """Write the Cholesky factor of B_cd r_c.r_d, with the inverse of its diagonal in the place of it."""
+    """Write the Cholesky factor of B_cd r_c.r_d, with its diagonal inverted."""
     L, rows, columns = A.shape[1], graph.rows, graph.columns
     for c in range(len(rows) - 1):
         for e in range(rows[c], rows[c + 1]):
@@ -152,9 +143,7 @@ def differences(a, pairs, scale, u):
 @inner_reordered
 def on_atoms(F, pairs, factor, a):
     """Write the sums of F_c over the pairs of an atom, with their signs, times its factor."""
-    for k in range(len(a)):
-        for l in range(a.shape[1]):
-            a[k, l] = 0.0
+    a[:] = 0.0
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
         for l in range(F.shape[1]):
@@ -169,14 +158,6 @@ def add_scaled(x, scale, factor, y):
     for k in range(len(y)):
         for i in range(y.shape[1]):
             y[k, i] += scale * factor[k] * x[k, i]
-
-
-@inner_reordered
-def fill(x, value):
-    """Write one number everywhere."""
-    for k in range(len(x)):
-        for i in range(x.shape[1]):
-            x[k, i] = value
 
 
 @inner_reordered
@@ -209,10 +190,9 @@ def of_each_component(b, a):
     """Write numbers (m, L) to each of the components (m, 3 L)."""
     L = b.shape[1]
     for c in range(len(b)):
-        for l in range(L):
-            a[c, l] = b[c, l]
-            a[c, L + l] = b[c, l]
-            a[c, 2 * L + l] = b[c, l]
+        for e in range(3):
+            for l in range(L):
+                a[c, e * L + l] = b[c, l]
 
 
 @inner_reordered
@@ -220,7 +200,6 @@ def multiples(b, r, out):
     """Write b r of numbers (m, L) and vectors (m, 3 L)."""
     L = b.shape[1]
     for c in range(len(b)):
-        for l in range(L):
-            out[c, l] = b[c, l] * r[c, l]
-            out[c, L + l] = b[c, l] * r[c, L + l]
-            out[c, 2 * L + l] = b[c, l] * r[c, 2 * L + l]
+        for e in range(3):
+            for l in range(L):
+                out[c, e * L + l] = b[c, l] * r[c, e * L + l]

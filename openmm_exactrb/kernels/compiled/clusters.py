@@ -13,30 +13,28 @@ The multipliers follow from r_c.r_c = d_c², order by order, with one matrix A_c
     sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
     q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
 
-A is factorised once a drift. What the place and the momentum at the start have lost to rounding is put right with the
-same factor: (d_c² - r_c.r_c)/2 in the place, r_c.r_c' in the momentum. So a drift starts with the projection of the
-momentum, and kicks before it need none of their own.
+A is factorised once a drift. With the same factor the rounding errors of the initial positions, (d_c² - r_c.r_c)/2, and
+momenta, r_c.r_c', are corrected. So a drift starts with the projection of the momentum, and kicks before it need none.
 
-Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are (2, 3, M), sums high + low, or
+Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner, inner_reordered
 from openmm_exactrb.kernels.compiled.cluster_rows import (
+    add_compensated,
     add_products,
     add_scaled,
-    add_to_sums,
     differences,
     dots,
     factorise,
-    fill,
     gather,
     multiples,
     of_each_component,
@@ -58,80 +56,32 @@ HALVINGS = 12
 LANES = 32
 
 
-class Work(NamedTuple):
-    """Rows of a block; those of a name with `flat_` are the same numbers as one row.
-
-    Series r and multipliers; terms F, q and g, their sums push and shift, and the bound of a term, of constraints;
-    numbers defect and b of constraints; velocities v, a response a, and the projection of the momentum, of atoms; the
-    factor A; inverse masses and ones.
-    """
-
-    r: Any
-    flat_r: Any
-    multipliers: Any
-    flat_multipliers: Any
-    F: Any
-    flat_F: Any
-    q: Any
-    flat_q: Any
-    g: Any
-    flat_g: Any
-    push: Any
-    flat_push: Any
-    shift: Any
-    flat_shift: Any
-    bound: Any
-    flat_bound: Any
-    defect: Any
-    b: Any
-    v: Any
-    a: Any
-    projection: Any
-    A: Any
-    inverse: Any
-    ones: Any
+#: Rows of a block. Of constraints: the series r and multipliers; terms F, q and g, their sums push and shift, and the
+#: bound of a term; numbers defect and b. Of atoms: velocities v, a response a, the projection of the momentum, inverse
+#: masses and ones. A is the Cholesky factor.
+Work = namedtuple("Work", "r multipliers F q g push shift bound defect b v a projection A inverse ones")
 
 
 @inlined
 def _workspace(graph, L, orders):
     n, m = len(graph.inverse), len(graph.pairs)
-    series, terms = np.empty((2 * orders + 2, m, 3 * L)), np.empty((6, m, 3 * L))
-    flat, flat_terms = series.reshape(2 * orders + 2, -1), terms.reshape(6, -1)
-    numbers, atoms = np.empty((2, m, L)), np.empty((3, n, 3 * L))
-    return Work(
-        series[orders:],
-        flat[orders:],
-        series[:orders],
-        flat[:orders],
-        terms[0],
-        flat_terms[0],
-        terms[1],
-        flat_terms[1],
-        terms[2],
-        flat_terms[2],
-        terms[3],
-        flat_terms[3],
-        terms[4],
-        flat_terms[4],
-        terms[5],
-        flat_terms[5],
-        numbers[0],
-        numbers[1],
-        atoms[0],
-        atoms[1],
-        atoms[2],
-        np.empty((len(graph.weights), L)),
-        graph.inverse.copy(),  # of the same type as the ones: nothing is compiled for both
-        np.ones(n),
-    )
+    r, multipliers = np.empty((orders + 2, m, 3 * L)), np.empty((orders, m, 3 * L))
+    rows, numbers, of_atoms = (m, 3 * L), (m, L), (n, 3 * L)
+    F, q, g = np.empty(rows), np.empty(rows), np.empty(rows)
+    push, shift, bound = np.empty(rows), np.empty(rows), np.empty(rows)
+    defect, b = np.empty(numbers), np.empty(numbers)
+    v, a, projection = np.empty(of_atoms), np.empty(of_atoms), np.empty(of_atoms)
+    A = np.empty((len(graph.weights), L))
+    inverse = graph.inverse.copy()  # of the same type as the ones: nothing is compiled for both
+    return Work(r, multipliers, F, q, g, push, shift, bound, defect, b, v, a, projection, A, inverse, np.ones(n))
 
 
 @inlined
 def _project(X, P, graph, work):
-    """Write r_0, the factor of A, what is missing of the lengths, the projection and the velocities after it."""
+    """Write r_0, the factor of A, the errors of the lengths, the projection and the velocities after it."""
     vectors(X, graph.pairs, graph.lengths, work.r[0], work.defect)
     factorise(work.r[0], graph, work.A)
-    fill(work.v, 0.0)
+    work.v[:] = 0.0
     add_scaled(P[0], 1.0, work.inverse, work.v)
     differences(work.v, graph.pairs, -1.0, work.g)
     dots(work.r[0], work.g, work.b)
@@ -141,10 +91,16 @@ def _project(X, P, graph, work):
     add_scaled(work.projection, 1.0, work.inverse, work.v)
 
 
+@inlined
+def _flat_series(series):
+    return series.reshape(len(series), -1)
+
+
 @inner_reordered
 def _next_order(k, graph, work):
     """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
-    r, multipliers, F, q, g = work.flat_r, work.flat_multipliers, work.flat_F, work.flat_q, work.flat_g
+    r, multipliers = _flat_series(work.r), _flat_series(work.multipliers)
+    F, q, g = work.F.reshape(-1), work.q.reshape(-1), work.g.reshape(-1)
     r0, middle, new, order = r[0], r[k // 2 + 1], r[k + 2], float((k + 1) * (k + 2))
     for i in range(len(q)):
         F[i] = 0.0
@@ -170,6 +126,7 @@ def _next_order(k, graph, work):
 @inner_reordered
 def _add_terms(F, of_push, of_shift, push, shift):
     """Add the terms of an order to the series of impulses and of shifts."""
+    F, push, shift = F.reshape(-1), push.reshape(-1), shift.reshape(-1)
     for i in range(len(F)):
         push[i] += of_push * F[i]
         shift[i] += of_shift * F[i]
@@ -177,8 +134,8 @@ def _add_terms(F, of_push, of_shift, push, shift):
 
 @inner_reordered
 def _still_large(r, k, bound):
-    """Tell whether a term of order k is above its bound; nan is not."""
-    count = 0
+    """Return whether a term of order k is above its bound; nan is not."""
+    r, bound, count = r.reshape(-1), bound.reshape(-1), 0
     for i in range(len(bound)):
         if k * abs(r[i]) > bound[i]:
             count += 1
@@ -200,7 +157,7 @@ def _bounds(r, bound):
 
 @inner_reordered
 def _keep_the_energy(v, change, inverse):
-    """Take the little from a change of momenta by which rounding has it change the energy; v is overwritten."""
+    """Correct a change of momenta for the change of the kinetic energy by rounding; v is overwritten."""
     n, width = v.shape
     L, mass = width // 3, 0.0
     centre, gained, energy = np.zeros(width), np.zeros(width), np.zeros(width)
@@ -230,34 +187,34 @@ def _keep_the_energy(v, change, inverse):
 
 @inlined
 def _step(X, P, t, graph, work):
-    """Advance a block that is projected by t; or change nothing and tell that the series does not settle."""
+    """Advance a projected block by t; or change nothing and return False if a series does not converge."""
     solve(work.A, graph.rows, graph.columns, work.defect)
     multiples(work.defect, work.r[0], work.shift)
-    fill(work.push, 0.0)
+    work.push[:] = 0.0
     differences(work.v, graph.pairs, t, work.r[1])
     _bounds(work.r[1], work.bound)
     small, by_time = 0, 1.0 / t if t != 0.0 else 0.0
     for k in range(ORDERS):
         _next_order(k, graph, work)
-        _add_terms(work.flat_F, by_time / (k + 1), 1.0 / ((k + 1) * (k + 2)), work.flat_push, work.flat_shift)
-        small = 0 if _still_large(work.flat_r[k + 2], k + 2, work.flat_bound) else small + 1
+        _add_terms(work.F, by_time / (k + 1), 1.0 / ((k + 1) * (k + 2)), work.push, work.shift)
+        small = 0 if _still_large(work.r[k + 2], k + 2, work.bound) else small + 1
         if small == 2:
             break
     if small < 2:
         return False
     on_atoms(work.shift, graph.pairs, work.inverse, work.a)
     add_scaled(work.v, t, work.ones, work.a)
-    add_to_sums(X, work.a)
+    add_compensated(X, work.a)
     on_atoms(work.push, graph.pairs, work.ones, work.a)
     _keep_the_energy(work.v, work.a, work.inverse)
     add_scaled(work.projection, 1.0, work.ones, work.a)
-    add_to_sums(P, work.a)
+    add_compensated(P, work.a)
     return True
 
 
 @inner
 def _give_up(X, P, work):
-    """Make those clusters nan whose series has not settled."""
+    """Make clusters nan whose series has not converged."""
     r, bound = work.r, work.bound
     L = bound.shape[1] // 3
     for c in range(len(bound)):
@@ -275,18 +232,9 @@ def advance(x, p, t, moves, first, count, inverse, pairs, lengths, weights, rows
 
     A cluster with a number that is not finite, at a singular place, or too fast to be followed becomes nan.
 
-    Parameters
-    ----------
-    x, p : (2, 3, M) or (1, 3, M) arrays
-    t : float
-    moves : bool
-        If not, the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all.
-    first, count : int
-        The first column of the kind, and its number of clusters.
-    inverse, pairs, lengths, weights, rows, columns, starts, left, right
-        The fields of a `Graph`.
-    x1, p1 : arrays of the same shapes
-        For the results; they may be x and p.
+    The kind has `count` clusters from column `first` on; `inverse` to `right` are the fields of its `Graph`. Unless it
+    `moves`, the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all. The results x1
+    and p1 may be x and p.
     """
     graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
@@ -299,7 +247,7 @@ def advance(x, p, t, moves, first, count, inverse, pairs, lengths, weights, rows
         while remaining > 0.0:
             _project(X, P, graph, work)
             if not moves:
-                add_to_sums(P, work.projection)
+                add_compensated(P, work.projection)
                 remaining = 0.0
             elif _step(X, P, part * t, graph, work):
                 remaining -= part

@@ -10,23 +10,9 @@ from openmm_exactrb.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.kernels.build import inlined, inner
 from openmm_exactrb.kernels.plain.exact import VANISHING
 
-#: Steps of Landen's transformation for which there is room.
+#: Largest number of steps of Landen's transformation.
 LANDEN = 24
 (_N0, _N1, _N2, _N3, _N4), (_W0, _W1, _W2, _W3, _W4) = RULES[1][0].ravel().tolist(), RULES[1][1].tolist()
-
-
-@inlined
-def sine_short(s, x, z):
-    """Return w = sn(v)/c at s = v/c."""
-    half = 0.5 * s
-    u = half * half
-    P, q = (x + z) * u, (x * z) * (u * u)
-    in_P = 1.0 + P * (-1 / 6 + P * (1 / 120 + P * (-1 / 5040 + P * (1 / 362880 - P / 39916800))))
-    in_q = 1 / 10 + P * (-11 / 420 + P * (17 / 5040 - P * (461 / 1663200))) + q * (1 / 120 - P * (307 / 92400))
-    w = half * (in_P + q * in_q)
-    u = w * w
-    xu, zu = x * u, z * u
-    return 2.0 * w * math.sqrt((1.0 - xu) * (1.0 - zu)) / (1.0 - xu * zu)
 
 
 @inlined

@@ -1,4 +1,4 @@
-"""The Ewald sum of point dipoles in reciprocal space, compiled. Importing this imports numba: see `compiled`.
+"""The Ewald sum of point dipoles in reciprocal space, compiled.
 
 S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). The waves are standing ones here, products
 of a cosine or a sine along each axis, so that sums over them are sums along one axis after the other.
@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import reordered as _compiled
+from openmm_exactrb.kernels.build import reordered
 from openmm_exactrb.kernels.threads import in_threads
 
 Array = NDArray[np.float64]
@@ -27,28 +27,11 @@ def number_of_waves(edges: Edges, k_max: float) -> float:
 def reciprocal_space(
     r: Array, u: Array, edges: Edges, alpha: float, k_max: float, dielectric: float, threads: int = 1
 ) -> tuple[float, Array, Array]:
-    """Return energy, forces and fields of dipoles in the Gaussian clouds of all others, their images included.
+    """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
 
-    Parameters
-    ----------
-    r, u : (3, n) array
-        Places and dipoles, component first.
-    edges : three float
-        Of a rectangular box.
-    alpha : float
-        Inverse width of the clouds.
-    k_max : float
-        Largest wave number.
-    dielectric : float
-        Relative permittivity of what is around all boxes: infinity for a conductor.
-    threads : int
-        Any number gives the same bits.
-
-    Returns
-    -------
-    energy : float
-    forces, fields : (3, n) array
-        Minus the derivatives of the energy by places and by dipoles.
+    Each dipole is in the Gaussian clouds of inverse width `alpha` of all others, in all images of a rectangular box
+    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Any number of threads gives
+    the same bits.
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
@@ -92,7 +75,7 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
     return weights, counts
 
 
-@_compiled
+@reordered
 def _standing_waves(x, k):
     """Return cos k x and sin k x in turns, (2 k, n)."""
     waves = np.empty((2 * len(k), len(x)))
@@ -108,7 +91,7 @@ def _standing_waves(x, k):
     return waves
 
 
-@_compiled
+@reordered
 def _differentiated(waves, k):
     """Return standing waves and their first and second derivatives, (3, 2 k, n)."""
     all_three = np.empty((3, *waves.shape))
@@ -121,7 +104,7 @@ def _differentiated(waves, k):
     return all_three
 
 
-@_compiled
+@reordered
 def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
     """Sum u.grad over all dipoles, for the waves of some rows of x."""
     n = u.shape[1]
@@ -145,7 +128,7 @@ def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
                 amplitudes[a, b, 2 * m + 1] = across_s + kz[m] * along_c
 
 
-@_compiled
+@reordered
 def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
     """Sum factors times u.grad over all waves, and take minus its derivatives, for some dipoles.
 

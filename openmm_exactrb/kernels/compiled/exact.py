@@ -1,10 +1,7 @@
 """The exact flow of the free rigid body, compiled: the twin of `plain.exact`, with its formulas and its names.
 
-Steps with b G h <= 0.3 go through `_short` in blocks of bodies. It has neither branches nor calls, so that the compiler
-advances as many bodies at once as a vector register holds; sine and cosine are series after a reduction to an eighth
-of a turn. All other steps go through `_long`, body by body.
-
-Momenta and moments are in ascending principal axes here.
+Steps with b G h <= 0.3 go through `_short` in blocks of bodies; it has neither branches nor calls, so that it is
+vectorised. All other steps go through `_long`, body by body.
 """
 
 from __future__ import annotations
@@ -14,23 +11,20 @@ import math
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner
-from openmm_exactrb.kernels.compiled.double_words import difference, times, times_squared
-from openmm_exactrb.kernels.compiled.elliptic import LANDEN, jacobi, rescaled, sine_short, third_kind, third_kind_short
+from openmm_exactrb.kernels.compiled.elliptic import LANDEN, jacobi, rescaled, third_kind, third_kind_short
+from openmm_exactrb.kernels.compiled.formulas import product, separatrix_difference, sine_short, two_sum
 from openmm_exactrb.kernels.compiled.rotations import (
     cosine_and_sine,
-    keeping_the_norm,
-    of_the_same_norm,
-    one_less_square,
-    product_of_quaternions,
+    keep_norm,
+    norm_conserving,
+    norm_defect,
     rotate,
-    rotate_little,
+    rotate_short,
     turned,
 )
-from openmm_exactrb.kernels.compiled.sums import two_sum
 from openmm_exactrb.kernels.plain.exact import ON_SEPARATRIX, SAFE, SHORT, VANISHING
 
-# Bodies in a block. Its rows lie next to each other at distances that the compiler knows, so that it sees that they
-# do not overlap.
+# Bodies in a block. With rows at distances known at compile time they are known not to overlap.
 _BLOCK = 64
 _ROWS = 23
 # h G/I3 up to which the reduction of its angle is exact to roundoff.
@@ -51,19 +45,19 @@ def _short_block(block):
         t0, t1, t2, t3, d1, d2, d3, is_short = _short(b, rho, sigma, inverse_I3, x1, x2, x3, block[7 * _BLOCK + i])
         q0, q1, q2, q3 = block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i]
         l0, l1, l2, l3 = block[16 * _BLOCK + i], block[17 * _BLOCK + i], block[18 * _BLOCK + i], block[19 * _BLOCK + i]
-        p0, p1, p2, p3 = product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
-        defect = 0.5 * one_less_square(q0, q1, q2, q3) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
-        p0, l0 = two_sum(q0, l0, p0 + q0 * defect)
-        p1, l1 = two_sum(q1, l1, p1 + q1 * defect)
-        p2, l2 = two_sum(q2, l2, p2 + q2 * defect)
-        p3, l3 = two_sum(q3, l3, p3 + q3 * defect)
+        p0, p1, p2, p3 = product(q0, q1, q2, q3, t0, t1, t2, t3)
+        defect = 0.5 * norm_defect(q0, q1, q2, q3) - (q0 * l0 + q1 * l1 + q2 * l2 + q3 * l3)
+        p0, l0 = two_sum(q0, p0 + q0 * defect + l0)
+        p1, l1 = two_sum(q1, p1 + q1 * defect + l1)
+        p2, l2 = two_sum(q2, p2 + q2 * defect + l2)
+        p3, l3 = two_sum(q3, p3 + q3 * defect + l3)
         block[8 * _BLOCK + i] = p0 if is_short else q0
         block[9 * _BLOCK + i] = p1 if is_short else q1
         block[10 * _BLOCK + i] = p2 if is_short else q2
         block[11 * _BLOCK + i] = p3 if is_short else q3
-        block[12 * _BLOCK + i], d1 = two_sum(x1, block[20 * _BLOCK + i], d1)
-        block[13 * _BLOCK + i], d2 = two_sum(x2, block[21 * _BLOCK + i], d2)
-        block[14 * _BLOCK + i], d3 = two_sum(x3, block[22 * _BLOCK + i], d3)
+        block[12 * _BLOCK + i], d1 = two_sum(x1, d1 + block[20 * _BLOCK + i])
+        block[13 * _BLOCK + i], d2 = two_sum(x2, d2 + block[21 * _BLOCK + i])
+        block[14 * _BLOCK + i], d3 = two_sum(x3, d3 + block[22 * _BLOCK + i])
         block[15 * _BLOCK + i] = 1.0 if is_short else 0.0
         block[16 * _BLOCK + i] = l0 if is_short else 0.0
         block[17 * _BLOCK + i] = l1 if is_short else 0.0
@@ -101,13 +95,13 @@ def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
     half_angle = 0.5 * (hG * inverse_I3 + third_kind_short(w, x, z, B))
     cosine, sine = cosine_and_sine(half_angle)
     cn_less, dn_less = x * u / (1.0 + cn), z * u / (1.0 + dn)
-    t0, t1, t2, t3, d1, d2, d3 = rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, sigma, rho, cosine, sine)
-    d1, d2, d3 = keeping_the_norm(flip * d1 * G, d2 * G, flip * d3 * G, x1, x2, x3, square_G)
+    t0, t1, t2, t3, d1, d2, d3 = rotate_short(y1, y2, y3, cn, dn, w, cn_less, dn_less, sigma, rho, cosine, sine)
+    d1, d2, d3 = norm_conserving(flip * d1 * G, d2 * G, flip * d3 * G, x1, x2, x3, square_G)
     return t0, flip * t1, t2, flip * t3, d1, d2, d3, is_short
 
 
 @inner
-def _long(body, block, i, turn, means):
+def _long(body, block, i, means):
     """Advance body i of a block by a step of any length, from any momentum."""
     b, rho, sigma, inverse_I3, I1, I2, I3 = body
     t = block[7 * _BLOCK + i]
@@ -127,7 +121,12 @@ def _long(body, block, i, turn, means):
     hG = t * math.ldexp(G, exponent)
     y1, y2, y3 = m1 / G, m2 / G, m3 / G
 
-    S = separatrix_distance(I1, I2, I3, m1, m3) / (G * G)
+    distance, terms = separatrix_difference(I1, I2, I3, m1, m3)
+    if abs(distance) <= ON_SEPARATRIX * terms:
+        distance = 0.0
+    elif I3 > I1:
+        distance /= I2 * (I3 - I1)
+    S = distance / (G * G)
     B = sigma * (y1 * y1 + sigma * y2 * y2)
     mirrored = S >= 0.0
     r, s = (rho, sigma) if mirrored else (sigma, rho)
@@ -143,10 +142,8 @@ def _long(body, block, i, turn, means):
     sn, cn, dn, half_turns = jacobi(v, kc2, means)
     w = sn / c if c > 0.0 else b * hG
     half_angle = 0.5 * (hG * inverse_I3 + third_kind(v, kc2, c, B, w, cn, dn, half_turns))
-    if mirrored:
-        half_angle, extra_re, extra_im = -half_angle, 1.0, 0.0
-    else:
-        extra_re, extra_im = cn * dn, w
+    extra_re, extra_im = (1.0, 0.0) if mirrored else (cn * dn, w)
+    half_angle = -half_angle if mirrored else half_angle
     f1, f2, unit = rescaled(y1, y2)
     t0, t1, t2, t3, n1, n2, n3 = rotate(
         y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, math.cos(half_angle), math.sin(half_angle)
@@ -154,7 +151,7 @@ def _long(body, block, i, turn, means):
     t1, t3, n1, n3 = flip * t1, flip * t3, flip * n1, flip * n3
     if mirrored:
         t1, t2, t3, n1, n3 = -t3, -t2, -t1, n3, n1
-    n1, n2, n3 = of_the_same_norm(n1, n2, n3, m1, m2, m3, G, square_G)
+    n1, n2, n3 = keep_norm(n1, n2, n3, m1, m2, m3, G, square_G)
     block[12 * _BLOCK + i] = math.ldexp(n1, exponent)
     block[13 * _BLOCK + i] = math.ldexp(n2, exponent)
     block[14 * _BLOCK + i] = math.ldexp(n3, exponent)
@@ -163,51 +160,22 @@ def _long(body, block, i, turn, means):
     block[8 * _BLOCK + i], block[9 * _BLOCK + i], block[10 * _BLOCK + i], block[11 * _BLOCK + i] = q0, q1, q2, q3
 
 
-@inlined
-def separatrix_distance(I1, I2, I3, m1, m3):
-    """Return S norm(m)² = rho m1² - sigma m3², its cancelling part in double-double."""
-    d, d_error = difference(I2, I1)
-    f, f_error = times(I3, d, d_error)
-    a, a_error = times_squared(f, f_error, m1)
-    d, d_error = difference(I3, I2)
-    f, f_error = times(I1, d, d_error)
-    c, c_error = times_squared(f, f_error, m3)
-    leading, error = difference(a, c)
-    distance = leading + (error + (a_error - c_error))
-    if abs(distance) <= ON_SEPARATRIX * (a + c):
-        return 0.0
-    return distance / (I2 * (I3 - I1)) if I3 > I1 else distance
-
-
 @compiled("f2 f3 f3 f1 F3 F3")
 def advance(body, q, m, t, q1, m1):
-    """Advance bodies by t into q1 and m1, in ascending principal axes.
-
-    Parameters
-    ----------
-    body : (7, 1) or (7, N) array
-        What `exact.constants` returns.
-    q, m : (2, 4, N) and (2, 3, N) arrays, or (1, 4, N) and (1, 3, N)
-        Sums, or plain numbers.
-    t : (1,) or (N,) array
-    q1, m1 : arrays of the same shapes
-        For the results; they may be q and m.
-    """
-    block = np.zeros(_ROWS * _BLOCK)
-    turn, means = np.empty(4), np.empty((2, LANDEN))
-    each, shared, every, summing = body.shape[1] > 1, 0, t.shape[0] > 1, q.shape[0] > 1
+    """Do as `plain.exact.advance`; q1 and m1 may be q and m."""
+    block, means = np.zeros(_ROWS * _BLOCK), np.empty((2, LANDEN))
+    each, every, summing = body.shape[1] > 1, t.shape[0] > 1, q.shape[0] > 1
     n = m.shape[2]
     for start in range(0, n, _BLOCK):
         length = min(_BLOCK, n - start)
-        for row in range(4):
-            for i in range(length):
-                block[row * _BLOCK + i] = body[row, start + i if each else shared]
+        for i in range(length):
+            for row in range(4):
+                block[row * _BLOCK + i] = body[row, start + i if each else 0]
+            block[7 * _BLOCK + i] = t[start + i if every else 0]
         for row in range(3):
             for i in range(length):
                 block[(4 + row) * _BLOCK + i] = m[0, row, start + i]
                 block[(20 + row) * _BLOCK + i] = m[1, row, start + i] if summing else 0.0
-        for i in range(length):
-            block[7 * _BLOCK + i] = t[start + i if every else 0]
         for row in range(4):
             for i in range(length):
                 block[(8 + row) * _BLOCK + i] = q[0, row, start + i]
@@ -218,7 +186,7 @@ def advance(body, q, m, t, q1, m1):
         _short_block(block)
         for i in range(length):
             if block[15 * _BLOCK + i] == 0.0:
-                _long(body[:, start + i if each else 0], block, i, turn, means)
+                _long(body[:, start + i if each else 0], block, i, means)
         for row in range(4):
             for i in range(length):
                 q1[0, row, start + i] = block[(8 + row) * _BLOCK + i]

@@ -1,7 +1,7 @@
-"""The pair sum of soft dipoles in compiled double precision. Importing this imports numba: see `compiled`.
+"""The pair sum of soft dipoles in compiled double precision.
 
-Every sphere sums over all others, so that a pair is computed twice: the rows are independent, the inner loop runs in
-vector registers, and any number of threads gives the same bits.
+Every sphere sums over all others, so that a pair is computed twice: rows are independent, the inner loop is vectorised,
+and any number of threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import inlined as _inlined
-from openmm_exactrb.kernels.build import reordered as _compiled
+from openmm_exactrb.kernels.build import inlined, reordered
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
 from openmm_exactrb.kernels.threads import cores, in_threads
 
@@ -21,11 +20,11 @@ Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]
 Ewald = tuple[float, float, float]
 
-# Fewer pairs than this are not worth a second thread, which costs some 60 microseconds. An Ewald sum calls for threads
-# three times; ten waves of a dipole cost as much as three pairs, and a screened pair as much as three others.
+# Fewer pairs than this are not worth a second thread. Ten waves of a dipole cost as much as three pairs, and a screened
+# pair as much as three others.
 _SHARED = 200_000
 
-# Farther than this many widths of its cloud nothing is left of a screened dipole: exp(-6.5²) is 4e-19.
+# Distance in widths of the Gaussian at which a screened dipole ends: exp(-6.5²) is 4e-19.
 _FAR = 6.5
 
 
@@ -39,7 +38,7 @@ def soft_dipoles(
     minimum: tuple[float, float] | None = None,
     ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
-    """Return the energy and the forces on centres and tips, as `potentials.soft_dipole_force` defines them.
+    """Return the energy (kJ/mol) and the forces (kJ/mol/nm) of `potentials.soft_dipole_force`.
 
     Parameters
     ----------
@@ -48,23 +47,16 @@ def soft_dipoles(
     repulsion, coupling : float
         4 epsilon sigma^12 and (strength/length)².
     truncation : tuple of six floats, optional
-        Edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the reaction field. With it the
-        boundaries are periodic.
+        For periodic boundaries: edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the
+        reaction field.
     threads : int, optional
-        All cores, or what NUMBA_NUM_THREADS says, where the pairs are worth it. Any number gives the same bits.
+        By default all cores, where the pairs are worth it. Any number gives the same bits.
     attraction : float, optional
-        4 epsilon sigma^6; without it there is nothing to pay for it.
+        4 epsilon sigma^6.
     minimum : (squared distance, depth), optional
-        Where the spheres' energy ends, raised by the depth (Weeks, Chandler and Andersen).
+        Where the energy of the spheres ends, raised by the depth (Weeks, Chandler and Andersen).
     ewald : (alpha, k_max, dielectric), optional
-        Inverse width of the clouds of an Ewald sum, its largest wave number, and relative permittivity outside.
-
-    Returns
-    -------
-    energy : float
-        In kJ/mol.
-    forces : (2 n, 3) array
-        In kJ/mol/nm.
+        Inverse width of the Gaussians of an Ewald sum, its largest wave number, and relative permittivity outside.
     """
     if ewald and truncation is None:
         raise ValueError("an Ewald sum needs a box")
@@ -88,9 +80,9 @@ def soft_dipoles(
     return energy, forces
 
 
-@_compiled
+@reordered
 def _split(x):
-    """Return centres and arrows (tip minus centre), component-first, with room to fill vector registers."""
+    """Return centres and arrows (tip minus centre), component-first, padded to full vector registers."""
     n = len(x) // 2
     arrows = np.zeros((6, (n + 7) // 8 * 8))
     for i in range(n):
@@ -104,7 +96,7 @@ def _polynomial(coefficients):
     highest, *others = map(float, coefficients[::-1])
     rest = np.array(others)
 
-    @_inlined
+    @inlined
     def polynomial(x):
         value = highest
         for k in range(len(rest)):
@@ -119,8 +111,8 @@ def _scaled_erfc(t):  # scipy's would cost its import, which takes half as long 
     return math.exp(x * x) * math.erfc(x)
 
 
-# Functions of a library would keep the loop over pairs out of the vector registers. These are the 32nd root of exp(-s),
-# by s about its middle, and exp(x²) erfc(x), by t = (x - 2)/(x + 2).
+# Polynomials, because calls of a library would not be vectorised: the 32nd root of exp(-s) in s about its middle, and
+# exp(x²) erfc(x) in t = (x - 2)/(x + 2).
 _MIDDLE = 0.5 * _FAR**2
 _root_of_exp = _polynomial([math.exp(-_MIDDLE / 32.0) / math.factorial(k) for k in range(17)])
 _erfcx = _polynomial(
@@ -130,7 +122,7 @@ _erfcx = _polynomial(
 )
 
 
-@_inlined
+@inlined
 def screened(r2, i, alpha):
     """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; the derivative of each is -r the next."""
     s = min(alpha * alpha * r2, _FAR**2)
@@ -146,7 +138,7 @@ def screened(r2, i, alpha):
     return b * b1, b * i * b2, b * i * i * b3
 
 
-@_inlined
+@inlined
 def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alpha=None):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
@@ -169,7 +161,7 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alp
     return core + b * uv - c * ur * vr, i * slope + c * uv - d * ur * vr, b, c
 
 
-@_compiled
+@reordered
 def truncated(r2, uv, energy, a, b, c, coupling, truncation):
     """Add the reaction field, and multiply by a switch S(r²) that is smooth to the sixth derivative."""
     _, _, _, end, rate, reaction = truncation
@@ -184,7 +176,7 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):
     return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
 
 
-@_compiled
+@reordered
 def _rows(first, last, sites, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces):
     """Sum twice the energy, and the forces, of some spheres with all others."""
     n, arrows = len(energies), _split(sites)

@@ -1,10 +1,11 @@
-"""Rotations of one body from a unit vector that moves along, compiled: the formulas of `plain.exact`."""
+"""The rotation of one body in a step, from its unit angular momentum, compiled: the formulas of `plain.exact`."""
 
 from __future__ import annotations
 
 import math
 
 from openmm_exactrb.kernels.build import inlined
+from openmm_exactrb.kernels.compiled.formulas import product
 from openmm_exactrb.quaternions import TO_GRID
 
 # pi/2 in three parts, the first two of 33 bits.
@@ -19,50 +20,22 @@ def cosine_and_sine(angle):
     turns = (angle * (2.0 / math.pi) + _ROUNDING) - _ROUNDING
     r = ((angle - turns * _P1) - turns * _P2) - turns * _P3
     u = r * r
-    sine = r + r * u * (
-        -1 / 6
-        + u
-        * (
-            1 / 120
-            + u
-            * (
-                -1 / 5040
-                + u
-                * (
-                    1 / 362880
-                    + u * (-1 / 39916800 + u * (1 / 6227020800 + u * (-1 / 1307674368000 + u / 355687428096000)))
-                )
-            )
-        )
-    )
-    cosine = (
-        1.0
-        - 0.5 * u
-        + u
-        * u
-        * (
-            1 / 24
-            + u
-            * (
-                -1 / 720
-                + u
-                * (1 / 40320 + u * (-1 / 3628800 + u * (1 / 479001600 + u * (-1 / 87178291200 + u / 20922789888000))))
-            )
-        )
-    )
+    sine = 1 / 6227020800 + u * (-1 / 1307674368000 + u / 355687428096000)
+    sine = -1 / 5040 + u * (1 / 362880 + u * (-1 / 39916800 + u * sine))
+    sine = r + r * u * (-1 / 6 + u * (1 / 120 + u * sine))
+    cosine = 1 / 479001600 + u * (-1 / 87178291200 + u / 20922789888000)
+    cosine = -1 / 720 + u * (1 / 40320 + u * (-1 / 3628800 + u * cosine))
+    cosine = 1.0 - 0.5 * u + u * u * (1 / 24 + u * cosine)
     quadrant = turns - 4.0 * ((0.25 * turns + _ROUNDING) - _ROUNDING)  # -2, -1, 0, 1 or 2
     odd = abs(quadrant) == 1.0
     c, e = (sine, cosine) if odd else (cosine, sine)
     half_turn = abs(quadrant) == 2.0
-    return (
-        -c if half_turn | (quadrant == 1.0) else c,
-        -e if half_turn | (quadrant == -1.0) else e,
-    )
+    return -c if half_turn | (quadrant == 1.0) else c, -e if half_turn | (quadrant == -1.0) else e
 
 
 @inlined
-def one_less_square(q0, q1, q2, q3):
-    """Return 1 - q.q of a unit quaternion, as `quaternions.one_less_square` does."""
+def norm_defect(q0, q1, q2, q3):
+    """Return 1 - q.q of a unit quaternion, as `quaternions.norm_defect` does."""
     h0, h1 = (q0 + TO_GRID) - TO_GRID, (q1 + TO_GRID) - TO_GRID
     h2, h3 = (q2 + TO_GRID) - TO_GRID, (q3 + TO_GRID) - TO_GRID
     rest = (q0 - h0) * (q0 + h0) + (q1 - h1) * (q1 + h1) + (q2 - h2) * (q2 + h2) + (q3 - h3) * (q3 + h3)
@@ -70,11 +43,8 @@ def one_less_square(q0, q1, q2, q3):
 
 
 @inlined
-def rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
-    """Do as `rotate`, but return the rotation less one and the change of y, with errors as small as they are.
-
-    `cn_less` and `dn_less` are 1 - cn and 1 - dn.
-    """
+def rotate_short(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
+    """Do as `rotate`, but return the rotation less one and the change of y; `cn_less` is 1 - cn, `dn_less` 1 - dn."""
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
     inverse = 1.0 / (cn * cn + rw2)
@@ -85,7 +55,7 @@ def rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
 
     re, im = y2 * y2 + y1 * (cn * n1 + wy3 * n2), -s * w * y2 * n2
     c, e = twisted(cosine, sine, re, im, cd, w, y1 * n1 + y2 * n2, y2 * d1 - y1 * d2)
-    less = one_less(c, e)
+    less = versine(c, e)
 
     # z is the change of (y1 + i y2) as it turns.
     z1, z2 = d1 * c - d2 * e - (y1 * less + y2 * e), d1 * e + d2 * c - (y2 * less - y1 * e)
@@ -96,11 +66,11 @@ def rotate_little(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
     t1 = scale * (a0 * (z2 + y2 * less + y1 * e) - d3 * (y2 * c - y1 * e))
     t3 = scale * (product * e + y2 * z1 - y1 * z2)
     along = scale * (product * c + y1 * (y1 + z1) + y2 * (y2 + z2))
-    return -one_less(along, math.sqrt(t1 * t1 + t2 * t2 + t3 * t3)), t1, t2, t3, d1, d2, d3
+    return -versine(along, math.sqrt(t1 * t1 + t2 * t2 + t3 * t3)), t1, t2, t3, d1, d2, d3
 
 
 @inlined
-def one_less(cosine, sine):
+def versine(cosine, sine):
     """Return 1 - cosine, without cancellation."""
     return sine * sine / (1.0 + cosine) if cosine > 0.0 else 1.0 - cosine
 
@@ -148,26 +118,15 @@ def half_argument(re, im):
 
 
 @inlined
-def product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3):
-    """Return q t."""
-    return (
-        q0 * t0 - q1 * t1 - q2 * t2 - q3 * t3,
-        q0 * t1 + q1 * t0 + q2 * t3 - q3 * t2,
-        q0 * t2 - q1 * t3 + q2 * t0 + q3 * t1,
-        q0 * t3 + q1 * t2 - q2 * t1 + q3 * t0,
-    )
-
-
-@inlined
 def turned(q0, q1, q2, q3, t0, t1, t2, t3):
     """Return the product of two quaternions, of norm one."""
-    p0, p1, p2, p3 = product_of_quaternions(q0, q1, q2, q3, t0, t1, t2, t3)
+    p0, p1, p2, p3 = product(q0, q1, q2, q3, t0, t1, t2, t3)
     half_defect = 0.5 * (1.0 - (p0 * p0 + p1 * p1 + p2 * p2 + p3 * p3))
     return p0 + p0 * half_defect, p1 + p1 * half_defect, p2 + p2 * half_defect, p3 + p3 * half_defect
 
 
 @inlined
-def keeping_the_norm(d1, d2, d3, x1, x2, x3, square_G):
+def norm_conserving(d1, d2, d3, x1, x2, x3, square_G):
     """Return the change of x, corrected so that it keeps the norm."""
     n1, n2, n3 = x1 + d1, x2 + d2, x3 + d3
     correction = (d1 * (x1 + n1) + d2 * (x2 + n2) + d3 * (x3 + n3)) * (0.5 / square_G)
@@ -175,7 +134,7 @@ def keeping_the_norm(d1, d2, d3, x1, x2, x3, square_G):
 
 
 @inlined
-def of_the_same_norm(n1, n2, n3, x1, x2, x3, G, square_G):
+def keep_norm(n1, n2, n3, x1, x2, x3, G, square_G):
     """Return G n with the norm of x, without a bias."""
     n1, n2, n3 = G * n1, G * n2, G * n3
     defect = (x1 - n1) * (x1 + n1) + (x2 - n2) * (x2 + n2) + (x3 - n3) * (x3 + n3)

@@ -1,4 +1,4 @@
-"""Particles of rigid bodies of one kind in numpy: their places, and what the forces on them add up to."""
+"""Particles of rigid bodies of one kind in numpy: their positions, and the sums of their forces and torques."""
 
 from __future__ import annotations
 
@@ -12,22 +12,12 @@ Indices = NDArray[np.intp]
 
 
 def place(R: Array, q: Array, particles: Indices, sites: Array, first: int, x: Array) -> None:
-    """Write the places R + Q b of the particles of some bodies.
+    """Write the positions R + Q b of the particles (n, k) of bodies `first` to `first` + n into rows of x (., 3).
 
-    Parameters
-    ----------
-    R : (3, N) array
-    q : (4, K) array
-    particles : (n, k) array
-        Of the bodies `first` to `first` + n.
-    sites : (1, k, 3) or (n, k, 3) array
-        The places b in the bodies, of all or of each.
-    first : int
-    x : (., 3) array
-        Gets the rows `particles`.
+    R is (3, N) and q (4, K); sites (1, k, 3) or (n, k, 3) are the positions b in the bodies, of all or of each.
     """
     bodies = slice(first, first + len(particles))
-    x[particles] = R.T[bodies, None] + turned(_attitudes(q, bodies), sites)
+    x[particles] = R.T[bodies, None] + turned(matrix(q[:, bodies]).transpose(2, 0, 1), sites)
 
 
 def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Array, total: Array, torque: Array) -> None:
@@ -56,7 +46,3 @@ def turned(Q: Array, sites: Array) -> Array:
         return own
     shared: Array = (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, k).swapaxes(1, 2)
     return shared
-
-
-def _attitudes(q: Array, bodies: slice) -> Array:
-    return matrix(q[:, bodies]).transpose(2, 0, 1)

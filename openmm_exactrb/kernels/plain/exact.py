@@ -15,8 +15,8 @@ axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwi
 
 Exchanging two axes mirrors the body, so angles change sign where j = 1.
 
-A short step computes what it changes, with an error that is as small as the change. Attitudes and momenta may be sums
-high + low (`openmm_exactrb.compensated`), to which the changes are added: then a run has no other roundoff.
+A short step computes changes, with an error in proportion to them. Attitudes and momenta may be double-doubles
+(`openmm_exactrb.compensated`), to which the changes are added: then a run has no other roundoff.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import add, exactly, keep_norm
+from openmm_exactrb.compensated import add, exactly, keep_norm, times, times_squared, two_difference
 from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
-from openmm_exactrb.quaternions import multiply, one_less_square, renormalise
+from openmm_exactrb.quaternions import Numbers, multiply, norm_defect, renormalise
 
 Array = NDArray[np.float64]
 
@@ -41,17 +41,10 @@ ON_SEPARATRIX = 1e-30
 
 
 def advance(body: Array, q: Array, m: Array, t: Array, q1: Array, m1: Array) -> None:
-    """Advance bodies by t into q1 and m1, in ascending principal axes.
+    """Advance bodies by t (1,) or (N,) into q1 and m1, in ascending principal axes.
 
-    Parameters
-    ----------
-    body : (7, 1) or (7, N) array
-        b, rho, sigma, 1/I3 and the three moments, scaled by a power of two: `openmm_exactrb.rotors.exact.constants`.
-    q, m : (2, 4, N) and (2, 3, N) arrays, or (1, 4, N) and (1, 3, N)
-        Sums, or plain numbers.
-    t : (1,) or (N,) array
-    q1, m1 : arrays of the same shapes
-        For the results.
+    `body` (7, 1) or (7, N) is what `openmm_exactrb.rotors.exact.constants` returns; q and m are double-doubles
+    (2, 4, N) and (2, 3, N), or plain numbers (1, 4, N) and (1, 3, N).
     """
     t = np.broadcast_to(t, m.shape[2:])
     G = np.sqrt(np.einsum("in,in->n", m[0], m[0]))
@@ -69,7 +62,7 @@ def advance(body: Array, q: Array, m: Array, t: Array, q1: Array, m1: Array) -> 
 def _step_short(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     turn, change = _short(body, m[0], G, t)
     high = q[0]
-    defect = 0.5 * one_less_square(high)
+    defect = 0.5 * norm_defect(high)
     if len(q) == 2:
         defect -= np.einsum("in,in->n", high, q[1])
     return add(q, multiply(high, turn) + high * defect), add(m, change)
@@ -101,10 +94,10 @@ def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
     u = w * w
     cn, dn = np.sqrt(1.0 - x * u), np.sqrt(1.0 - z * u)
     angle = hG * inverse_I3 + third_kind_short(w, x, z, B)
-    turn, change = _rotate_little(y, cn, dn, w, x * u / (1.0 + cn), z * u / (1.0 + dn), sigma, rho, angle)
-    for component in (turn[1], turn[3], change[0], change[2]):
-        component *= flip
-    return turn, _keeping_the_norm(G * change, m, G)
+    turn, change = _rotate_short(y, cn, dn, w, x * u / (1.0 + cn), z * u / (1.0 + dn), sigma, rho, angle)
+    turn[1::2] *= flip
+    change[::2] *= flip
+    return turn, _norm_conserving(G * change, m, G)
 
 
 def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
@@ -119,7 +112,10 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     y = m / G
     y[2] += resting
 
-    S = _separatrix_distance(body[4:], m) / (G * G)
+    I1, I2, I3 = body[4:]
+    distance, terms = separatrix_difference(I1, I2, I3, m[0], m[2])
+    distance = np.where(np.abs(distance) <= ON_SEPARATRIX * terms, 0.0, distance)
+    S = distance / np.where(I3 > I1, I2 * (I3 - I1), 1.0) / (G * G)
     mirrored = S >= 0.0
     B = sigma * (y[0] * y[0] + sigma * y[1] * y[1])
     r, s = np.where(mirrored, (rho, sigma), (sigma, rho)) * np.ones_like(G)
@@ -135,9 +131,8 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     sn, cn, dn, half_turns = jacobi(v, kc2)
     w = np.where(c > 0.0, sn / np.where(c > 0.0, c, 1.0), b * hG)
     angle = hG * inverse_I3 + third_kind(v, kc2, c, B, w, cn, dn, half_turns)
-    turn, y1 = _rotate(
-        y, cn, dn, w, r, s, np.where(mirrored, -angle, angle), np.where(mirrored, 1.0, _complex(cn * dn, w))
-    )
+    extra = np.where(mirrored, 1.0, _complex(cn * dn, w))
+    turn, y1 = _rotate(y, cn, dn, w, r, s, np.where(mirrored, -angle, angle), extra)
     turn[1::2] *= flip
     y1[::2] *= flip
     turn[1:] *= np.where(mirrored, -1.0, 1.0)
@@ -147,13 +142,10 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
     return turn, np.ldexp(m1, exponent)
 
 
-def _rotate_little(
+def _rotate_short(
     y: Array, cn: Array, dn: Array, w: Array, cn_less: Array, dn_less: Array, r: Array, s: Array, angle: Array
 ) -> tuple[Array, Array]:
-    """Do as `_rotate`, but return the rotation less one and the change of y, with errors as small as they are.
-
-    `cn_less` and `dn_less` are 1 - cn and 1 - dn.
-    """
+    """Do as `_rotate`, but return the rotation less one and the change of y; `cn_less` is 1 - cn, `dn_less` 1 - dn."""
     y1, y2, y3 = y
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
@@ -168,7 +160,7 @@ def _rotate_little(
     twist *= _complex(y1 * n1 + y2 * n2, y1 * -change[1] + y2 * change[0])
     psi = 0.5 * (angle + np.arctan2(twist.imag, twist.real))
     cosine, sine = np.cos(psi), np.sin(psi)
-    turned, less = _complex(cosine, sine), _complex(_one_less(cosine, sine), -sine)
+    turned, less = _complex(cosine, sine), _complex(_versine(cosine, sine), -sine)
 
     xi0 = _complex(y1, y2)
     xi_change = _complex(change[0], change[1]) * turned - xi0 * less
@@ -180,11 +172,11 @@ def _rotate_little(
     turn[1], turn[2], turn[3] = across.imag, -across.real, product * sine - (xi0.conj() * xi_change).imag
     turn[1:] *= scale
     along = scale * (product * cosine + (xi0 * (xi0 + xi_change).conj()).real)
-    turn[0] = -_one_less(along, np.sqrt(np.einsum("in,in->n", turn[1:], turn[1:])))
+    turn[0] = -_versine(along, np.sqrt(np.einsum("in,in->n", turn[1:], turn[1:])))
     return turn, change
 
 
-def _one_less(cosine: Array, sine: Array) -> Array:
+def _versine(cosine: Array, sine: Array) -> Array:
     """Return 1 - cosine, without cancellation."""
     return np.where(cosine > 0.0, sine * sine / (1.0 + cosine), 1.0 - cosine)
 
@@ -242,63 +234,19 @@ def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
     return out
 
 
-def _keeping_the_norm(change: Array, m: Array, G: Array) -> Array:
+def _norm_conserving(change: Array, m: Array, G: Array) -> Array:
     """Return the change of m, corrected so that it keeps the norm."""
     m1 = m + change
     change -= m1 * (np.einsum("in,in->n", change, m + m1) * (0.5 / (G * G)))
     return change
 
 
-def _separatrix_distance(inertia: Array, m: Array) -> Array:
-    """Return S norm(m)² = rho m1² - sigma m3², its cancelling part in double-double.
+def separatrix_difference(I1: Numbers, I2: Numbers, I3: Numbers, m1: Numbers, m3: Numbers) -> tuple[Numbers, Numbers]:
+    """Return d = I3 (I2 - I1) m1² - I1 (I3 - I2) m3², which vanishes on the separatrix, and the sum of its two terms.
 
-    Near the separatrix a double would lose all digits of it.
+    The difference is taken in double-double: near the separatrix a double would lose all digits of it.
     """
-    I1, I2, I3 = inertia
-    first = _times_squared(_times(I3, _difference(I2, I1)), m[0])
-    third = _times_squared(_times(I1, _difference(I3, I2)), m[2])
-    leading, error = _difference(first[0], third[0])
-    distance = leading + (error + (first[1] - third[1]))
-    on_it = np.abs(distance) <= ON_SEPARATRIX * (first[0] + third[0])
-    return np.where(on_it, 0.0, distance) / np.where(I3 > I1, I2 * (I3 - I1), 1.0)
-
-
-def _times_squared(factor: tuple[Array, Array], x: Array) -> tuple[Array, Array]:
-    """Return factor x² in double-double."""
-    square, square_error = _product(x, x)
-    leading, error = _product(factor[0], square)
-    return leading, error + (factor[0] * square_error + factor[1] * square)
-
-
-def _times(a: Array, b: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return a times a double-double b."""
-    leading, error = _product(a, b[0])
-    return _sum_ordered(leading, error + a * b[1])
-
-
-def _difference(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return a - b exactly, as an unevaluated sum (Knuth's TwoSum)."""
-    d = a - b
-    shadow = d - a
-    return d, (a - (d - shadow)) - (b + shadow)
-
-
-def _sum_ordered(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return a + b exactly for abs(a) >= abs(b) (Dekker's FastTwoSum)."""
-    total = a + b
-    return total, b - (total - a)
-
-
-def _product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Return a b exactly, as an unevaluated sum (Dekker, Numer. Math. 18, 224 (1971), doi:10.1007/BF01397083)."""
-    p = a * b
-    a_high, a_low = _halves(a)
-    b_high, b_low = _halves(b)
-    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
-
-
-def _halves(a: Array) -> tuple[Array, Array]:
-    """Split 53 bits into 26 and 27."""
-    t = 134217729.0 * a
-    high = t - (t - a)
-    return high, a - high
+    first = times_squared(times(I3, two_difference(I2, I1)), m1)
+    third = times_squared(times(I1, two_difference(I3, I2)), m3)
+    leading, error = two_difference(first[0], third[0])
+    return leading + (error + (first[1] - third[1])), first[0] + third[0]
