@@ -106,14 +106,11 @@ def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...
     right = [s[j] * math.factorial(2 * j - 1) / (2 * square ** (j - 1)) for j in range(1, terms + 1)]
     alpha = math.sqrt(square)
     b = [float(beta / i) / alpha for i, beta in enumerate(_solved(rows, right), 1)]
-    turns = [
-        (sign * i * alpha, sign * 0.5 * b[i - 1])
-        for sign, order in ((1, -1), (-1, 1))
-        for i in range(1, terms + 1)[::order]
-    ]
     processor: list[tuple[Substep, float]] = []
-    for a, kick in turns:
-        processor += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
+    for sign, order in ((1, -1), (-1, 1)):
+        for i in range(1, terms + 1)[::order]:
+            a, kick = sign * i * alpha, sign * 0.5 * b[i - 1]
+            processor += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
     return replace(
         kernel,
         name=name,

@@ -37,9 +37,11 @@ def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
             f"scheme {scheme.name} moves no oscillator by the step: the parts of its drifts, and of its kicks, must "
             "add up to 1"
         )
-    h = resolution
-    while abs(_trace(scheme, h)) <= 2.0 + 1e-6:
+    h = trace = 0.0
+    while abs(trace) <= 2.0 + 1e-6:
         h += resolution
+        (qq, _), (_, pp) = oscillated(scheme.sequence, h)
+        trace = qq + pp
     return h - resolution
 
 
@@ -90,12 +92,6 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     sine = math.copysign(math.sqrt(square), qp)
     width = sine * (math.atan2(sine, 0.5 * (qq + pp)) % (2.0 * math.pi)) / step
     return Shadow(-width / pq, width / qp)
-
-
-def _trace(scheme: Scheme, h: float) -> float:
-    """Return the trace of the matrix of one step of q'' = -q."""
-    (qq, _), (_, pp) = oscillated(scheme.sequence, h)
-    return float(qq + pp)
 
 
 def oscillated(sequence: Sequence, h: Any) -> Matrix:
