@@ -24,7 +24,7 @@ from openmm_exactrb.device.rotor import RANGE
 from openmm_exactrb.device.rows import Table
 from openmm_exactrb.device.selection import Selection
 from openmm_exactrb.device.watch import Snapshot, Watch
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError, advice
+from openmm_exactrb.mechanics.divergence import ADVICE, IntegrationError, NonFiniteError
 from openmm_exactrb.rotors import Rotor
 
 # How much faster bodies may come to turn within a call than at its start, and the least rotations of a drift, for those
@@ -152,7 +152,9 @@ class DevicePropagator:
                 return
             self._go_back(context, integrator, before)
             if gain:
-                raise IntegrationError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
+                raise IntegrationError(
+                    f"within the {n} steps after step {before.step}: {gain}. {ADVICE.format('call')}"
+                )
         raise NonFiniteError(
             f"within the {n} steps after step {before.step} positions became infinite, a body turned more than "
             f"{_HASTE[-1][0]:g} times as fast as the fastest one before, or forces on a body were beyond {MOST:.2g} "

@@ -51,7 +51,7 @@ class Chart:
                 missed = 0.5 * (square - (now * now).sum(axis=2))
                 if (np.abs(missed) <= _REACHED * square).all():
                     break
-                multipliers = multipliers + _solved(_matrix(kind.coupling, now, r0), missed)
+                multipliers = multipliers + _multipliers(kind.coupling, now, r0, missed)
             else:
                 raise OutOfReachError("atoms were moved to where no place on the constraints belongs to them")
             _add_on_atoms(x, columns, kind.pairs, multipliers[..., None] * r0, 1.0 / kind.masses)
@@ -65,7 +65,7 @@ class Chart:
             i, j = kind.pairs.T
             a = (force[:, columns] / kind.masses).transpose(1, 2, 0)
             along = (r0 * (a[:, i] - a[:, j])).sum(axis=2)
-            multipliers = _solved(_matrix(kind.coupling, r, r0).swapaxes(1, 2), along)
+            multipliers = _multipliers(kind.coupling, r0, r, along)
             _add_on_atoms(slope, columns, kind.pairs, -multipliers[..., None] * r, np.ones(len(kind.masses)))
         return slope
 
@@ -77,13 +77,9 @@ def _vectors(x: Array, columns: NDArray[np.int64], pairs: NDArray[np.int64]) -> 
     return r
 
 
-def _matrix(coupling: Array, r: Array, r0: Array) -> Array:
-    """Return B_cd r_c . r0_d, (N, m, m)."""
-    matrix: Array = coupling * np.einsum("nci,ndi->ncd", r, r0)
-    return matrix
-
-
-def _solved(matrix: Array, right: Array) -> Array:
+def _multipliers(coupling: Array, r: Array, r0: Array, right: Array) -> Array:
+    """Solve sum_d B_cd r_c . r0_d lambda_d = right_c for the multipliers (N, m)."""
+    matrix = coupling * np.einsum("nci,ndi->ncd", r, r0)
     try:
         return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=np.float64)
     except np.linalg.LinAlgError as error:

@@ -16,13 +16,13 @@ Indices = NDArray[np.int64]
 
 #: Constraints that a cluster may have.
 LARGEST = 3000
-#: Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
-INDEPENDENT = 1e-9
+# Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
+_INDEPENDENT = 1e-9
 
 
 @dataclass(frozen=True)
 class ClusterKind:
-    """All clusters of one graph, with the same masses and lengths.
+    """Clusters of one graph, with the same masses and lengths.
 
     Attributes
     ----------
@@ -34,47 +34,12 @@ class ClusterKind:
         The two members of each constraint, by their places in `particles`.
     lengths : (m,) array
         In nm.
-
-    Raises
-    ------
-    ValueError
-        If arrays do not fit together, a member has no mass, a length is not positive, or a constraint follows from
-        the others wherever the members are.
     """
 
     particles: Indices
     masses: Array
     pairs: Indices
     lengths: Array
-
-    def __post_init__(self) -> None:
-        n, m = len(self.masses), len(self.pairs)
-        if (
-            self.particles.ndim != 2
-            or self.particles.shape[1] != n
-            or self.pairs.shape != (m, 2)
-            or len(self.lengths) != m
-        ):
-            raise ValueError(
-                f"particles {self.particles.shape}, masses {self.masses.shape}, pairs {self.pairs.shape} and lengths "
-                f"{self.lengths.shape} do not belong to one kind of clusters"
-            )
-        self._refuse_numbers()
-        if m > LARGEST:
-            raise ValueError(
-                f"{m} constraints hold {self.name(0)} together, more than {LARGEST}: create the System with "
-                "constraints=HBonds, which constrains hydrogens only"
-            )
-        self._refuse_redundant()
-
-    @property
-    def shape(self) -> str:
-        """The graph in a word: "pair", "star", "tree" or "general"."""
-        n, m = len(self.masses), len(self.pairs)
-        if m > n - 1:
-            return "general"
-        degrees = np.bincount(self.pairs.ravel(), minlength=n)
-        return "pair" if n == 2 else "star" if degrees.max() == m else "tree"
 
     @property
     def freedom(self) -> int:
@@ -150,7 +115,15 @@ class ClusterKind:
         rest = np.where(np.isfinite(rest), rest, 0.0)
         return rest.min(axis=0), rest.argmin(axis=0)
 
-    def _refuse_numbers(self) -> None:
+    def refuse_unkept(self) -> None:
+        """Refuse constraints that cannot be kept wherever members are, as three random places tell.
+
+        Raises
+        ------
+        ValueError
+            If a member has no mass, a length is not positive, there are too many constraints, or one follows from the
+            others.
+        """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
             raise ValueError(
@@ -165,13 +138,27 @@ class ClusterKind:
                 f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept: it "
                 "needs two particles and a positive length"
             )
-
-    def _refuse_redundant(self) -> None:
-        """Refuse a constraint that follows from others wherever members are, as three random places tell."""
+        if len(self.pairs) > LARGEST:
+            raise ValueError(
+                f"{len(self.pairs)} constraints hold {self.name(0)} together, more than {LARGEST}: create the System "
+                "with constraints=HBonds, which constrains hydrogens only"
+            )
         places = np.random.default_rng(0).standard_normal((3, len(self.masses), 3))
         independence, constraint = self.most_dependent(places)
-        if independence.max() < INDEPENDENT:
+        if independence.max() < _INDEPENDENT:
             i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
             raise ValueError(
                 f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove it"
+            )
+
+    def refuse_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
+        """Refuse places (N, n, 3), of the chosen ones (N,), where a constraint follows from the others; ValueError."""
+        independence, constraint = self.most_dependent(x)
+        independence = np.where(chosen, independence, 1.0)
+        if (independence < _INDEPENDENT).any():
+            worst = int(np.argmin(independence))
+            i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
+            raise ValueError(
+                f"{self.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and "
+                f"{j} follows from the others, as for three particles of a triangle on a line: move them, or remove it"
             )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-from openmm_exactrb.mechanics.cluster_kind import INDEPENDENT, ClusterKind
+from openmm_exactrb.mechanics.cluster_kind import ClusterKind
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -33,32 +33,6 @@ class ClusterState(NamedTuple):
 
     x: Array
     p: Array
-
-    @property
-    def high(self) -> ClusterState:
-        """The numbers themselves, (3, M)."""
-        return ClusterState(self.x[0], self.p[0])
-
-
-class Group(NamedTuple):
-    """Clusters with the same masses and constraints.
-
-    Attributes
-    ----------
-    particles : (N, n) array
-        The n particles of each of the N clusters.
-    masses : (n,) array
-        In amu.
-    pairs : (m, 2) array
-        The two members of each constraint, by their places in a row of `particles`.
-    lengths : (m,) array
-        In nm.
-    """
-
-    particles: Indices
-    masses: Array
-    pairs: Indices
-    lengths: Array
 
 
 class Clusters:
@@ -132,65 +106,41 @@ class Clusters:
         return after
 
 
-def sorted_into_kinds(groups: Iterable[Group]) -> Clusters:
+def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
-
-    Parameters
-    ----------
-    groups : iterable of Group
 
     Raises
     ------
     ValueError
-        As `ClusterKind`.
+        If constraints cannot be kept: see `ClusterKind.refuse_unkept`.
     """
-    kinds: dict[bytes, tuple[Array, Indices, Array]] = {}
-    particles: dict[bytes, list[Indices]] = {}
-    for group in groups:
-        order = _canonical(group)
-        pairs = np.sort(np.argsort(order)[group.pairs], axis=1)
-        by_ends = np.lexsort(pairs.T)
-        kind = group.masses[order], pairs[by_ends], group.lengths[by_ends]
-        key = b"/".join(a.tobytes() for a in kind)
-        kinds.setdefault(key, kind)
-        particles.setdefault(key, []).append(group.particles[:, order])
-    return Clusters([ClusterKind(_by_number(particles[key]), *kind) for key, kind in kinds.items()])
+    kinds: dict[bytes, list[ClusterKind]] = {}
+    for group in map(_in_canonical_order, groups):
+        key = b"/".join(a.tobytes() for a in (group.masses, group.pairs, group.lengths))
+        kinds.setdefault(key, []).append(group)
+    joined = [replace(same[0], particles=_by_number([kind.particles for kind in same])) for same in kinds.values()]
+    for kind in joined:
+        kind.refuse_unkept()
+    return Clusters(joined)
 
 
-def _canonical(group: Group) -> Indices:
-    """Return an order of the members: of a star the centre first, then rays by mass and length; else as they are."""
+def _in_canonical_order(group: ClusterKind) -> ClusterKind:
+    """Return clusters with their members in order: of a star the centre, then rays by mass and length; else as before.
+
+    Constraints come in the order of their members.
+    """
     m, n = len(group.pairs), len(group.masses)
-    degree = np.bincount(group.pairs.ravel(), minlength=n)
-    if m != n - 1 or degree.max() != m:
-        return np.arange(n)
-    centre = np.argmax(degree)
-    length = np.zeros(n)
-    length[np.where(group.pairs[:, 0] == centre, group.pairs[:, 1], group.pairs[:, 0])] = group.lengths
-    order: Indices = np.lexsort((length, group.masses, np.arange(n) != centre))
-    return order
+    order, degree = np.arange(n), np.bincount(group.pairs.ravel(), minlength=n)
+    if m == n - 1 and degree.max() == m:
+        centre, length = np.argmax(degree), np.zeros(n)
+        length[np.where(group.pairs[:, 0] == centre, group.pairs[:, 1], group.pairs[:, 0])] = group.lengths
+        order = np.lexsort((length, group.masses, order != centre))
+    pairs = np.sort(np.argsort(order)[group.pairs], axis=1)
+    by_ends = np.lexsort(pairs.T)
+    return ClusterKind(group.particles[:, order], group.masses[order], pairs[by_ends], group.lengths[by_ends])
 
 
 def _by_number(particles: Sequence[Indices]) -> Indices:
     """Return the clusters (N, n) of several groups in the order of their first particles."""
     joined = np.concatenate(particles)
     return joined[np.argsort(joined.min(axis=1))]
-
-
-def refuse_singular(kind: ClusterKind, x: Array, chosen: NDArray[np.bool_] | None = None) -> None:
-    """Refuse places (N, n, 3) of clusters, or of some (N,) of them, where a constraint follows from the others.
-
-    Raises
-    ------
-    ValueError
-        If there is one.
-    """
-    independence, constraint = kind.most_dependent(x)
-    if chosen is not None:
-        independence = np.where(chosen, independence, 1.0)
-    if (independence < INDEPENDENT).any():
-        worst = int(np.argmin(independence))
-        i, j = kind.particles[worst, kind.graph.pairs[constraint[worst]]]
-        raise ValueError(
-            f"{kind.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and {j} "
-            "follows from the others, as for three particles of a triangle on a line: move them, or remove it"
-        )

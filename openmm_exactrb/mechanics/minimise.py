@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.chart import Chart, OutOfReachError
-from openmm_exactrb.mechanics.divergence import NonFiniteError, closest_pair
+from openmm_exactrb.mechanics.divergence import NonFiniteError
+from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import exponential, multiply
 
@@ -63,9 +64,7 @@ def minimised(
 
     Parameters
     ----------
-    bodies : RigidBodies
-    start : BodyState
-    landscape : callable
+    bodies, start, landscape
     tolerance : float
         The largest component of a force, and of a torque over the radius of gyration, that may be left, in kJ/mol/nm.
     iterations : int
@@ -102,16 +101,15 @@ def minimised(
                 return state
             gained = search.gained(before)
             if last and not gained:
-                warnings.warn(_above(force, tolerance), MinimisationWarning, stacklevel=2)
+                warnings.warn(
+                    f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of "
+                    f"{tolerance:.3g}, where the energy does not fall any more: take a larger tolerance, or forces in "
+                    "double precision",
+                    MinimisationWarning,
+                    stacklevel=2,
+                )
                 return search.state
         reach *= 1.0 if gained else 0.1
-
-
-def _above(force: float, tolerance: float) -> str:
-    return (
-        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, where "
-        "the energy does not fall any more: take a larger tolerance, or forces in double precision"
-    )
 
 
 def _searched(
@@ -124,10 +122,7 @@ def _searched(
 ) -> tuple[BodyState, float]:
     """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there.
 
-    Raises
-    ------
-    OutOfReachError
-        If the search leaves the chart of the clusters.
+    OutOfReachError if the search leaves the chart of the clusters.
     """
     from scipy.optimize import minimize  # here, for a short import of the package
 

@@ -13,16 +13,12 @@ def canonical(
 ) -> BodyState:
     """Return a state with momenta drawn at a temperature, those of constrained clusters along their constraints.
 
-    What is left of independent momenta by the projection that is orthogonal in the metric of the masses has the
-    canonical distribution on the constraints.
+    The projection that is orthogonal in the metric of the masses leaves the canonical distribution on the constraints.
 
     Parameters
     ----------
-    bodies : RigidBodies
-    state : BodyState
     kT : float
         In kJ/mol.
-    rng : Generator
     at_rest : bool
         Whether the centre of mass of all is to be at rest.
     """
