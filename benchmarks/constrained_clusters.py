@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.mechanics.cluster_kind import ClusterKind
-from openmm_exactrb.mechanics.clusters import ClusterState
+from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 
 C, N, O, H = 12.011, 14.007, 15.999, 1.008
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5

@@ -13,8 +13,7 @@ from openmm import unit
 
 from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions, on_constraints
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.cluster_kind import ClusterKind
-from openmm_exactrb.mechanics.clusters import Clusters, sorted_into_kinds
+from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.images import joined
 
 Array = NDArray[np.float64]

@@ -16,35 +16,25 @@ Array = NDArray[np.float64]
 class Replicas(Synchronisation):
     """A `Synchronisation` that reads the state only when it is asked for, since the device does not need it."""
 
-    _behind = False
+    #: Whether the device has moved on since `state` was read.
+    behind = False
     _replicated: State | None = None  # the state that the replicas hold
 
     def pull(self) -> bool:
-        """Bring the state up to date, and the replicas where something was set in the Context.
-
-        Raises
-        ------
-        ValueError
-            As `Synchronisation.pull`.
-        """
-        if self._behind:
+        """Bring the state up to date, and the replicas where something was set in the Context."""
+        if self.behind:
             self._seen = None
         changed = super().pull()
-        self._behind = False
+        self.behind = False
         if self.state is not self._replicated:
             self.push()
         return changed
-
-    @property
-    def behind(self) -> bool:
-        """Whether the device has moved on since `state` was read."""
-        return self._behind
 
     def settle(self) -> tuple[Array, Array]:
         """Bring the replicas up to date with the Context; return its positions (nm) and velocities (nm/ps)."""
         if self._seen is None or not all(map(np.array_equal, self._seen, self.held())):
             self.pull()
-        elif not self._behind and self.state is not self._replicated:
+        elif not self.behind and self.state is not self._replicated:
             self.push()
         return self.shown
 
@@ -56,7 +46,7 @@ class Replicas(Synchronisation):
 
     def moved_on(self) -> tuple[Array, Array]:
         """Note that the device has moved the bodies, and return positions (nm) and velocities (nm/ps)."""
-        self._seen, self._behind = self.held(), True
+        self._seen, self.behind = self.held(), True
         return self.shown
 
     def lose(self) -> None:
@@ -87,4 +77,4 @@ class Replicas(Synchronisation):
     def store(self) -> None:
         """Write the state to the replicas."""
         load.write(self._integrator(), self.bodies, self.state)
-        self._replicated, self._behind = self.state, False
+        self._replicated, self.behind = self.state, False

@@ -125,16 +125,9 @@ class RigidBodies:
         return owner
 
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
-        """Return some of the bodies as a set of their own, in the same order.
+        """Return some of the bodies (N,), of a cluster all atoms or none, as a set of their own in the same order.
 
-        Parameters
-        ----------
-        bodies : (N,) array of bool
-            Which: of a cluster all atoms or none.
-        number : (n_particles,) array of int
-            What number each of their particles has there.
-        n_particles : int
-            Particles there.
+        Their particles get other numbers (n_particles,), among so many particles.
         """
         kinds: list[Kind] = []
         start = 0
@@ -186,6 +179,22 @@ class RigidBodies:
         P = state.P.copy()
         P[:, self.clustered] = self.clusters.tangent(ClusterState(x, p)).p[0]
         return state._replace(P=P)
+
+    def canonical_momenta(
+        self, state: BodyState, kT: float, rng: np.random.Generator, at_rest: bool = False
+    ) -> BodyState:
+        """Return a state with momenta drawn at kT (kJ/mol), with the centre of mass of all at rest or not.
+
+        The projection that is orthogonal in the metric of the masses leaves the canonical distribution on constraints.
+        """
+        P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)
+        if at_rest:
+            P -= self.mass * (P.sum(axis=1, keepdims=True) / self.mass.sum())
+        m = np.sqrt(kT * self.inertia.T) * rng.standard_normal(state.m.shape)
+        for kind in self._turning:
+            if kind.linear:
+                m[0, kind.bodies] = 0.0
+        return self.tangent(state._replace(P=P, m=m))
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
         """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow."""

@@ -20,14 +20,8 @@ class OutOfReachError(ArithmeticError):
 class Chart:
     """Displacements of all atoms from a place on the constraints, each with the place on them that belongs to it.
 
-    A displaced atom is put back along the constraints as they were at the origin, x = x0 + u + M^-1 G(x0)^T lambda, as
-    in J.-P. Ryckaert, G. Ciccotti and H. J. C. Berendsen, doi:10.1016/0021-9991(77)90098-5.
-
-    Parameters
-    ----------
-    clusters : Clusters
-    origin : (3, M) array
-        Places of their atoms.
+    A displaced atom is put back along the constraints as they were at the origin (3, M), x = x0 + u + M^-1 G(x0)^T
+    lambda, as in J.-P. Ryckaert, G. Ciccotti and H. J. C. Berendsen, doi:10.1016/0021-9991(77)90098-5.
     """
 
     def __init__(self, clusters: Clusters, origin: Array) -> None:
@@ -35,13 +29,7 @@ class Chart:
         self._kinds = [(kind, columns, _vectors(origin, columns, kind.pairs)) for kind, columns in clusters.columns()]
 
     def placed(self, u: Array) -> Array:
-        """Return the places (3, M) that belong to displacements.
-
-        Raises
-        ------
-        OutOfReachError
-            If there are none.
-        """
+        """Return the places (3, M) that belong to displacements; OutOfReachError if there are none."""
         x = self._origin + u
         for kind, columns, r0 in self._kinds:
             r, multipliers = _vectors(x, columns, kind.pairs), np.zeros(r0.shape[:2])

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.kernels.plain.bodies import turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.cluster_kind import ClusterKind
-from openmm_exactrb.mechanics.clusters import ClusterState
+from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import from_matrix, matrix
 

@@ -44,12 +44,7 @@ class Kinetic:
 def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
     """Return the kinetic flow of rigid bodies of masses (N,).
 
-    Parameters
-    ----------
-    rotation : callable
-        rotation(q, m, tau) -> (q, m) of sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
-    order : int, optional
-        Of the rotation.
+    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it, and has an order.
     """
     advance = advancing()
 

@@ -42,10 +42,6 @@ class _Search:
     energy: float = math.inf
     iterations: int = 0
 
-    def gained(self, before: float) -> bool:
-        """Tell whether the energy is lower than it was, by more than forces in single precision make of one place."""
-        return self.energy < before - (_GAINED * abs(before) if before < math.inf else 0.0)
-
 
 def minimised(
     bodies: RigidBodies,
@@ -93,13 +89,13 @@ def minimised(
         try:
             state, force = _searched(bodies, search, landscape, tolerance, iterations, reach)
         except OutOfReachError:
-            gained = before < math.inf and search.gained(before)
+            gained = before < math.inf and search.energy < before - _GAINED * abs(before)
             if last and not gained:
                 raise
         else:
             if force <= tolerance or 0 < iterations <= search.iterations:
                 return state
-            gained = search.gained(before)
+            gained = before == math.inf or search.energy < before - _GAINED * abs(before)
             if last and not gained:
                 warnings.warn(
                     f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of "

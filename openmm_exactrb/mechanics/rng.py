@@ -43,16 +43,7 @@ PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The place of a substep in a run.
-
-    Attributes
-    ----------
-    seed : int
-    step : int
-        Number of the step since the run began, as in a checkpoint.
-    substep : int
-        Number of the substep in the step.
-    """
+    """The place of a substep in a run: the seed, the step since the run began, and the number of the substep in it."""
 
     seed: int
     step: int
@@ -76,15 +67,7 @@ class Instant(NamedTuple):
 
 
 def generator(seed: int, step: int, stream: int) -> Generator:
-    """Return the generator that starts at the first random number of a stream.
-
-    Parameters
-    ----------
-    seed, step : int
-        Signed numbers of 64 bits.
-    stream : int
-        Below 2^64.
-    """
+    """Return the generator that starts at the first number of a stream; all are of 64 bits, seed and step signed."""
     return Generator(Philox(**_address(seed, step, stream)))
 
 

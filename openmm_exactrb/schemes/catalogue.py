@@ -304,13 +304,7 @@ CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for sche
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look a scheme up; a `Scheme` is passed through.
-
-    Raises
-    ------
-    ValueError
-        If the catalogue has none of this name.
-    """
+    """Look a scheme up; a `Scheme` is passed through. ValueError if the catalogue has none of this name."""
     if name in [*WITH_THERMOSTAT]:
         raise ValueError(f"scheme {name} has a thermostat within it: ExactRigidBodyLangevinIntegrator takes it")
     return _found(name, CATALOGUE)

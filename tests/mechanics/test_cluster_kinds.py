@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import constrained_clusters
-from openmm_exactrb.mechanics.cluster_kind import LARGEST, ClusterKind
-from openmm_exactrb.mechanics.clusters import sorted_into_kinds
+from openmm_exactrb.mechanics.clusters import LARGEST, ClusterKind, sorted_into_kinds
 
 STAR = np.array([(0, 1), (2, 0), (0, 3)])
 

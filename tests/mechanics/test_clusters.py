@@ -9,8 +9,7 @@ import pytest
 import constrained_clusters
 import geodesics
 import openmm_exactrb as rb
-from openmm_exactrb.mechanics.cluster_kind import LARGEST
-from openmm_exactrb.mechanics.clusters import Clusters, ClusterState, sorted_into_kinds
+from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from openmm_exactrb.quaternions import from_matrix, rotation_matrix
 from reference_clusters import ReferenceClusters
 
