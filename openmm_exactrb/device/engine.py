@@ -77,12 +77,8 @@ class DevicePropagator:
         Arguments are those of `openmm_exactrb.context.propagator.Propagator.advance`. If bodies come to turn too fast
         for the rotor's range, the steps are repeated with shorter rotations.
 
-        Raises
-        ------
-        NonFiniteError
-            If numbers become infinite, a body turns faster than that too, or forces are too large to be summed.
-        IntegrationError
-            If the total energy rises by integration errors.
+        NonFiniteError if numbers become infinite, a body turns faster than that too, or forces are too large to be
+        summed; IntegrationError if the total energy rises by integration errors.
         """
         if version != self._version:
             thermostat = settings().thermostat

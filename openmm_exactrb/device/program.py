@@ -22,15 +22,7 @@ BEGINS = f"step(_z(shape)-(_x(at)+0.5)*_z(shape)+{_ROW})"
 
 
 class Program:
-    """Adds computations to an integrator that has no Context yet.
-
-    Parameters
-    ----------
-    integrator : openmm.CustomIntegrator
-    table : Table
-    group : int
-        The force group of the sums over bodies.
-    """
+    """Adds computations to an integrator that has no Context yet, where sums over bodies are in a force group."""
 
     def __init__(self, integrator: openmm.CustomIntegrator, table: Table, group: int) -> None:
         self.integrator, self.table, self.group = integrator, table, group

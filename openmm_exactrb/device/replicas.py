@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.device import load
 from openmm_exactrb.mechanics.state import State
@@ -59,20 +58,15 @@ class Replicas(Synchronisation):
 
     def stored(self, x: Array) -> State | None:
         """Return the state that the replicas hold, in the periodic images of positions x."""
-        known = load.read(self._integrator(), self.bodies)
-        if known is not None and self.context.getSystem().usesPeriodicBoundaryConditions():
-            known = self._in_images_of(known, x)
+        known, box = load.read(self._integrator(), self.bodies), self.box()
+        if known is not None and box is not None:  # OpenMM wraps molecules, and shows them where they were
+            state, first = known.rounded, self.bodies.first_particle
+            apart = x[first] - self.bodies.positions(state, x.copy())[first]
+            shifts = np.rint(apart @ np.linalg.inv(box)) @ box
+            if shifts.any():
+                known = known.renewed(state._replace(R=state.R + shifts.T))
         self._replicated = known
         return known
-
-    def _in_images_of(self, known: State, x: Array) -> State:
-        """Return a state shifted by vectors of the lattice: OpenMM wraps molecules, and shows them where they were."""
-        state = known.rounded
-        first = self.bodies.first_particle
-        box = np.reshape(arrays.box(self.context.getState()), (3, 3))
-        apart = x[first] - self.bodies.positions(state, x.copy())[first]
-        shifts = np.rint(apart @ np.linalg.inv(box)) @ box
-        return known.renewed(state._replace(R=state.R + shifts.T)) if shifts.any() else known
 
     def store(self) -> None:
         """Write the state to the replicas."""

@@ -14,11 +14,8 @@ from openmm_exactrb.schemes.sequence import Sequence
 def stage(**statements: str) -> float:
     """Return a field of `Row` for a stage that changes momenta once in a row.
 
-    Parameters
-    ----------
-    **statements : str
-        The expressions of the momenta ``P`` and ``L`` (angular, in the body) behind it, in terms of those before it;
-        ``t`` is the time of the stage in ps.
+    Statements are the expressions of the momenta ``P`` and ``L`` (angular, in the body) behind it, in terms of those
+    before it; ``t`` is its time in ps.
     """
     default: float = field(default=0.0, metadata={"statements": statements})
     return default

@@ -35,12 +35,6 @@ class Selection:
     An integrator starts with the host's program, which costs nothing. The device's program needs to know the Context,
     since it uses a force group that no force of the System is in.
 
-    Parameters
-    ----------
-    asked : {"host", "device", "auto"}
-    scheme, rotor, fast, thermostat
-        As of the integrator.
-
     Attributes
     ----------
     open : bool

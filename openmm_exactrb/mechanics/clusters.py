@@ -115,13 +115,9 @@ class ClusterKind:
         return rest.min(axis=0), rest.argmin(axis=0)
 
     def refuse_unkept(self) -> None:
-        """Refuse constraints that cannot be kept wherever members are, as three random places tell.
+        """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
 
-        Raises
-        ------
-        ValueError
-            If a member has no mass, a length is not positive, there are too many constraints, or one follows from the
-            others.
+        Or if one follows from the others wherever members are, as three random places tell.
         """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
@@ -241,10 +237,7 @@ class Clusters:
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
 
-    Raises
-    ------
-    ValueError
-        If constraints cannot be kept: see `ClusterKind.refuse_unkept`.
+    ValueError if constraints cannot be kept: see `ClusterKind.refuse_unkept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):

@@ -56,14 +56,9 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 
 
 def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
-    """Find the state of some bodies again; other arguments, errors and warnings are those of `fit`.
+    """Find the state of bodies again, some of which were moved or pushed; other arguments and errors are as of `fit`.
 
-    Parameters
-    ----------
-    known : BodyState
-        The state of the others.
-    moved, pushed : arrays of int
-        Bodies whose positions or velocities changed. One that was only shifted keeps attitude and momenta.
+    A body that was only shifted keeps attitude and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
     misfits = [(np.zeros(0, dtype=np.intp), np.zeros(0))]

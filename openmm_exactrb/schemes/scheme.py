@@ -209,13 +209,8 @@ def processed(
 ) -> Scheme:
     """Return a scheme of the steps of another one, the kernel, between a processor and its inverse.
 
-    Parameters
-    ----------
-    kernel : Scheme
-    name, order, output, reference
-        As in `Scheme`, of the kernel and the processor together.
-    a, b : sequence of float
-        Drifts and kicks of the processor by turns, a drift first, but for the last ones, which make both sums zero.
+    Other arguments are those of `Scheme`, for both together. The processor has drifts a and kicks b by turns, a drift
+    first; the last ones, which make both sums zero, are not given.
     """
     drifts, kicks = ([*table, -math.fsum(table)] for table in (a, b))
     processor = _alternating([(DRIFT, part) for part in drifts], [(KICK, part) for part in kicks])

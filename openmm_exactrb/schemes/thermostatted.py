@@ -68,10 +68,7 @@ def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
 def proposal(scheme: Scheme, steps: int) -> Scheme:
     """Return a scheme whose step is made of so many steps of another one.
 
-    Raises
-    ------
-    ValueError
-        If it is not symmetric in time, or has a thermostat in it: Metropolis's rule needs both.
+    ValueError if it is not symmetric in time or has a thermostat in it, which Metropolis's rule does not allow.
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(
