@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.mechanics.clusters import ClusterState, Group
+from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 
 C, N, O, H = 12.011, 14.007, 15.999, 1.008
 _TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
@@ -76,7 +76,7 @@ def group_of(masses, pairs, lengths, copies=1):
     """Return clusters of one kind; particle a of cluster i is number i n + a."""
     n = len(masses)
     particles = np.arange(copies * n).reshape(copies, n)
-    return Group(particles, np.array(masses, dtype=float), np.array(pairs), np.array(lengths, dtype=float))
+    return ClusterKind(particles, np.array(masses, dtype=float), np.array(pairs), np.array(lengths, dtype=float))
 
 
 def on_constraints(clusters, x, v):

@@ -16,7 +16,6 @@ from numba import njit
 
 import openmm_exactrb as rb
 from openmm_exactrb.kernels.compiled import exact
-from openmm_exactrb.mechanics.momenta import canonical
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors.exact import constants
@@ -246,6 +245,6 @@ def start(n: int, name: str, seed: int, temperature: float = 300.0, picoseconds:
     bodies, state = integrator.bodyState()
     rng = np.random.default_rng([seed, n])
     for _ in range(picoseconds):
-        state = canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)
+        state = bodies.canonical_momenta(state, GAS_CONSTANT * temperature, rng, at_rest=True)
         _, state = run(model, state, rb.SCHEMES["V2"], 0.002, 1.0, 0.5)
-    return canonical(bodies, state, GAS_CONSTANT * temperature, rng, at_rest=True)
+    return bodies.canonical_momenta(state, GAS_CONSTANT * temperature, rng, at_rest=True)

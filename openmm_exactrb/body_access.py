@@ -14,7 +14,6 @@ from openmm_exactrb.context.minimisation import minimise
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, plain
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.momenta import canonical
 from openmm_exactrb.mechanics.state import BodyState, State
 
 
@@ -82,7 +81,7 @@ class BodyAccess:
         seed = None if randomSeed is None else checks.whole(randomSeed, "randomSeed", least=0)
         propagator, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(seed)
         sync, at_rest = propagator.sync, propagator.updates.removes_motion
-        sync.replace(sync.state.renewed(canonical(sync.bodies, sync.state.rounded, kT, rng, at_rest)))
+        sync.replace(sync.state.renewed(sync.bodies.canonical_momenta(sync.state.rounded, kT, rng, at_rest)))
 
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Bring the bodies to a minimum of the potential energy.

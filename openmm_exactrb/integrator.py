@@ -336,7 +336,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
             self._engine.settle(context, self)
             options = context, self, self._rotor, self._bodies, self.timings
             if self._engine.on_device:
-                self._propagator = DevicePropagator.of(*options, self._engine)
+                self._propagator = DevicePropagator(*options, self._engine)
             else:
                 self._engine.install_host(context, self)
                 self._propagator = Propagator(*options, self._fast)

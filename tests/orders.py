@@ -15,3 +15,13 @@ def slope(end, steps):
     errors = [np.median(np.abs(end(n) - end(2 * n)).max(axis=0)) for n in steps]
     assert min(errors) > 1e-13, "the errors reached roundoff"
     return -np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+def composes_verlet(scheme):
+    """Return whether a step is a row of Verlet steps, kick first: it keeps its order with drifts of order 2."""
+    halves = [0.0, *scheme.a, 0.0]
+    return (
+        scheme.first == "kick"
+        and not scheme.has_gradients
+        and all(abs(b - 0.5 * (i + j)) < 1e-14 for b, i, j in zip(scheme.b, halves[:-1], halves[1:], strict=True))
+    )

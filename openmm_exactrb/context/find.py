@@ -13,7 +13,7 @@ from openmm import unit
 
 from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions, on_constraints
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.clusters import Clusters, Group, sorted_into_kinds
+from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.images import joined
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ def find_bodies(
     for particles, distances in _clusters(system, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
     shapes: list[Kind] = []
-    flexible: list[Group] = []
+    flexible: list[ClusterKind] = []
     for (mass_bytes, distance_bytes), members in groups.items():
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
@@ -87,10 +87,10 @@ def has_flexible_clusters(system: openmm.System, positions: Array) -> bool:
     return not all(held_rigid(distances, positions[particles]) for particles, distances in clusters)
 
 
-def _flexible(particles: Indices, masses: Array, distances: Array) -> Group:
+def _flexible(particles: Indices, masses: Array, distances: Array) -> ClusterKind:
     """Return clusters from those of their distances that are constrained; the others are nan."""
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
-    return Group(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
+    return ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
 
 
 def _atoms_of(clusters: Clusters) -> Iterable[Kind]:

@@ -17,16 +17,13 @@ writes positions multiplies the number of paths, so numbers are multiplied by co
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.device import names
-from openmm_exactrb.device.expressions import ALONE, AXES, INVERSE_INERTIA, times, turned, turned_back
 from openmm_exactrb.device.gather import MOST, STRENGTH
 from openmm_exactrb.device.noise import exchange
-from openmm_exactrb.device.program import Program
+from openmm_exactrb.device.program import ALONE, AXES, INVERSE_INERTIA, Program, turned, turned_back
 from openmm_exactrb.device.rotor import rotate
 from openmm_exactrb.device.rows import STAGES, Table
 
@@ -42,95 +39,83 @@ _PARTS = (("kick", "begins"), ("drift", "1"), ("shift", "ends"))
 
 
 def declare(integrator: openmm.CustomIntegrator, table: Table, group: int) -> None:
-    """Give an integrator without a Context the variables and the program of a scheme.
+    """Give an integrator without a Context the variables and the program of a scheme; sums over bodies have a group.
 
     Until bodies are loaded, steps make positions nan.
-
-    Parameters
-    ----------
-    integrator : openmm.CustomIntegrator
-    table : Table
-    group : int
-        The force group of the sums over bodies.
     """
-    program = Program(integrator, group)
+    program = Program(integrator, table, group)
     program.numbers(0.0, names.LOADED)
     variables.declare_numbers(integrator)
-    _declare_variables(program, table)
-    _step(program, table)
-
-
-def _declare_variables(program: Program, table: Table) -> None:
-    program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
-    program.numbers(0.0, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
-    program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
-    program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
-    program.numbers(table.span(1, False, True, True)[1], names.LAST)
-    if table.has("shift"):
-        program.vectors(*names.DISPLACED)
-        program.numbers(0.0, names.SHIFTED, names.WAS)
-    if table.has_thermostat:
-        program.vectors(names.THERMOSTAT, *names.STREAMS)
-        program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
-    for name, column in zip(names.TABLES, table.columns(), strict=True):
-        program.table(name, column)
-
-
-def _step(program: Program, table: Table) -> None:
-    """Write a step."""
+    _declare_variables(program)
     with program.when(f"{names.CHANGED} > 0"):
         program.let(names.SPAN, f"vector({names.FIRST},{names.FIRST},{names.LAST})")
         program.number(names.PACE, f"1/{names.TURNS}")
         program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
         if table.has_thermostat:
             program.let(names.THERMOSTAT, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
-        program.number(names.CHANGED, 0.0)
+        program.number(names.CHANGED, "0.0")
     program.number(names.INDEX, names.FIRST)
     with program.loop(f"{names.INDEX} < {names.LAST}+1"):
-        _turn(program, table)
+        _turn(program)
     _openmm(program)
     with program.when(f"{names.ASKED} > 0"):
         program.total(names.FASTEST, f"(_x(abc)*sqrt(dot(L,L)))^{names.POWER}")
 
 
-def _turn(program: Program, table: Table) -> None:
+def _declare_variables(program: Program) -> None:
+    table = program.table
+    program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
+    program.numbers(0.0, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
+    program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
+    program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
+    program.numbers(table.span(1, False, True, True)[1], names.LAST)
+    if table.displaces:
+        program.vectors(*names.DISPLACED)
+        program.numbers(0.0, names.SHIFTED, names.WAS)
+    if table.has_thermostat:
+        program.vectors(names.THERMOSTAT, *names.STREAMS)
+        program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
+    for name, column in zip(names.TABLES, table.columns(), strict=True):
+        program.integrator.addTabulatedFunction(name, openmm.Discrete1DFunction(column))
+
+
+def _turn(program: Program) -> None:
     """Write a turn of the loop: virtual sites, then a row, with a force evaluation if one is needed."""
-    _what_is_needed(program, table)
+    displaces = program.table.displaces
+    _what_is_needed(program)
     with program.when(f"delta({names.INDEX}-{names.FIRST})*max({names.SITES},{names.NEEDED}) > 0"):
         _take_up_images(program)
     with program.when(f"{names.SITES} > 0"):
         program.integrator.addConstrainPositions()
         # OpenMM's constraints have lengths in single precision.
-        program.let("x", _DISPLACED_PLACE if table.has("shift") else _PLACE)
+        program.let("x", _DISPLACED_PLACE if displaces else _PLACE)
     with program.when(f"{names.NEEDED} > 0"):
         _gather_forces(program)
-        _row(program, table)
+        _row(program)
     with program.when(f"{names.NEEDED} < 1"):
         _take_up_images(program)
-        _row(program, table)
-    known = f"max({names.KNOWN},{names.NEEDED})*{_is_zero(table, 'drift')}"
-    if table.has("shift"):
-        program.number(names.KNOWN, f"{known}*(1-max({names.SHIFTED},{names.WAS}))")
+        _row(program)
+    known = f"max({names.KNOWN},{names.NEEDED})*{_is_zero(program, 'drift')}"
+    program.number(names.KNOWN, f"{known}*(1-max({names.SHIFTED},{names.WAS}))" if displaces else known)
+    if displaces:
         program.number(names.WAS, names.SHIFTED)
-    else:
-        program.number(names.KNOWN, known)
     program.number(names.INDEX, f"{names.INDEX}+1")
 
 
-def _what_is_needed(program: Program, table: Table) -> None:
+def _what_is_needed(program: Program) -> None:
     """Write whether forces are needed: for a kick in the first turn of its row, or a displacement in the last one."""
     program.number(names.ROW, f"floor(({names.INDEX}+0.5)/{names.TURNS})")
-    needed = f"(1-{_is_zero(table, 'kick')})*delta({names.INDEX}-{names.ROW}*{names.TURNS})"
-    if table.has("shift"):
-        shifted = f"(1-{_is_zero(table, 'shift')})*delta({names.INDEX}+1-({names.ROW}+1)*{names.TURNS})"
+    needed = f"(1-{_is_zero(program, 'kick')})*delta({names.INDEX}-{names.ROW}*{names.TURNS})"
+    if program.table.displaces:
+        shifted = f"(1-{_is_zero(program, 'shift')})*delta({names.INDEX}+1-({names.ROW}+1)*{names.TURNS})"
         program.number(names.SHIFTED, shifted)
         needed = f"max({names.SHIFTED},{needed})"
     program.number(names.NEEDED, f"(1-{names.KNOWN})*{needed}")
 
 
-def _is_zero(table: Table, part: str) -> str:
+def _is_zero(program: Program, part: str) -> str:
     """Return the expression that is 1 where a part of the row is zero, else 0."""
-    return f"delta({names.TABLES[0]}({names.ROW}+{table.column(part) * len(table.rows)}))"
+    return f"delta({names.TABLES[0]}({names.ROW}+{program.table.column(part) * len(program.table.rows)}))"
 
 
 def _gather_forces(program: Program) -> None:
@@ -143,41 +128,35 @@ def _gather_forces(program: Program) -> None:
     program.let("F", f"F+{ALONE}*v")
 
 
-def _row(program: Program, table: Table) -> None:
+def _row(program: Program) -> None:
     """Write the stages of a row and the new positions."""
-    times(program, table, "c", _PARTS)
+    table = program.table
+    program.times("c", _PARTS)
     if table.has("before"):
-        exchange(program, table, "before")
+        exchange(program, "before")
     torque = turned_back("q", "w", "N")
-    if table.has("shift"):
-        torque = f"({torque}+twist)"
     program.let("P", "P+_x(c)*F")
-    program.let("L", f"L+_x(c)*{AXES}*{torque}")
-    if table.has("shift"):
+    program.let("L", f"L+_x(c)*{AXES}*{f'({torque}+twist)' if table.displaces else torque}")
+    if table.displaces:
         program.let("q", "sq")
         program.let("w", "sw")
     if table.has("after"):
-        exchange(program, table, "after")
+        exchange(program, "after")
     for name, statements in STAGES.items():
-        _momenta(program, table, name, statements)
+        if table.has(name):
+            program.times("n", ((name, "begins"),) * 3)
+            for momentum, expression in statements.items():
+                program.let(momentum, f"{expression};t=_x(n)")
     program.let("R", f"R+{_DRIFT}*P*_y(inverse)")
     rotate(program, _DRIFT)
-    if table.has("shift"):
-        times(program, table, "c", _PARTS)
+    if table.displaces:
+        program.times("c", _PARTS)
     _show(program)
     program.let(names.SPAN, "vector(select(step(_x(at)-_z(at)),_y(at),_x(at)+1),_y(at),_z(at))")  # the next turn
-    if table.has("shift"):
+    if table.displaces:
         _displace(program)
     else:
-        _place(program)
-
-
-def _momenta(program: Program, table: Table, name: str, statements: Mapping[str, str]) -> None:
-    """Write a stage of `rows.stage`, where the table has it."""
-    if table.has(name):
-        times(program, table, "n", ((name, "begins"),) * 3)
-        for momentum, expression in statements.items():
-            program.let(momentum, f"{expression};t=_x(n)")
+        program.let("x", _PLACE)
 
 
 def _displace(program: Program) -> None:
@@ -216,10 +195,6 @@ def _sum(program: Program, name: str, of: str, scale: float) -> None:
     program.let(name, f"{name}+{ALONE}*{of}")
 
 
-def _place(program: Program) -> None:
-    program.let("x", _PLACE)
-
-
 def _take_up_images(program: Program) -> None:
     """Write the vectors of the lattice by which OpenMM wrapped molecules since they were placed.
 
@@ -255,9 +230,9 @@ def _take_up_moves(program: Program) -> None:
         program.let("n", "n*_z(inverse)")
         program.let("image", "image+n")
         program.let("p", "p-n")
-    _place(program)
-    program.number(names.KNOWN, 0.0)
-    program.number(names.MOVED, 0.0)
+    program.let("x", _PLACE)
+    program.number(names.KNOWN, "0.0")
+    program.number(names.MOVED, "0.0")
 
 
 def _take_up_velocities(program: Program) -> None:
@@ -270,9 +245,9 @@ def _take_up_velocities(program: Program) -> None:
     _sum(program, "n", "p", _MOMENTUM)
     program.let("P", "P+n")
     _show(program)
-    _place(program)
+    program.let("x", _PLACE)
     with program.when(f"{names.PUSHED} > 1"):
         _sum(program, "n", "c", _MOMENTUM)
         program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
         _show(program)
-        _place(program)
+        program.let("x", _PLACE)

@@ -1,15 +1,15 @@
-"""The engine on the device: loads the bodies, has OpenMM run the program, and checks the result."""
+"""The propagator on the device: loads the bodies, has OpenMM run the program, and checks the result."""
 
 from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.environment import Settings
@@ -21,11 +21,11 @@ from openmm_exactrb.device.gather import MOST
 from openmm_exactrb.device.noise import draws
 from openmm_exactrb.device.replicas import Replicas
 from openmm_exactrb.device.rotor import RANGE
-from openmm_exactrb.device.rows import Table
 from openmm_exactrb.device.selection import Selection
-from openmm_exactrb.device.watch import Snapshot, Watch
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError, advice
+from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained
 from openmm_exactrb.rotors import Rotor
+
+Array = NDArray[np.float64]
 
 # How much faster bodies may come to turn within a call than at its start, and the least rotations of a drift, for those
 # that begin at rest: first, and when that was not enough.
@@ -36,125 +36,78 @@ _MOST = 256
 _NEVER = 65536
 
 
-@dataclass(kw_only=True)
 class DevicePropagator:
     """Makes the steps of an integrator in its Context by the integrator's program, which OpenMM runs.
 
-    Attributes
-    ----------
-    integrator : weakref.ref
-    sync : Replicas
-    updates : ContextUpdates
-    timings : Timings
-    table : Table
-        The rows of the program.
-    forces, processing : int
-        Force evaluations of a step, and of the processor and its inverse.
-    sites : bool
-        Whether the System has virtual sites.
-    watch : Watch
-    version, numbers : object, mapping
-        Of the settings, and what the program is told of their thermostat.
-    rate : float or None
-        b norm(m) of the fastest body in 1/ps; None if it was not measured.
-    noise : (int, int) or None
-        Seed and step count for which the random number generators are set; None if unknown.
+    The System of the Context and the program of the integrator are prepared for it.
+
+    Parameters, attributes and errors are those of `openmm_exactrb.context.propagator.Propagator`; the rotor is the
+    exact one.
     """
 
-    integrator: Callable[[], Any]
-    sync: Replicas
-    updates: ContextUpdates
-    timings: Timings
-    table: Table
-    forces: int
-    processing: int
-    sites: bool
-    watch: Watch
-    version: object = None
-    numbers: Mapping[str, float] = field(default_factory=dict)
-    rate: float | None = None
-    noise: tuple[int, int] | None = None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         context: Any,
         integrator: openmm.CustomIntegrator,
         rotor: Rotor,
         named: list[list[int]] | None,
         timings: Timings,
         selection: Selection,
-    ) -> DevicePropagator:
-        """Prepare the System of a Context and the program of its integrator.
-
-        Raises
-        ------
-        ValueError
-            As `Synchronisation`.
-        """
+    ) -> None:
         system = context.getSystem()
-        sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         selection.install_device(context, integrator, Synchronisation(context, integrator, named).bodies)
-        sync, updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
-        pushed = 2 if updates.pushes else updates.removes_motion
-        for name, value in ((names.SITES, sites), (names.BAROSTAT, updates.moves), (names.PUSHED, pushed)):
-            integrator.setGlobalVariableByName(name, float(value))
-        bodies, scheme = sync.bodies, selection.scheme
-        return cls(
-            integrator=weakref.ref(integrator),
-            sync=sync,
-            updates=updates,
-            timings=timings,
-            table=selection.table,
-            forces=scheme.forces,
-            processing=scheme.processing,
-            sites=sites,
-            watch=Watch(system, bodies.translational_freedom + bodies.rotational_freedom),
-        )
+        self.sync, self.updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
+        self._integrator, self._timings = weakref.ref(integrator), timings
+        self._table, self._scheme = selection.table, selection.scheme
+        self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        pushed = 2 if self.updates.pushes else self.updates.removes_motion
+        load.tell(integrator, {names.SITES: self._sites, names.BAROSTAT: self.updates.moves, names.PUSHED: pushed})
+        self._version: object = None
+        self._numbers: Mapping[str, float] = {}  # what the program is told of a thermostat
+        self._rate: float | None = None  # b norm(m) of the fastest body in 1/ps, if it was measured
+        self._noise: tuple[int, int] | None = None  # seed and step count for which the generators are set, if known
+        # For the divergence check. With a PythonForce, which may depend on time, energy need not be conserved.
+        self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in system.getForces())
+        self._largest = 0.0  # kinetic energy before a call
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
-        Arguments are those of `openmm_exactrb.context.propagator.Propagator.advance`.
+        Arguments are those of `openmm_exactrb.context.propagator.Propagator.advance`. If bodies come to turn too fast
+        for the rotor's range, the steps are repeated with shorter rotations.
 
-        If bodies come to turn too fast for the rotor's range, the steps are repeated with shorter rotations.
-
-        Raises
-        ------
-        NonFiniteError
-            If numbers become infinite, a body turns faster than that too, or forces are too large to be summed.
-        IntegrationError
-            If the total energy rises by integration errors.
+        NonFiniteError if numbers become infinite, a body turns faster than that too, or forces are too large to be
+        summed; IntegrationError if the total energy rises by integration errors.
         """
-        if version != self.version:
+        if version != self._version:
             thermostat = settings().thermostat
-            self.version, self.numbers = version, {} if thermostat is None else thermostat.device_numbers()
-        integrator, numbers = self.integrator(), self.numbers
-        kT = numbers.get(names.KT, 0.0)
-        context, (x, v) = self.sync.context, self.sync.settle()
-        before = Snapshot(x, v, context.getState().getPeriodicBoxVectors(), context.getTime(), context.getStepCount())
-        for name, value in numbers.items():
-            integrator.setGlobalVariableByName(name, value)
+            self._version, self._numbers = version, {} if thermostat is None else thermostat.device_numbers()
+        integrator, context = self._integrator(), self.sync.context
+        x, v = self.sync.settle()
+        before = context.getState()
+        step = before.getStepCount()
+        load.tell(integrator, self._numbers)
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
                 break
-            if numbers:
-                self._seed(integrator, key, before.step)
+            if self._numbers:
+                self._seed(integrator, key, step)
             try:
                 finite = self._attempt(integrator, n, turns)
-                gain = self._gained(context, integrator, kT, before) if finite else None
+                gain = self._gain(integrator, before, x, v) if finite else None
             except BaseException:
-                self._go_back(context, integrator, before)
+                self._go_back(before, x, v)
                 raise
             if finite and not gain:
-                self.noise = key, before.step + n
+                self._noise = key, step + n
                 return
-            self._go_back(context, integrator, before)
+            self._go_back(before, x, v)
             if gain:
-                raise IntegrationError(f"within the {n} steps after step {before.step}: {gain}. {advice('call')}")
+                raise IntegrationError(f"within the {n} steps after step {step}: {gain}. {ADVICE.format('call')}")
         raise NonFiniteError(
-            f"within the {n} steps after step {before.step} positions became infinite, a body turned more than "
+            f"within the {n} steps after step {step} positions became infinite, a body turned more than "
             f"{_HASTE[-1][0]:g} times as fast as the fastest one before, or forces on a body were beyond {MOST:.2g} "
             "kJ/mol/nm. The Context keeps the state before this call: take a smaller step size or fewer steps a call, "
             "or minimise the energy first"
@@ -162,22 +115,13 @@ class DevicePropagator:
 
     def _seed(self, integrator: openmm.CustomIntegrator, seed: int, step: int) -> None:
         """Set the random number generators for a seed and a step count, unless they are."""
-        if self.noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
-            load.seed(integrator, self.sync.bodies, seed, step * draws(self.table, self.sites))
-
-    def _gained(self, context: Any, integrator: openmm.CustomIntegrator, kT: float, before: Snapshot) -> str | None:
-        """Return what is wrong with the energy, or None."""
-        if not self.watch.grown(before.v, self.sync.shown[1]):
-            return None
-        kT = max(kT, self.updates.hottest(context))
-        gain = self.watch.gained(context, integrator.getIntegrationForceGroups(), before, kT)
-        self.sync.moved_on()  # the positions before the call were in the Context
-        return gain
+        if self._noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
+            load.seed(integrator, self.sync.bodies, seed, step * draws(self._table, self._sites))
 
     def _attempt(self, integrator: openmm.CustomIntegrator, n: int, turns: int) -> bool:
         """Make n steps, and return whether all positions and velocities are finite."""
         try:
-            for call in _calls(n, self.table.enter > 0 and not self.updates.act):
+            for call in _calls(n, self._table.enter > 0 and not self.updates.act):
                 self._configure(integrator, turns, call)
                 openmm.CustomIntegrator.step(integrator, call.steps)
             x, v = self.sync.moved_on()
@@ -187,37 +131,33 @@ class DevicePropagator:
                 raise
             return False
         finally:
-            self._configure(integrator, turns, Call(0))
+            self._configure(integrator, turns, _Call(0))
             integrator.setGlobalVariableByName(names.KNOWN, 0.0)
         if finite and n:
             fastest = integrator.getGlobalVariableByName(names.FASTEST)
-            self.rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # its power may be too large
-            self.timings.evaluations += n * self.forces + self.processing
+            self._rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # a power may be too large
+            self._timings.evaluations += n * self._scheme.forces + self._scheme.processing
         return finite
 
-    def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: Call) -> None:
+    def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: _Call) -> None:
         """Set which turns of the program's loop a step has; in plain OpenMM, a whole step."""
-        first, last = self.table.span(turns, self.sites, call.enters, call.leaves)
+        first, last = self._table.span(turns, self._sites, call.enters, call.leaves)
         news = {names.TURNS: turns, names.FIRST: first, names.LAST: last, names.ASKED: call.asks, names.CHANGED: 1}
-        for name, value in news.items():
-            integrator.setGlobalVariableByName(name, float(value))
+        load.tell(integrator, news)
 
     def _turns(self, integrator: openmm.CustomIntegrator, haste: float) -> int:
         """Return the number of rotations that a drift needs, if bodies come to turn `haste` times as fast as now.
 
-        Raises
-        ------
-        NonFiniteError
-            If they are far too many.
+        NonFiniteError if they are far too many.
         """
         sync = self.sync
         behind = sync.behind
-        if self.rate is None or not behind:
+        if self._rate is None or not behind:
             if behind:
                 sync.pull()
-            self.rate = load.fastest(sync.bodies, sync.state.rounded)
+            self._rate = load.fastest(sync.bodies, sync.state.rounded)
         h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
-        needed = haste * self.rate * abs(h) * self.table.longest_drift / RANGE
+        needed = haste * self._rate * abs(h) * self._table.longest_drift / RANGE
         if not needed <= _NEVER:
             raise NonFiniteError(
                 f"the fastest body would need {needed:.2g} rotations in a drift: take a smaller step size, or set "
@@ -225,31 +165,44 @@ class DevicePropagator:
             )
         return math.ceil(needed)
 
-    def _go_back(self, context: Any, integrator: openmm.CustomIntegrator, before: Snapshot) -> None:
-        """Bring the Context back to what it held."""
-        integrator.setGlobalVariableByName(names.LOADED, 0.0)
-        context.setPeriodicBoxVectors(*before.box)
-        context.setPositions(before.x)
-        context.setVelocities(before.v)
-        context.setTime(before.time)
-        openmm.Context.setStepCount(context, before.step)  # not the method that is watched
-        self.noise = None
+    def _gain(self, integrator: openmm.CustomIntegrator, before: Any, x: Array, v: Array) -> str | None:
+        """Return by how much the total energy rose in a call that began at x and v, or None if that is no error.
+
+        Energies are compared if the kinetic energy is far above all those before calls, and above what thermostats
+        account for: twice the canonical mean, and 20 kT more for systems of a few bodies. The Context is moved to the
+        positions before the call and back.
+        """
+        (x_now, v_now), context, bodies = self.sync.shown, self.sync.context, self.sync.bodies
+        kinetic_before, kinetic = (0.5 * float(self._masses @ np.einsum("ij,ij->i", u, u)) for u in (v, v_now))
+        self._largest = max(self._largest, kinetic_before)
+        if not self._conserves or kinetic <= GROWN * self._largest:
+            return None
+        kT = max(self._numbers.get(names.KT, 0.0), self.updates.hottest(context))
+        freedom = bodies.translational_freedom + bodies.rotational_freedom
+        if kinetic <= GROWN * kT * (freedom + 20):
+            return None
+        groups, box = integrator.getIntegrationForceGroups(), context.getState().getPeriodicBoxVectors()
+        potential = _potential(context, groups)
+        _move(context, x, before.getPeriodicBoxVectors())
+        potential_before = _potential(context, groups)
+        _move(context, x_now, box)
+        self.sync.moved_on()  # the positions before the call were in the Context
+        return gained(freedom, (kinetic_before, kinetic_before + potential_before), (kinetic, kinetic + potential))
+
+    def _go_back(self, before: Any, x: Array, v: Array) -> None:
+        """Bring the Context back to what it held: a State with box, time and step count, positions and velocities."""
+        context = self.sync.context
+        load.tell(self._integrator(), {names.LOADED: 0.0})
+        openmm.Context.setState(context, before)  # not the method that is watched
+        context.setPositions(x)
+        context.setVelocities(v)
+        self._noise = None
         self.sync.lose()
         self.sync.pull()
 
 
-@dataclass(frozen=True)
-class Call:
-    """A call of OpenMM.
-
-    Attributes
-    ----------
-    steps : int
-    enters, leaves : bool
-        Whether each step prepares the state of a processed scheme, and finishes it.
-    asks : bool
-        Whether it is to measure how fast bodies turn.
-    """
+class _Call(NamedTuple):
+    """A call of OpenMM: whether each step enters and leaves inner coordinates, and measures how fast bodies turn."""
 
     steps: int
     enters: bool = True
@@ -257,15 +210,19 @@ class Call:
     asks: bool = False
 
 
-def _calls(n: int, processed: bool) -> Iterator[Call]:
-    """Yield into which calls of OpenMM n steps fall."""
-    alone = not processed
-    if n > 1 and processed:
-        yield Call(1, leaves=False)
-        n, enters = n - 1, False
+def _calls(n: int, processed: bool) -> list[_Call]:
+    """Return into which calls of OpenMM n steps fall."""
+    if processed and n > 1:
+        calls = [_Call(1, True, False), _Call(n - 2, False, False), _Call(1, False, True, asks=True)]
     else:
-        enters = True
-    if n > 1:
-        yield Call(n - 1, alone, alone)
-    if n > 0:
-        yield Call(1, enters, True, asks=True)
+        calls = [_Call(n - 1), _Call(min(n, 1), asks=True)]
+    return [call for call in calls if call.steps > 0]
+
+
+def _potential(context: Any, groups: int) -> float:
+    return float(context.getState(energy=True, groups=groups).getPotentialEnergy()._value) if groups else 0.0
+
+
+def _move(context: Any, x: Array, box: Any) -> None:
+    context.setPeriodicBoxVectors(*box)
+    context.setPositions(x)

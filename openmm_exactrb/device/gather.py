@@ -31,15 +31,13 @@ _NAME = "openmm-exactrb sums"
 
 def install(system: openmm.System, bodies: RigidBodies, group: int) -> None:
     """Give a System the forces that sum over bodies, unless it has them."""
-    needed = _bonds(bodies)
-    present = _present(system)
-    found = {force.getNumParticlesPerBond(): _bonds_of(force) for force in present}
-    fitting = found.keys() == needed.keys() and all(force.getForceGroup() == group for force in present)
-    if fitting and all(np.array_equal(found[size], needed[size]) for size in needed):
-        return
-    remove(system)
-    for size, rows in needed.items():
-        system.addForce(_force(size, rows, group))
+    turning = [kind.particles for kind in bodies.kinds if kind.turns]
+    sizes = sorted({particles.shape[1] for particles in turning})
+    forces = [_force(np.concatenate([some for some in turning if some.shape[1] == size]), group) for size in sizes]
+    if _as_text(forces) != _as_text(_present(system)):
+        remove(system)
+        for force in forces:
+            system.addForce(force)
 
 
 def remove(system: openmm.System) -> None:
@@ -102,19 +100,13 @@ def _present(system: openmm.System) -> list[openmm.CustomCompoundBondForce]:
     return [force for force in system.getForces() if force.getName().startswith(_NAME)]
 
 
-def _bonds(bodies: RigidBodies) -> dict[int, NDArray[np.intp]]:
-    """Return the particles of all bodies of more than one (n, k) by their number k."""
-    turning = [kind.particles for kind in bodies.kinds if kind.turns]
-    sizes = sorted({particles.shape[1] for particles in turning})
-    return {size: np.concatenate([some for some in turning if some.shape[1] == size]) for size in sizes}
+def _as_text(forces: list[Any]) -> list[str]:
+    return list(map(openmm.XmlSerializer.serialize, forces))
 
 
-def _bonds_of(force: openmm.CustomCompoundBondForce) -> NDArray[np.intp]:
-    rows = [force.getBondParameters(i)[0] for i in range(force.getNumBonds())]
-    return np.array(rows, dtype=np.intp).reshape(len(rows), -1)
-
-
-def _force(size: int, rows: NDArray[np.intp], group: int) -> openmm.CustomCompoundBondForce:
+def _force(rows: NDArray[np.intp], group: int) -> openmm.CustomCompoundBondForce:
+    """Return the force that sums over bodies with these particles (n, k)."""
+    size = rows.shape[1]
     sums = ";".join(f"s{axis}={'+'.join(f'{axis}{i + 1}' for i in range(size))}" for axis in "xyz")
     squares = "+".join(f"{axis}{i + 1}*{axis}{i + 1}" for i in range(size) for axis in "xyz")
     energy = f"{0.5 * STRENGTH!r}*step({REACH!r}-squares)*(sx*sx+sy*sy+sz*sz);{sums};squares={squares}"

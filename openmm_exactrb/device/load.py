@@ -30,19 +30,19 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         if kind.turns:
             attitudes = matrix(state.q[0][:, kind.bodies]).transpose(2, 0, 1)
             values["d"][kind.particles] = turned(attitudes, kind.sites)
-    if _has(integrator, names.DISPLACED[0]):
-        values |= dict(
-            zip(names.DISPLACED, (values["q"], values["w"], 0.0 * values["q"], 0.0 * values["q"]), strict=True)
-        )
+    known = map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+    if names.DISPLACED[0] in known:
+        nothing = np.zeros((bodies.n_particles, 3))
+        values |= dict(zip(names.DISPLACED, (values["q"], values["w"], nothing, nothing), strict=True))
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
-    for name, value in ((names.KNOWN, 0.0), (names.LOADED, names.HELD), (names.CHANGED, 1.0)):
-        integrator.setGlobalVariableByName(name, value)
+    tell(integrator, {names.KNOWN: 0.0, names.LOADED: names.HELD, names.CHANGED: 1.0})
 
 
-def _has(integrator: openmm.CustomIntegrator, name: str) -> bool:
-    """Return whether an integrator has a per-DOF variable."""
-    return name in map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+def tell(integrator: openmm.CustomIntegrator, numbers: Mapping[str, float]) -> None:
+    """Set global variables of the program."""
+    for name, value in numbers.items():
+        integrator.setGlobalVariableByName(name, float(value))
 
 
 def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, drawn: int) -> None:
@@ -78,13 +78,7 @@ def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str
 
 
 def refuse_others(integrator: openmm.CustomIntegrator) -> None:
-    """Refuse variables that another engine or kind of integrator wrote.
-
-    Raises
-    ------
-    ValueError
-        If a checkpoint brought them.
-    """
+    """Raise ValueError if a checkpoint brought variables that another engine or kind of integrator wrote."""
     loaded = integrator.getGlobalVariableByName(names.LOADED)
     if loaded not in (0.0, names.HELD):
         by_host = loaded in variables.marks()

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.device import names
-from openmm_exactrb.device.expressions import AXES, BEGINS, INVERSE_INERTIA, times
-from openmm_exactrb.device.program import Program
+from openmm_exactrb.device.program import AXES, BEGINS, INVERSE_INERTIA, Program
 from openmm_exactrb.device.rows import Table
 
 #: Multipliers and moduli: r <- multiplier r mod modulus, and the sum of r/modulus without its whole part is uniform.
@@ -34,13 +33,13 @@ def draws(table: Table, sites: bool) -> int:
     return 2 * (table.has("before") + table.has("after")) * (table.step + sites)
 
 
-def exchange(program: Program, table: Table, part: str) -> None:
+def exchange(program: Program, part: str) -> None:
     """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
 
     As `openmm_exactrb.thermostats.langevin.ornstein_uhlenbeck`, but for the random numbers, which are drawn once in
     every row, however many turns it has. The variables a, g, n, p and y change.
     """
-    times(program, table, "n", ((part, "begins"),) * 3)
+    program.times("n", ((part, "begins"),) * 3)
     program.let("p", BEGINS)
     program.let("a", _uniform(program))
     program.let("y", _uniform(program))
@@ -53,10 +52,7 @@ def exchange(program: Program, table: Table, part: str) -> None:
 
 
 def _uniform(program: Program) -> str:
-    """Write the next state of the generators where p is 1, and return the expression of a number from 0 to 1.
-
-    Without 1. Where p is 0 nothing is drawn.
-    """
+    """Write the next state of the generators where p is 1, and return the expression of a number on [0, 1)."""
     for name, (multiplier, modulus) in zip(names.STREAMS, GENERATORS, strict=True):
         program.let(name, f"{name}+p*({multiplier}*{name}-{modulus}*floor({multiplier}*{name}/{modulus})-{name})")
     total = "+".join(f"{name}/{modulus}" for name, (_, modulus) in zip(names.STREAMS, GENERATORS, strict=True))

@@ -1,4 +1,4 @@
-"""A CustomIntegrator's program as it is written: statements, and blocks that are closed by themselves."""
+"""A CustomIntegrator's program as it is written: statements, blocks that are closed by themselves, and expressions."""
 
 from __future__ import annotations
 
@@ -7,19 +7,25 @@ from contextlib import contextmanager
 
 import openmm
 
+from openmm_exactrb.device import names
+from openmm_exactrb.device.rows import Table
+
+#: The axes about which a body can turn, as numbers that are 1 or 0.
+AXES = "vector(_x(shape),1-_y(shape),1-_y(shape))"
+#: 1 where a body is a single particle, else 0.
+ALONE = "_y(shape)"
+#: The inverse principal moments of inertia.
+INVERSE_INERTIA = "vector(_x(inverse)+_x(abc),_x(inverse)+_x(abc)*_z(abc),_x(inverse))"
+_ROW = "floor((_x(at)+0.5)*_z(shape))"
+#: 1 in the first turn of a row, else 0.
+BEGINS = f"step(_z(shape)-(_x(at)+0.5)*_z(shape)+{_ROW})"
+
 
 class Program:
-    """Adds computations to an integrator that has no Context yet.
+    """Adds computations to an integrator that has no Context yet, where sums over bodies are in a force group."""
 
-    Parameters
-    ----------
-    integrator : openmm.CustomIntegrator
-    group : int
-        The force group of the sums over bodies.
-    """
-
-    def __init__(self, integrator: openmm.CustomIntegrator, group: int) -> None:
-        self.integrator, self.group = integrator, group
+    def __init__(self, integrator: openmm.CustomIntegrator, table: Table, group: int) -> None:
+        self.integrator, self.table, self.group = integrator, table, group
 
     def vectors(self, *particles: str) -> None:
         """Declare per-DOF variables, all zero."""
@@ -31,17 +37,13 @@ class Program:
         for name in names:
             self.integrator.addGlobalVariable(name, value)
 
-    def table(self, name: str, values: Sequence[float]) -> None:
-        """Declare a function of 0, 1, 2, ..."""
-        self.integrator.addTabulatedFunction(name, openmm.Discrete1DFunction(list(map(float, values))))
-
     def let(self, name: str, expression: str) -> None:
         """Compute a per-DOF variable. OpenMM makes one kernel of neighbouring ones that need the same forces."""
         self.integrator.addComputePerDof(name, expression)
 
-    def number(self, name: str, expression: str | float) -> None:
-        """Compute a global variable or a parameter of the Context."""
-        self.integrator.addComputeGlobal(name, expression if isinstance(expression, str) else repr(float(expression)))
+    def number(self, name: str, expression: str) -> None:
+        """Compute a global variable."""
+        self.integrator.addComputeGlobal(name, expression)
 
     def total(self, name: str, expression: str) -> None:
         """Sum over all components of all particles; the device is waited for."""
@@ -60,3 +62,28 @@ class Program:
         self.integrator.beginWhileBlock(condition)
         yield
         self.integrator.endBlock()
+
+    def times(self, name: str, parts: Sequence[tuple[str, str]]) -> None:
+        """Write dt times three parts of the present row to a per-DOF variable; "p" is changed too.
+
+        Each part comes with the turns of the row that have it: "begins" is the first one, "ends" the last one, "1" any.
+        """
+        n = len(self.table.rows)
+        entries = (f"{self.table.column(part) * n}+select({turn},row,{n - 1})" for part, turn in parts)
+        self.let(
+            "p",
+            f"vector({','.join(entries)});"
+            "begins=step(_z(shape)-within);ends=step(within-1+_z(shape));within=(_x(at)+0.5)*_z(shape)-row;"
+            f"row={_ROW}",
+        )
+        self.let(name, f"dt*({'+'.join(f'{function}(p)' for function in names.TABLES)})")
+
+
+def turned(q: str, w: str, vector: str) -> str:
+    """Return the expression of a vector of the body in space, for the attitude (w, q)."""
+    return f"({vector}+2*cross({q},cross({q},{vector})+{w}*{vector}))"
+
+
+def turned_back(q: str, w: str, vector: str) -> str:
+    """Return the expression of a vector of space in the body."""
+    return f"({vector}+2*cross({q},cross({q},{vector})-{w}*{vector}))"

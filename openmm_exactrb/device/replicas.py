@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.device import load
 from openmm_exactrb.mechanics.state import State
@@ -16,35 +15,25 @@ Array = NDArray[np.float64]
 class Replicas(Synchronisation):
     """A `Synchronisation` that reads the state only when it is asked for, since the device does not need it."""
 
-    _behind = False
+    #: Whether the device has moved on since `state` was read.
+    behind = False
     _replicated: State | None = None  # the state that the replicas hold
 
     def pull(self) -> bool:
-        """Bring the state up to date, and the replicas where something was set in the Context.
-
-        Raises
-        ------
-        ValueError
-            As `Synchronisation.pull`.
-        """
-        if self._behind:
+        """Bring the state up to date, and the replicas where something was set in the Context."""
+        if self.behind:
             self._seen = None
         changed = super().pull()
-        self._behind = False
+        self.behind = False
         if self.state is not self._replicated:
             self.push()
         return changed
-
-    @property
-    def behind(self) -> bool:
-        """Whether the device has moved on since `state` was read."""
-        return self._behind
 
     def settle(self) -> tuple[Array, Array]:
         """Bring the replicas up to date with the Context; return its positions (nm) and velocities (nm/ps)."""
         if self._seen is None or not all(map(np.array_equal, self._seen, self.held())):
             self.pull()
-        elif not self._behind and self.state is not self._replicated:
+        elif not self.behind and self.state is not self._replicated:
             self.push()
         return self.shown
 
@@ -56,7 +45,7 @@ class Replicas(Synchronisation):
 
     def moved_on(self) -> tuple[Array, Array]:
         """Note that the device has moved the bodies, and return positions (nm) and velocities (nm/ps)."""
-        self._seen, self._behind = self.held(), True
+        self._seen, self.behind = self.held(), True
         return self.shown
 
     def lose(self) -> None:
@@ -69,22 +58,17 @@ class Replicas(Synchronisation):
 
     def stored(self, x: Array) -> State | None:
         """Return the state that the replicas hold, in the periodic images of positions x."""
-        known = load.read(self._integrator(), self.bodies)
-        if known is not None and self.context.getSystem().usesPeriodicBoundaryConditions():
-            known = self._in_images_of(known, x)
+        known, box = load.read(self._integrator(), self.bodies), self.box()
+        if known is not None and box is not None:  # OpenMM wraps molecules, and shows them where they were
+            state, first = known.rounded, self.bodies.first_particle
+            apart = x[first] - self.bodies.positions(state, x.copy())[first]
+            shifts = np.rint(apart @ np.linalg.inv(box)) @ box
+            if shifts.any():
+                known = known.renewed(state._replace(R=state.R + shifts.T))
         self._replicated = known
         return known
-
-    def _in_images_of(self, known: State, x: Array) -> State:
-        """Return a state shifted by vectors of the lattice: OpenMM wraps molecules, and shows them where they were."""
-        state = known.rounded
-        first = self.bodies.first_particle
-        box = np.reshape(arrays.box(self.context.getState()), (3, 3))
-        apart = x[first] - self.bodies.positions(state, x.copy())[first]
-        shifts = np.rint(apart @ np.linalg.inv(box)) @ box
-        return known.renewed(state._replace(R=state.R + shifts.T)) if shifts.any() else known
 
     def store(self) -> None:
         """Write the state to the replicas."""
         load.write(self._integrator(), self.bodies, self.state)
-        self._replicated, self._behind = self.state, False
+        self._replicated, self.behind = self.state, False

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from openmm_exactrb.device.expressions import turned
-from openmm_exactrb.device.program import Program
+from openmm_exactrb.device.program import Program, turned
 from openmm_exactrb.elliptic import RULES
 
 #: Up to this b G h the series are exact to roundoff; beyond it the state becomes nan, which OpenMM does not go on from.

@@ -14,11 +14,8 @@ from openmm_exactrb.schemes.sequence import Sequence
 def stage(**statements: str) -> float:
     """Return a field of `Row` for a stage that changes momenta once in a row.
 
-    Parameters
-    ----------
-    **statements : str
-        The expressions of the momenta ``P`` and ``L`` (angular, in the body) behind it, in terms of those before it;
-        ``t`` is the time of the stage in ps.
+    Statements are the expressions of the momenta ``P`` and ``L`` (angular, in the body) behind it, in terms of those
+    before it; ``t`` is its time in ps.
     """
     default: float = field(default=0.0, metadata={"statements": statements})
     return default
@@ -73,12 +70,9 @@ class Table:
 
     @classmethod
     def of(cls, scheme: Scheme, thermostat: bool = True) -> Table:
-        """Return the rows of a scheme.
+        """Return the rows of a scheme; ValueError if a substep fits into no row.
 
-        Raises
-        ------
-        ValueError
-            If a substep fits into no row; that of a thermostat fits only if the integrator has a `thermostat`.
+        That of a thermostat fits only if the integrator has a `thermostat`.
         """
         sequences = scheme.processor, scheme.sequence, scheme.postprocessor
         enter, step, leave = (_rows(sequence, thermostat) for sequence in sequences)
@@ -86,16 +80,9 @@ class Table:
         return cls((*enter, *step, REST, *last), len(enter), len(step), len(leave))
 
     def span(self, turns: int, sites: bool, enters: bool, leaves: bool) -> tuple[int, int]:
-        """Return the first and the last turn of a step.
+        """Return the first and the last turn of a step, with so many turns per row; virtual sites need one more turn.
 
-        Parameters
-        ----------
-        turns : int
-            Turns per row.
-        sites : bool
-            Whether there are virtual sites, which need one more turn.
-        enters, leaves : bool
-            Whether the processor precedes the step, and the postprocessor follows it.
+        The processor precedes it if it enters, and the postprocessor follows it if it leaves inner coordinates.
         """
         end = len(self.rows) - 1 if leaves and self.leave else self.enter + self.step
         return (0 if enters else self.enter) * turns, end * turns - (not sites)
@@ -108,6 +95,11 @@ class Table:
     def has(self, part: str) -> bool:
         """Return whether a row has a part that is not zero."""
         return any(getattr(row, part) for row in self.rows)
+
+    @property
+    def displaces(self) -> bool:
+        """Whether a row takes forces at displaced places."""
+        return self.has("shift")
 
     @property
     def has_thermostat(self) -> bool:

@@ -35,14 +35,6 @@ class Selection:
     An integrator starts with the host's program, which costs nothing. The device's program needs to know the Context,
     since it uses a force group that no force of the System is in.
 
-    Parameters
-    ----------
-    asked : {"host", "device", "auto"}
-    scheme : Scheme
-    rotor : Rotor
-    fast : MultipleTimeSteps or None
-    thermostat : Thermostat or None
-
     Attributes
     ----------
     open : bool
@@ -67,15 +59,16 @@ class Selection:
     ) -> None:
         if asked not in get_args(Engine):
             raise ValueError(f"unknown engine {asked!r}: choose one of {', '.join(get_args(Engine))}")
-        self.asked, self.scheme, self._fast, self._thermostat = asked, scheme, fast, thermostat
+        self.asked, self.scheme, self._fast = asked, scheme, fast
         self.open, self.on_device, self.groups = asked == "auto", asked == "device", -1
         self.note = f'engine="{asked}" was asked for'
         self._group = names.GROUP if self.on_device else None  # of the sums over bodies; None in the host's program
         self._own = () if thermostat is None else thermostat.own_numbers
-        self.marks: tuple[float, ...] = ()
         self._mark()
-        if asked != "host" and (why := _unsupported_settings(scheme, rotor, fast, thermostat)):
-            self.leave_to_host(why)
+        why = None if asked == "host" else _unsupported_settings(scheme, rotor, fast, thermostat)
+        self._refuse(why)
+        if why:
+            self.open, self.on_device, self.note = False, False, why
 
     @cached_property
     def table(self) -> Table:
@@ -98,17 +91,15 @@ class Selection:
             others = self.groups & 0xFFFFFFFF & ~(1 << self._group)
             openmm.CustomIntegrator.setIntegrationForceGroups(integrator, others)
 
-    def leave_to_host(self, why: str) -> None:
-        """Select the host in any Context; ValueError with engine="device"."""
-        if self.asked == "device":
+    def _refuse(self, why: str | None) -> None:
+        """Raise ValueError if there is a reason against the device, which was asked for."""
+        if why and self.asked == "device":
             raise ValueError(f"{why}; use engine='host'")
-        if self.open:
-            self.open, self.on_device, self.note = False, False, why
 
     def settle(self, context: Any, integrator: Any) -> None:
         """Select the engine for a Context and its step size; ValueError if engine="device" does not support them."""
-        if self.asked == "device" and (why := _unsupported_context(context, integrator, self._fast)):
-            self.leave_to_host(why)
+        if self.asked == "device":
+            self._refuse(_unsupported_context(context, integrator, self._fast))
         if self.open:
             self.on_device, self.note = self._rule(context, integrator)
             self._mark()
@@ -123,10 +114,8 @@ class Selection:
         return True, f"{context.getPlatform().getName()} computes on a GPU"
 
     def _mark(self) -> None:
-        if self.on_device == (self._group is not None):
-            self.marks = (0.0, names.HELD) if self.on_device else variables.marks(self._own)
-        else:
-            self.marks = ()
+        selected = self.on_device == (self._group is not None)
+        self.marks = () if not selected else (0.0, names.HELD) if self.on_device else variables.marks(self._own)
 
     def install_device(self, context: Any, integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> None:
         """Add the sums over bodies to the System, and give the integrator the program that uses them."""
@@ -167,13 +156,7 @@ def no_gpu(context: Any) -> str | None:
 
 
 def _writer(integrator: openmm.CustomIntegrator, own: Sequence[str]) -> str | None:
-    """Return the engine that wrote the variables of an integrator, as they are in checkpoints; None if none did.
-
-    Raises
-    ------
-    ValueError
-        If another kind of integrator did.
-    """
+    """Return the engine that wrote the variables, None if none did; ValueError if another kind of integrator did."""
     first = integrator.getGlobalVariable(0)
     if first == names.HELD:
         return "device"
@@ -202,12 +185,18 @@ def _unsupported_settings(
 
 def _unsupported_context(context: Any, integrator: Any, fast: MultipleTimeSteps | None) -> str | None:
     """Return why a Context, at the present step size, needs the host, or None."""
-    if why := _unsupported_platform(context):
-        return why
+    platform, system = context.getPlatform(), context.getSystem()
+    name = platform.getName()
+    if name not in (*_DEVICES, "Reference"):
+        return f"the device supports the platforms CUDA, HIP, OpenCL and Reference only, not {name}"
+    if name in _DEVICES and platform.getPropertyValue(context, "Precision") == "single":
+        return "in single precision the state of the bodies would be rounded: set Precision to mixed or double"
+    if name == "Reference" and any(map(system.isVirtualSite, range(system.getNumParticles()))):
+        return "the Reference platform of OpenMM moves virtual sites at the end of a step only, not within a program"
     for parameter in context.getParameters():
         if parameter in names.OPENMM or names.has(parameter):
             return f"the parameter {parameter!r} of a force has the name of a variable of the program: rename it"
-    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    x = arrays.positions(context.getState(positions=True))
     if len(x) > 1 and not x.any():
         raise ValueError("the Context has no positions yet, on which the engine depends: call setPositions first")
     bodies = find_bodies(system, x, integrator.getNamedBodies())
@@ -220,15 +209,3 @@ def _unsupported_context(context: Any, integrator: Any, fast: MultipleTimeSteps 
             "smaller step, or fast=None for no inner steps"
         )
     return gather.unsupported(system, bodies)
-
-
-def _unsupported_platform(context: Any) -> str | None:
-    platform, system = context.getPlatform(), context.getSystem()
-    name = platform.getName()
-    if name not in (*_DEVICES, "Reference"):
-        return f"the device supports the platforms CUDA, HIP, OpenCL and Reference only, not {name}"
-    if name in _DEVICES and platform.getPropertyValue(context, "Precision") == "single":
-        return "in single precision the state of the bodies would be rounded: set Precision to mixed or double"
-    if name == "Reference" and any(map(system.isVirtualSite, range(system.getNumParticles()))):
-        return "the Reference platform of OpenMM moves virtual sites at the end of a step only, not within a program"
-    return None

@@ -1,8 +1,8 @@
 """Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
 
-The state of N bodies is one set of component-first float64 arrays. Bodies of one kind are neighbours, and kinds that
-turn come before single particles, which have no attitude. Of those, the atoms of clusters that constraints hold without
-making them rigid come first, in the order of `openmm_exactrb.mechanics.clusters`.
+Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no attitude. Of those,
+the atoms of clusters that constraints hold without making them rigid come first, in the order of
+`openmm_exactrb.mechanics.clusters`.
 """
 
 from __future__ import annotations
@@ -48,12 +48,6 @@ class Kind:
     inertia: Array
 
     @property
-    def distances(self) -> Array:
-        """Distances of the particles from each other, (1, k, k) or (n, k, k)."""
-        apart: Array = np.linalg.norm(self.sites[:, :, None] - self.sites[:, None], axis=3)
-        return apart
-
-    @property
     def turns(self) -> bool:
         """Whether the bodies have an attitude: all but single particles."""
         return bool(self.sites.shape[1] > 1)
@@ -96,13 +90,10 @@ class RigidBodies:
         self.clusters = Clusters([]) if clusters is None else clusters
         self.n_turning = sum(len(kind.particles) for kind in self._turning)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
-        self.first_particle: Indices = np.concatenate(
-            [np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)]
-        )
+        self.first_particle = np.concatenate([np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)])
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
         self.inertia = _moments(self._turning)
         self._single = self.first_particle[self.n_turning :]
-        self._has_clusters = bool(len(self.clusters))
         self._particles_of = kernels.load("bodies")
 
     @property
@@ -134,16 +125,9 @@ class RigidBodies:
         return owner
 
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
-        """Return some of the bodies as a set of their own, in the same order.
+        """Return some of the bodies (N,), of a cluster all atoms or none, as a set of their own in the same order.
 
-        Parameters
-        ----------
-        bodies : (N,) array of bool
-            Which: of a cluster all atoms or none.
-        number : (n_particles,) array of int
-            What number each of their particles has there.
-        n_particles : int
-            Particles there.
+        Their particles get other numbers (n_particles,), among so many particles.
         """
         kinds: list[Kind] = []
         start = 0
@@ -189,12 +173,28 @@ class RigidBodies:
 
     def tangent(self, state: BodyState) -> BodyState:
         """Return the state without those parts of the momenta that constraints do not allow."""
-        if not self._has_clusters:
+        if not len(self.clusters):
             return state
         x, p = (np.ascontiguousarray(a[None, :, self.clustered]) for a in (state.R, state.P))
         P = state.P.copy()
         P[:, self.clustered] = self.clusters.tangent(ClusterState(x, p)).p[0]
         return state._replace(P=P)
+
+    def canonical_momenta(
+        self, state: BodyState, kT: float, rng: np.random.Generator, at_rest: bool = False
+    ) -> BodyState:
+        """Return a state with momenta drawn at kT (kJ/mol), with the centre of mass of all at rest or not.
+
+        The projection that is orthogonal in the metric of the masses leaves the canonical distribution on constraints.
+        """
+        P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)
+        if at_rest:
+            P -= self.mass * (P.sum(axis=1, keepdims=True) / self.mass.sum())
+        m = np.sqrt(kT * self.inertia.T) * rng.standard_normal(state.m.shape)
+        for kind in self._turning:
+            if kind.linear:
+                m[0, kind.bodies] = 0.0
+        return self.tangent(state._replace(P=P, m=m))
 
     def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
         """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow."""

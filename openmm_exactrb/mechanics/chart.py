@@ -20,14 +20,8 @@ class OutOfReachError(ArithmeticError):
 class Chart:
     """Displacements of all atoms from a place on the constraints, each with the place on them that belongs to it.
 
-    A displaced atom is put back along the constraints as they were at the origin, x = x0 + u + M^-1 G(x0)^T lambda, as
-    in J.-P. Ryckaert, G. Ciccotti and H. J. C. Berendsen, doi:10.1016/0021-9991(77)90098-5.
-
-    Parameters
-    ----------
-    clusters : Clusters
-    origin : (3, M) array
-        Places of their atoms.
+    A displaced atom is put back along the constraints as they were at the origin (3, M), x = x0 + u + M^-1 G(x0)^T
+    lambda, as in J.-P. Ryckaert, G. Ciccotti and H. J. C. Berendsen, doi:10.1016/0021-9991(77)90098-5.
     """
 
     def __init__(self, clusters: Clusters, origin: Array) -> None:
@@ -35,13 +29,7 @@ class Chart:
         self._kinds = [(kind, columns, _vectors(origin, columns, kind.pairs)) for kind, columns in clusters.columns()]
 
     def placed(self, u: Array) -> Array:
-        """Return the places (3, M) that belong to displacements.
-
-        Raises
-        ------
-        OutOfReachError
-            If there are none.
-        """
+        """Return the places (3, M) that belong to displacements; OutOfReachError if there are none."""
         x = self._origin + u
         for kind, columns, r0 in self._kinds:
             r, multipliers = _vectors(x, columns, kind.pairs), np.zeros(r0.shape[:2])
@@ -51,7 +39,7 @@ class Chart:
                 missed = 0.5 * (square - (now * now).sum(axis=2))
                 if (np.abs(missed) <= _REACHED * square).all():
                     break
-                multipliers = multipliers + _solved(_matrix(kind.coupling, now, r0), missed)
+                multipliers = multipliers + _multipliers(kind.coupling, now, r0, missed)
             else:
                 raise OutOfReachError("atoms were moved to where no place on the constraints belongs to them")
             _add_on_atoms(x, columns, kind.pairs, multipliers[..., None] * r0, 1.0 / kind.masses)
@@ -65,7 +53,7 @@ class Chart:
             i, j = kind.pairs.T
             a = (force[:, columns] / kind.masses).transpose(1, 2, 0)
             along = (r0 * (a[:, i] - a[:, j])).sum(axis=2)
-            multipliers = _solved(_matrix(kind.coupling, r, r0).swapaxes(1, 2), along)
+            multipliers = _multipliers(kind.coupling, r0, r, along)
             _add_on_atoms(slope, columns, kind.pairs, -multipliers[..., None] * r, np.ones(len(kind.masses)))
         return slope
 
@@ -77,13 +65,9 @@ def _vectors(x: Array, columns: NDArray[np.int64], pairs: NDArray[np.int64]) -> 
     return r
 
 
-def _matrix(coupling: Array, r: Array, r0: Array) -> Array:
-    """Return B_cd r_c . r0_d, (N, m, m)."""
-    matrix: Array = coupling * np.einsum("nci,ndi->ncd", r, r0)
-    return matrix
-
-
-def _solved(matrix: Array, right: Array) -> Array:
+def _multipliers(coupling: Array, r: Array, r0: Array, right: Array) -> Array:
+    """Solve sum_d B_cd r_c . r0_d lambda_d = right_c for the multipliers (N, m)."""
+    matrix = coupling * np.einsum("nci,ndi->ncd", r, r0)
     try:
         return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0], dtype=np.float64)
     except np.linalg.LinAlgError as error:

@@ -9,17 +9,154 @@ a tree grows with the number of constraints and not with its cube.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-from openmm_exactrb.mechanics.cluster_kind import INDEPENDENT, ClusterKind
+from openmm_exactrb.kernels.graph import Graph, factor
+from openmm_exactrb.mechanics.elimination import eliminated
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+#: Constraints that a cluster may have.
+LARGEST = 3000
+# Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
+_INDEPENDENT = 1e-9
+
+
+@dataclass(frozen=True)
+class ClusterKind:
+    """Clusters of one graph, with the same masses and lengths.
+
+    Attributes
+    ----------
+    particles : (N, n) array
+        The n particles of each of the N clusters.
+    masses : (n,) array
+        In amu.
+    pairs : (m, 2) array
+        The two members of each constraint, by their places in `particles`.
+    lengths : (m,) array
+        In nm.
+    """
+
+    particles: Indices
+    masses: Array
+    pairs: Indices
+    lengths: Array
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of a cluster."""
+        return 3 * len(self.masses) - len(self.pairs)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """What the kernels take, with constraints in an order that keeps the factor sparse."""
+        order, rows, columns, starts, left, right = eliminated(self._neighbours())
+        row_of = np.repeat(np.arange(len(order)), np.diff(rows))
+        return Graph(
+            1.0 / self.masses,
+            np.ascontiguousarray(self.pairs[order]),
+            self.lengths[order],
+            self._coupling(order[row_of], order[columns]),
+            rows,
+            columns,
+            starts,
+            left,
+            right,
+        )
+
+    @cached_property
+    def coupling(self) -> Array:
+        """The matrix B_cd = sum_a s_ca s_da / m_a (m, m)."""
+        each = np.arange(len(self.pairs))
+        return self._coupling(each[:, None], each)
+
+    def _coupling(self, c: Indices, d: Indices) -> Array:
+        (i, j), inverse = self.pairs.T, 1.0 / self.masses
+        first = np.where(i[c] == i[d], 1.0, 0.0) - (i[c] == j[d])
+        second = np.where(j[c] == j[d], 1.0, 0.0) - (j[c] == i[d])
+        coupling: Array = first * inverse[i[c]] + second * inverse[j[c]]
+        return coupling
+
+    def _neighbours(self) -> list[set[int]]:
+        """Return for each constraint the others that have an atom with it in common."""
+        of_atom: list[set[int]] = [set() for _ in self.masses]
+        for c, ends in enumerate(self.pairs.tolist()):
+            for atom in ends:
+                of_atom[atom].add(c)
+        return [(of_atom[i] | of_atom[j]) - {c} for c, (i, j) in enumerate(self.pairs.tolist())]
+
+    def name(self, cluster: int) -> str:
+        """Say which particles a cluster consists of."""
+        members = [str(k) for k in self.particles[cluster]]
+        shown = members if len(members) < 9 else [*members[:4], "...", *members[-2:]]
+        return f"the cluster of particles {', '.join(shown)}"
+
+    def most_dependent(self, x: Array) -> tuple[Array, Indices]:
+        """Tell how independent the constraints are at places (N, n, 3), and which one depends on others the most.
+
+        Independence (N,) is the smallest part of a constraint's gradient, squared, in the mass metric, that those
+        before it in `graph` do not have, 0 where it follows from them; the constraint (N,) is its number there.
+        """
+        r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
+        r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)
+        diagonal = self.graph.rows[1:] - 1
+        with np.errstate(all="ignore"):
+            inverse_roots = np.array(factor(self.graph, r))[diagonal]
+            rest = 1.0 / (inverse_roots * inverse_roots * self.graph.weights[diagonal, None])
+        rest = np.where(np.isfinite(rest), rest, 0.0)
+        return rest.min(axis=0), rest.argmin(axis=0)
+
+    def refuse_unkept(self) -> None:
+        """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
+
+        Or if one follows from the others wherever members are, as three random places tell.
+        """
+        bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
+        if bad.any():
+            raise ValueError(
+                f"particle {self.particles[0, np.argmax(bad)]} of {self.name(0)} has the mass "
+                f"{self.masses[np.argmax(bad)]:g}: a constraint needs masses at both ends, give it one or remove its "
+                "constraints"
+            )
+        bad = ~((self.lengths > 0.0) & np.isfinite(self.lengths)) | (self.pairs[:, 0] == self.pairs[:, 1])
+        if bad.any():
+            i, j = self.particles[0, self.pairs[np.argmax(bad)]]
+            raise ValueError(
+                f"the constraint of particles {i} and {j} to {self.lengths[np.argmax(bad)]:g} nm cannot be kept: it "
+                "needs two particles and a positive length"
+            )
+        if len(self.pairs) > LARGEST:
+            raise ValueError(
+                f"{len(self.pairs)} constraints hold {self.name(0)} together, more than {LARGEST}: create the System "
+                "with constraints=HBonds, which constrains hydrogens only"
+            )
+        places = np.random.default_rng(0).standard_normal((3, len(self.masses), 3))
+        independence, constraint = self.most_dependent(places)
+        if independence.max() < _INDEPENDENT:
+            i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
+            raise ValueError(
+                f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove it"
+            )
+
+    def refuse_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
+        """Refuse places (N, n, 3), of the chosen ones (N,), where a constraint follows from the others; ValueError."""
+        independence, constraint = self.most_dependent(x)
+        independence = np.where(chosen, independence, 1.0)
+        if (independence < _INDEPENDENT).any():
+            worst = int(np.argmin(independence))
+            i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
+            raise ValueError(
+                f"{self.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and "
+                f"{j} follows from the others, as for three particles of a triangle on a line: move them, or remove it"
+            )
 
 
 class ClusterState(NamedTuple):
@@ -34,47 +171,12 @@ class ClusterState(NamedTuple):
     x: Array
     p: Array
 
-    @property
-    def high(self) -> ClusterState:
-        """The numbers themselves, (3, M)."""
-        return ClusterState(self.x[0], self.p[0])
-
-
-class Group(NamedTuple):
-    """Clusters with the same masses and constraints.
-
-    Attributes
-    ----------
-    particles : (N, n) array
-        The n particles of each of the N clusters.
-    masses : (n,) array
-        In amu.
-    pairs : (m, 2) array
-        The two members of each constraint, by their places in a row of `particles`.
-    lengths : (m,) array
-        In nm.
-    """
-
-    particles: Indices
-    masses: Array
-    pairs: Indices
-    lengths: Array
-
 
 class Clusters:
-    """Clusters of several kinds as one set of arrays.
+    """Clusters of several kinds as one set of arrays; ModuleNotFoundError if there are any, but no numba.
 
     Atom a of cluster i of a kind is column first + a N + i of state arrays, with N clusters of the kind, whose first
     column is `first`.
-
-    Parameters
-    ----------
-    kinds : sequence of ClusterKind
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If there are any, and numba is not installed.
     """
 
     def __init__(self, kinds: Sequence[ClusterKind]) -> None:
@@ -132,65 +234,38 @@ class Clusters:
         return after
 
 
-def sorted_into_kinds(groups: Iterable[Group]) -> Clusters:
+def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
 
-    Parameters
-    ----------
-    groups : iterable of Group
-
-    Raises
-    ------
-    ValueError
-        As `ClusterKind`.
+    ValueError if constraints cannot be kept: see `ClusterKind.refuse_unkept`.
     """
-    kinds: dict[bytes, tuple[Array, Indices, Array]] = {}
-    particles: dict[bytes, list[Indices]] = {}
-    for group in groups:
-        order = _canonical(group)
-        pairs = np.sort(np.argsort(order)[group.pairs], axis=1)
-        by_ends = np.lexsort(pairs.T)
-        kind = group.masses[order], pairs[by_ends], group.lengths[by_ends]
-        key = b"/".join(a.tobytes() for a in kind)
-        kinds.setdefault(key, kind)
-        particles.setdefault(key, []).append(group.particles[:, order])
-    return Clusters([ClusterKind(_by_number(particles[key]), *kind) for key, kind in kinds.items()])
+    kinds: dict[bytes, list[ClusterKind]] = {}
+    for group in map(_in_canonical_order, groups):
+        key = b"/".join(a.tobytes() for a in (group.masses, group.pairs, group.lengths))
+        kinds.setdefault(key, []).append(group)
+    joined = [replace(same[0], particles=_by_number([kind.particles for kind in same])) for same in kinds.values()]
+    for kind in joined:
+        kind.refuse_unkept()
+    return Clusters(joined)
 
 
-def _canonical(group: Group) -> Indices:
-    """Return an order of the members: of a star the centre first, then rays by mass and length; else as they are."""
+def _in_canonical_order(group: ClusterKind) -> ClusterKind:
+    """Return clusters with their members in order: of a star the centre, then rays by mass and length; else as before.
+
+    Constraints come in the order of their members.
+    """
     m, n = len(group.pairs), len(group.masses)
-    degree = np.bincount(group.pairs.ravel(), minlength=n)
-    if m != n - 1 or degree.max() != m:
-        return np.arange(n)
-    centre = np.argmax(degree)
-    length = np.zeros(n)
-    length[np.where(group.pairs[:, 0] == centre, group.pairs[:, 1], group.pairs[:, 0])] = group.lengths
-    order: Indices = np.lexsort((length, group.masses, np.arange(n) != centre))
-    return order
+    order, degree = np.arange(n), np.bincount(group.pairs.ravel(), minlength=n)
+    if m == n - 1 and degree.max() == m:
+        centre, length = np.argmax(degree), np.zeros(n)
+        length[np.where(group.pairs[:, 0] == centre, group.pairs[:, 1], group.pairs[:, 0])] = group.lengths
+        order = np.lexsort((length, group.masses, order != centre))
+    pairs = np.sort(np.argsort(order)[group.pairs], axis=1)
+    by_ends = np.lexsort(pairs.T)
+    return ClusterKind(group.particles[:, order], group.masses[order], pairs[by_ends], group.lengths[by_ends])
 
 
 def _by_number(particles: Sequence[Indices]) -> Indices:
     """Return the clusters (N, n) of several groups in the order of their first particles."""
     joined = np.concatenate(particles)
     return joined[np.argsort(joined.min(axis=1))]
-
-
-def refuse_singular(kind: ClusterKind, x: Array, chosen: NDArray[np.bool_] | None = None) -> None:
-    """Refuse places (N, n, 3) of clusters, or of some (N,) of them, where a constraint follows from the others.
-
-    Raises
-    ------
-    ValueError
-        If there is one.
-    """
-    independence, constraint = kind.most_dependent(x)
-    if chosen is not None:
-        independence = np.where(chosen, independence, 1.0)
-    if (independence < INDEPENDENT).any():
-        worst = int(np.argmin(independence))
-        i, j = kind.particles[worst, kind.graph.pairs[constraint[worst]]]
-        raise ValueError(
-            f"{kind.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and {j} "
-            "follows from the others, as for three particles of a triangle on a line: move them, or remove it"
-        )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState, State
 
 Array = NDArray[np.float64]
@@ -24,7 +24,8 @@ _GAINED = 0.5
 _HOTTEST = 2500.0
 # Rounding of energies in single precision, and kJ/mol per body that say nothing: a start at rest has less.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
-_ADVICE = (
+#: What the Context holds after a step or call that diverged, and what to do.
+ADVICE = (
     "The Context keeps the state before this {}: take a smaller step size (numbers without a unit are ps), or minimise "
     "the energy first"
 )
@@ -45,8 +46,7 @@ class DivergenceCheck:
     ----------
     bodies : RigidBodies
     potential : callable
-        potential(state) -> float, the potential energy in kJ/mol at the positions of any state. It is evaluated only
-        when momenta have grown much.
+        potential(state) -> float, the potential energy in kJ/mol. It is evaluated only when momenta have grown much.
     box : callable
         box() -> the vectors (3, 3) of the periodic box in nm, or None.
     conserves : bool
@@ -62,7 +62,7 @@ class DivergenceCheck:
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
-        self._good = 0.0, 0.0
+        self._good = 0.0, 0.0  # squares of linear and angular momenta
         self._number, self._time = 0, 0.0
         self._before: State | None = None  # the step
         self._since: State | None = None  # from which energy is kept
@@ -82,51 +82,43 @@ class DivergenceCheck:
             self._since = state
 
     def finite(self, state: State) -> None:
-        """Raise NonFiniteError if OpenMM cannot be asked for forces at a state.
-
-        Squares are looked at, since finite numbers of 1e200 are as useless.
-        """
+        """Raise NonFiniteError if OpenMM cannot be asked for forces at a state."""
         P = _square(state.P[0])
         total = P + _square(state.R[0]) + _square(state.q[0]) + _square(state.m[0])
-        if not np.isfinite(total) or (self._fastest < P and lost(self._bodies, state.rounded).any()):
-            bad = np.flatnonzero(lost(self._bodies, state.rounded))
-            names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
-            more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
-            raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
+        if not (np.isfinite(total) and self._fastest >= P):
+            bad = np.flatnonzero(_lost(self._bodies, state.rounded))
+            if len(bad):
+                names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
+                more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
+                raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
+
+    def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
+        """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
+        half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
+
+        def check(state: State) -> None:
+            P, m = state.P[0], state.m[0]
+            mean = float((P * P).sum(axis=0) @ half_mass + (m * m * half_inertia).sum()) / len(bodies)
+            if not mean <= _HOTTEST:  # so that nan is too hot
+                raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
+
+        return check
 
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step has diverged from that before it."""
         self.finite(state)
-        sizes = _square(state.P[0]), _square(state.m[0])
-        if any(size > GROWN * good for size, good in zip(sizes, self._good, strict=True)):
-            self._compare(state)
-            self._good = max(sizes[0], self._good[0]), max(sizes[1], self._good[1])
-
-    def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
-        """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
-        most, of_mass, of_inertia = 2.0 * _HOTTEST * len(bodies), 1.0 / bodies.mass, 1.0 / bodies.inertia.T
-
-        def check(state: State) -> None:
-            P, m = state.P[0], state.m[0]
-            twice = float((P * P).sum(axis=0) @ of_mass) + float((m * m * of_inertia).sum())
-            if not np.isfinite(twice):
-                raise NonFiniteError(self._message("not finite within the inner steps"))
-            if twice > most:
-                raise IntegrationError(self._message(f"{twice / most * _HOTTEST:.3g} kJ/mol in each body"))
-
-        return check
+        (P, m), (good_P, good_m) = (_square(state.P[0]), _square(state.m[0])), self._good
+        if GROWN * good_P < P or m > GROWN * good_m:
+            assert self._since is not None
+            if message := gained(len(self._bodies), self._energies(self._since), self._energies(state)):
+                raise IntegrationError(self._message(message))
+            self._good = max(P, good_P), max(m, good_m)
 
     def outside(self, state: State, after: State) -> None:
         """Check a state before a thermostat, from which energy is kept on behind it."""
         if after is not state:
             self.leave(state)
             self._before = self._since = after
-
-    def _compare(self, state: State) -> None:
-        assert self._since is not None
-        message = gained(len(self._bodies), self._energies(self._since), self._energies(state))
-        if message:
-            raise IntegrationError(self._message(message))
 
     def _energies(self, state: State) -> tuple[float, float]:
         """Return the kinetic and the total energy."""
@@ -137,18 +129,11 @@ class DivergenceCheck:
         closest = ""
         if self._before is not None and len(self._bodies) > 1:
             closest = f"The closest before it were {closest_pair(self._before.rounded, self._box())}. "
-        return f"step {self._number}, after {self._time:.6g} ps: {what}. {closest}{advice('step')}"
+        return f"step {self._number}, after {self._time:.6g} ps: {what}. {closest}{ADVICE.format('step')}"
 
 
 def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
-    """Return what is wrong with the energies of two states, or None.
-
-    Parameters
-    ----------
-    n_bodies : int
-    then, now : (float, float)
-        The kinetic and the total energy in kJ/mol.
-    """
+    """Return what is wrong with two pairs of a kinetic and a total energy (kJ/mol), or None."""
     (kinetic_then, energy_then), (kinetic, energy) = then, now
     gain = energy - energy_then
     noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * n_bodies
@@ -160,33 +145,12 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
     )
 
 
-def advice(unit: str) -> str:
-    """Return what the Context holds after a step or call that diverged, and what to do."""
-    return _ADVICE.format(unit)
-
-
-def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
+def _lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
     """Return which bodies have numbers without finite squares, or are faster than light, (N,)."""
-    found = np.asarray(~np.isfinite(state.R * state.R).all(axis=0))
-    found |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
-    for x in (state.q, state.m):
-        found[: bodies.n_turning] |= ~np.isfinite(x * x).all(axis=0)
-    return found
-
-
-def closest_pair(state: BodyState, box: Array | None = None) -> str:
-    """Name the two bodies whose centres are closest, across the sides of a periodic box (3, 3) too."""
-    from scipy.spatial import cKDTree  # here, for a short import of the package
-
-    R, images = state.R.T, np.zeros((1, 3))
-    if box is not None:
-        R = R - np.floor(R @ np.linalg.inv(box)) @ box
-        images = np.array(list(itertools.product((0.0, 1.0, -1.0), repeat=3))) @ box
-    places = (R + images[:, None]).reshape(-1, 3)
-    distances, neighbours = map(np.asarray, cKDTree(places).query(R, k=2))
-    body = int(np.argmin(distances[:, 1]))
-    other = next((int(k) for k in neighbours[body] % len(R) if k != body), body)  # or an image of its own
-    return f"the bodies {min(body, other)} and {max(body, other)}, {distances[body, 1]:.3g} nm apart"
+    lost = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
+    lost |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
+    lost[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
+    return lost
 
 
 def _square(x: Array) -> float:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.compensated import exactly
 from openmm_exactrb.kernels.plain.bodies import turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.mechanics.cluster_fit import missed, put_on_constraints
+from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import from_matrix, matrix
 
@@ -22,6 +24,10 @@ REFUSED = 0.02
 RIGIDITY = 1e-4
 # A body whose places about its centre changed by less than this, in nm, was shifted and not turned.
 _SHIFTED = 1e-9
+# Newton's steps onto the constraints: each squares what is left, from a fifth of a bond to less than a rounding.
+_NEWTON = 8
+# Lengths that are missed by more than this after them, in nm, are not to be reached from there.
+_REACHED = 1e-9
 
 
 class ShapeWarning(UserWarning):
@@ -29,18 +35,13 @@ class ShapeWarning(UserWarning):
 
 
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
-    """Find the state of bodies.
-
-    Parameters
-    ----------
-    bodies : RigidBodies
-    x, v : (n_particles, 3) arrays
-        In nm and nm/ps.
+    """Find the state of bodies from positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
 
     Raises
     ------
     ValueError
-        If positions are not finite, or further than `REFUSED` from a rigid body.
+        If numbers are not finite, positions are further than `REFUSED` from a rigid body, or a constraint of a cluster
+        follows from others there, or cannot be reached from there.
 
     Warns
     -----
@@ -55,26 +56,9 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 
 
 def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
-    """Find the state of some bodies again.
+    """Find the state of bodies again, some of which were moved or pushed; other arguments and errors are as of `fit`.
 
-    Parameters
-    ----------
-    bodies : RigidBodies
-    known : BodyState
-        The state of the others.
-    x, v : (n_particles, 3) arrays
-    moved, pushed : arrays of int
-        Bodies whose positions or velocities changed. One that was only shifted keeps attitude and momenta.
-
-    Raises
-    ------
-    ValueError
-        As `fit`.
-
-    Warns
-    -----
-    ShapeWarning
-        As `fit`.
+    A body that was only shifted keeps attitude and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
     misfits = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
@@ -91,7 +75,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             q[:, of_kind] = best_attitudes(kind.masses, sites, relative)
             misfit = relative - turned(_attitudes(q, of_kind), sites)
             misfits.append((of_kind, np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))))
-    misfits.append(missed(bodies, R, moved))
+    misfits.append(_missed(bodies, R, moved))
     _judge(bodies, *map(np.concatenate, zip(*misfits, strict=True)))
     for kind in bodies.kinds:
         of_kind, particles, sites = _chosen(kind, pushed)
@@ -104,7 +88,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             m[:, of_kind] = np.einsum("s,nsi->in", kind.masses, np.cross(sites, in_body))
             if kind.linear:
                 m[0, of_kind] = 0.0
-    put_on_constraints(bodies, R, P, np.union1d(moved, pushed))
+    _put_on_constraints(bodies, R, P, np.union1d(moved, pushed))
     return BodyState(R, P, q, m)
 
 
@@ -162,3 +146,46 @@ def _judge(bodies: RigidBodies, chosen: Indices, distance: Array) -> None:
         ShapeWarning,
         stacklevel=2,
     )
+
+
+def _clusters_of(bodies: RigidBodies, chosen: Indices) -> Iterator[tuple[ClusterKind, Indices, NDArray[np.bool_]]]:
+    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and which clusters (N,) have a chosen one."""
+    for kind, columns in bodies.clusters.columns():
+        atoms = columns + bodies.clustered.start
+        yield kind, atoms, np.asarray(np.isin(atoms, chosen).any(axis=1))
+
+
+def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Array]:
+    """Return the first atoms of the clusters of some bodies, and by how much at most they miss a length, in nm."""
+    found = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
+    for kind, atoms, touched in _clusters_of(bodies, chosen):
+        x = R.T[atoms[touched]]
+        length = np.linalg.norm(x[:, kind.pairs[:, 0]] - x[:, kind.pairs[:, 1]], axis=2)
+        found.append((atoms[touched, 0], np.abs(length - kind.lengths).max(axis=1)))
+    first, distance = map(np.concatenate, zip(*found, strict=True))
+    return first, distance
+
+
+def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices) -> None:
+    """Move the clusters of some bodies onto their constraints, and take from their momenta what these do not allow.
+
+    Centres of mass and total momenta stay. R and P (3, N) are changed in the columns of these clusters.
+    """
+    clusters = list(_clusters_of(bodies, chosen))
+    if not any(touched.any() for _, _, touched in clusters):
+        return
+    for kind, atoms, touched in clusters:
+        kind.refuse_singular(R.T[atoms], touched)
+    state = ClusterState(*(exactly(np.ascontiguousarray(a[:, bodies.clustered])) for a in (R, P)))
+    for _ in range(_NEWTON):
+        state = bodies.clusters.drift(state, 0.0)
+    reached = np.concatenate([atoms[touched].ravel() for _, atoms, touched in clusters])
+    columns = reached - bodies.clustered.start
+    R[:, reached], P[:, reached] = state.x[0][:, columns], state.p[0][:, columns]
+    first, distance = _missed(bodies, R, reached)
+    bad = ~(distance <= _REACHED)  # so that nan is bad
+    if bad.any():
+        raise ValueError(
+            f"the constraints of {bodies.name(int(first[np.argmax(bad)]))} cannot be reached from these positions: set "
+            "some whose distances are about those of the constraints"
+        )

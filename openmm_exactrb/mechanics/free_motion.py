@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
+from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Flow as Rotation
 
@@ -42,15 +42,9 @@ class Kinetic:
 
 
 def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
-    """Return the kinetic flow of rigid bodies.
+    """Return the kinetic flow of rigid bodies of masses (N,).
 
-    Parameters
-    ----------
-    mass : (N,) array
-    rotation : callable
-        rotation(q, m, tau) -> (q, m) of sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
-    order : int, optional
-        Of the rotation.
+    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it, and has an order.
     """
     advance = advancing()
 
@@ -67,17 +61,14 @@ def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
     return Kinetic(drift, displaced, tangent, order)
 
 
-def constrained(free: Kinetic, clusters: Clusters, columns: slice) -> Kinetic:
-    """Return a kinetic flow where some single particles move along the geodesics of their constraints.
+def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None) -> Kinetic:
+    """Return the kinetic flow of rigid bodies and constrained clusters, which move along geodesics.
 
-    Parameters
-    ----------
-    free : Kinetic
-        Of all bodies, without these constraints.
-    clusters : Clusters
-    columns : slice
-        Where their atoms stand in R and P.
+    Arguments are as of `rigid`.
     """
+    free, clusters, columns = rigid(bodies.mass, rotation, order), bodies.clusters, bodies.clustered
+    if not len(clusters):
+        return free
 
     def part(state: State) -> ClusterState:
         return ClusterState(*(np.ascontiguousarray(a[:, :, columns]) for a in (state.R, state.P)))
@@ -94,17 +85,9 @@ def constrained(free: Kinetic, clusters: Clusters, columns: slice) -> Kinetic:
         return joined(free.displaced(state, push), clusters.drift(part(state._replace(P=exactly(push))), 1.0))
 
     def tangent(state: State) -> State:
-        P = state.P.copy()
-        P[:, :, columns] = clusters.tangent(part(state)).p
-        return state._replace(P=P)
+        return joined(state, clusters.tangent(part(state)))
 
-    return Kinetic(drift, displaced, tangent, free.order)
-
-
-def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None) -> Kinetic:
-    """Return the kinetic flow of rigid bodies and constrained clusters; arguments as of `rigid`."""
-    free = rigid(bodies.mass, rotation, order)
-    return constrained(free, bodies.clusters, bodies.clustered) if len(bodies.clusters) else free
+    return Kinetic(drift, displaced, tangent, order)
 
 
 def advancing() -> Callable[[Array, Array, float], Array]:

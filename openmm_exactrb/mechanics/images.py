@@ -1,11 +1,14 @@
-"""Bodies that a periodic box has split: their particles brought into one image again."""
+"""Bodies in a periodic box: particles that it has split brought into one image again, and the closest bodies."""
 
 from __future__ import annotations
+
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.state import BodyState
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -17,7 +20,7 @@ _NEAR = 0.05
 def rejoined(x: Array, bodies: RigidBodies, box: Array) -> Array:
     """Return positions (n_particles, 3) with the particles of each body, and of each cluster, in one image of a box."""
     for kind in bodies.kinds:
-        x = joined(x, kind.particles, box, kind.distances)
+        x = joined(x, kind.particles, box, np.linalg.norm(kind.sites[:, :, None] - kind.sites[:, None], axis=3))
     for cluster in bodies.clusters.kinds:
         x = joined(x, cluster.particles, box)
     return x
@@ -39,7 +42,7 @@ def joined(x: Array, particles: Indices, box: Array, distances: Array | None = N
     box : (3, 3) array
         Vectors of the periodic box in nm, one a row.
     distances : (1, k, k) or (n, k, k) array, optional
-        Of the particles in the bodies, in nm, if they are known; nan where nobody knows.
+        Of the particles in the bodies, in nm; nan where nobody knows.
     """
     X = x[particles]
     extent = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1)
@@ -47,17 +50,12 @@ def joined(x: Array, particles: Indices, box: Array, distances: Array | None = N
     if not wide.any():
         return x
     if distances is not None:
-        wide[wide] = ~_at_distances(X[wide], distances if len(distances) == 1 else distances[wide])
+        found = np.linalg.norm(X[wide, :, None] - X[wide, None], axis=3)
+        known = distances if len(distances) == 1 else distances[wide]
+        wide[wide] = ~(np.abs(found - known) <= _NEAR).all(axis=(1, 2))  # nan is not near
     y = x.copy()
     y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
     return y
-
-
-def _at_distances(X: Array, distances: Array) -> NDArray[np.bool_]:
-    """Tell of which bodies (n, k, 3) the particles are about at their distances, where all of these are known."""
-    found = np.linalg.norm(X[:, :, None] - X[:, None], axis=3)
-    near: NDArray[np.bool_] = (np.abs(found - distances) <= _NEAR).all(axis=(1, 2))  # nan is not
-    return near
 
 
 def _images(X: Array, box: Array) -> Array:
@@ -76,3 +74,18 @@ def _images(X: Array, box: Array) -> Array:
         last = np.where(missing, distance, np.inf).argmin(axis=1)
         images[rows, last] = offered[rows, last]
     return images
+
+
+def closest_pair(state: BodyState, box: Array | None = None) -> str:
+    """Name the two bodies whose centres are closest, across the sides of a periodic box (3, 3) too."""
+    from scipy.spatial import cKDTree  # here, for a short import of the package
+
+    R, images = state.R.T, np.zeros((1, 3))
+    if box is not None:
+        R = R - np.floor(R @ np.linalg.inv(box)) @ box
+        images = np.array(list(itertools.product((0.0, 1.0, -1.0), repeat=3))) @ box
+    places = (R + images[:, None]).reshape(-1, 3)
+    distances, neighbours = map(np.asarray, cKDTree(places).query(R, k=2))
+    body = int(np.argmin(distances[:, 1]))
+    other = next((int(k) for k in neighbours[body] % len(R) if k != body), body)  # or an image of its own
+    return f"the bodies {min(body, other)} and {max(body, other)}, {distances[body, 1]:.3g} nm apart"

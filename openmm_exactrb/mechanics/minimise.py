@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.chart import Chart, OutOfReachError
-from openmm_exactrb.mechanics.divergence import NonFiniteError, closest_pair
+from openmm_exactrb.mechanics.divergence import NonFiniteError
+from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.quaternions import exponential, multiply
 
@@ -41,10 +42,6 @@ class _Search:
     energy: float = math.inf
     iterations: int = 0
 
-    def gained(self, before: float) -> bool:
-        """Tell whether the energy is lower than it was, by more than forces in single precision make of one place."""
-        return self.energy < before - (_GAINED * abs(before) if before < math.inf else 0.0)
-
 
 def minimised(
     bodies: RigidBodies,
@@ -63,9 +60,7 @@ def minimised(
 
     Parameters
     ----------
-    bodies : RigidBodies
-    start : BodyState
-    landscape : callable
+    bodies, start, landscape
     tolerance : float
         The largest component of a force, and of a torque over the radius of gyration, that may be left, in kJ/mol/nm.
     iterations : int
@@ -94,24 +89,23 @@ def minimised(
         try:
             state, force = _searched(bodies, search, landscape, tolerance, iterations, reach)
         except OutOfReachError:
-            gained = before < math.inf and search.gained(before)
+            gained = before < math.inf and search.energy < before - _GAINED * abs(before)
             if last and not gained:
                 raise
         else:
             if force <= tolerance or 0 < iterations <= search.iterations:
                 return state
-            gained = search.gained(before)
+            gained = before == math.inf or search.energy < before - _GAINED * abs(before)
             if last and not gained:
-                warnings.warn(_above(force, tolerance), MinimisationWarning, stacklevel=2)
+                warnings.warn(
+                    f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of "
+                    f"{tolerance:.3g}, where the energy does not fall any more: take a larger tolerance, or forces in "
+                    "double precision",
+                    MinimisationWarning,
+                    stacklevel=2,
+                )
                 return search.state
         reach *= 1.0 if gained else 0.1
-
-
-def _above(force: float, tolerance: float) -> str:
-    return (
-        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, where "
-        "the energy does not fall any more: take a larger tolerance, or forces in double precision"
-    )
 
 
 def _searched(
@@ -124,10 +118,7 @@ def _searched(
 ) -> tuple[BodyState, float]:
     """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there.
 
-    Raises
-    ------
-    OutOfReachError
-        If the search leaves the chart of the clusters.
+    OutOfReachError if the search leaves the chart of the clusters.
     """
     from scipy.optimize import minimize  # here, for a short import of the package
 

@@ -12,15 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Part:
-    """Some of the bodies.
-
-    Parameters
-    ----------
-    bodies : RigidBodies
-        They, as `RigidBodies.chosen` returns them.
-    chosen : (N,) array of bool
-        Which of all bodies they are.
-    """
+    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) tells which of all they are."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies

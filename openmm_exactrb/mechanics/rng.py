@@ -43,16 +43,7 @@ PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The place of a substep in a run.
-
-    Attributes
-    ----------
-    seed : int
-    step : int
-        Number of the step since the run began, as in a checkpoint.
-    substep : int
-        Number of the substep in the step.
-    """
+    """The place of a substep in a run: the seed, the step since the run began, and the number of the substep in it."""
 
     seed: int
     step: int
@@ -76,28 +67,24 @@ class Instant(NamedTuple):
 
 
 def generator(seed: int, step: int, stream: int) -> Generator:
-    """Return the generator that starts at the first random number of a stream.
-
-    Parameters
-    ----------
-    seed, step : int
-        Signed numbers of 64 bits.
-    stream : int
-        Below 2^64.
-    """
-    key = np.array([seed & _WORD, 0], dtype=np.uint64)
-    counter = np.array([0, 0, stream, step & _WORD], dtype=np.uint64)
-    return Generator(Philox(key=key, counter=counter))
+    """Return the generator that starts at the first number of a stream; all are of 64 bits, seed and step signed."""
+    return Generator(Philox(**_address(seed, step, stream)))
 
 
 def normals(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
     """Return standard normal numbers; arguments as of `generator`."""
-    return _rewound(seed, step, stream).standard_normal(shape)
+    shared = _local.generator
+    address = _address(seed, step, stream)
+    shared.bit_generator.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
+    return shared.standard_normal(shape)
 
 
-def uniforms(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
-    """Return numbers uniform on [0, 1); arguments as of `generator`."""
-    return generator(seed, step, stream).random(shape)
+def _address(seed: int, step: int, stream: int) -> dict[str, NDArray[np.uint64]]:
+    """Return key and counter in front of the first number."""
+    return {
+        "key": np.array([seed & _WORD, 0], dtype=np.uint64),
+        "counter": np.array([0, 0, stream, step & _WORD], dtype=np.uint64),
+    }
 
 
 class _Local(threading.local):
@@ -108,17 +95,5 @@ class _Local(threading.local):
 
 
 _local = _Local()
-
-
-def _rewound(seed: int, step: int, stream: int) -> Generator:
-    """Return the generator of this thread, set as `generator` makes a new one."""
-    shared = _local.generator
-    state = {
-        "counter": np.array([0, 0, stream, step & _WORD], np.uint64),
-        "key": np.array([seed & _WORD, 0], np.uint64),
-    }
-    shared.bit_generator.state = {"bit_generator": "Philox", "state": state, **_EMPTY}
-    return shared
-
-
+# Beside the address, the state of a generator that has drawn nothing.
 _EMPTY = {"buffer": np.zeros(4, np.uint64), "buffer_pos": 4, "has_uint32": 0, "uinteger": 0}

@@ -304,27 +304,15 @@ CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for sche
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look a scheme up; a `Scheme` is passed through.
-
-    Raises
-    ------
-    ValueError
-        If the catalogue has none of this name.
-    """
-    found = _known(name)
-    if found is None and name in WITH_THERMOSTAT:
+    """Look a scheme up; a `Scheme` is passed through. ValueError if the catalogue has none of this name."""
+    if name in [*WITH_THERMOSTAT]:
         raise ValueError(f"scheme {name} has a thermostat within it: ExactRigidBodyLangevinIntegrator takes it")
-    if found is None:
-        raise _unknown(str(name), [*CATALOGUE])
-    return found
+    return _found(name, CATALOGUE)
 
 
 def scheme_for_thermostat(name: str | Scheme) -> Scheme:
     """Look a scheme up in the catalogue, or among those with a thermostat within them; see `scheme`."""
-    found = _known(name) or WITH_THERMOSTAT.get(str(name))
-    if found is None:
-        raise _unknown(str(name), [*WITH_THERMOSTAT, *CATALOGUE])
-    return found
+    return _found(name, {**WITH_THERMOSTAT, **CATALOGUE})
 
 
 def splitting(name: str | Scheme) -> Scheme:
@@ -344,21 +332,17 @@ def splitting(name: str | Scheme) -> Scheme:
     return found
 
 
-def _known(name: str | Scheme) -> Scheme | None:
-    """Return a scheme of the catalogue, or one that it can generate, or None."""
+def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
+    """Return one of some schemes, or one that can be generated; ValueError with the nearest name if there is none."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
         raise ValueError(f"a scheme is one of {', '.join(CATALOGUE)}, or a Scheme, not {name!r}")
-    generated = re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name)
-    if generated and name not in CATALOGUE:
+    if name in schemes:
+        return schemes[name]
+    if generated := re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name):
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
-    return CATALOGUE.get(name)
-
-
-def _unknown(name: str, names: list[str]) -> ValueError:
-    """Return the error for a name that is none of these, with the nearest one."""
-    by_capitals = {known.upper(): known for known in names}
+    by_capitals = {known.upper(): known for known in schemes}
     near = difflib.get_close_matches(name.upper(), by_capitals, 1)
     hint = f"; did you mean {by_capitals[near[0]]!r}?" if near else "."
-    return ValueError(f"unknown scheme {name!r}{hint} Available: {', '.join(names)}")
+    raise ValueError(f"unknown scheme {name!r}{hint} Available: {', '.join(schemes)}")

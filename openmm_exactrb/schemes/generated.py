@@ -12,10 +12,13 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
-from openmm_exactrb.schemes.scheme import Scheme, palindrome, symmetric
+from openmm_exactrb.schemes.scheme import Outer, Scheme, palindrome, symmetric
 from openmm_exactrb.schemes.sequence import merged
 from openmm_exactrb.substeps import DRIFT, KICK, Substep
+
+Array = NDArray[np.float64]
 
 _LASKAR = "J. Laskar and P. Robutel, Celest. Mech. Dyn. Astron. 80, 39 (2001), doi:10.1023/A:1012098603882"
 
@@ -39,50 +42,34 @@ def composition(name: str, *, order: int, steps: Sequence[float], stages: int, r
 def saba(n: int) -> Scheme:
     """Return SABA_n, of the generalised orders (2n, 2): drifts between the n nodes of Gauss and Legendre, kicks there.
 
-    Raises
-    ------
-    ValueError
-        If n < 1.
+    ValueError if n < 1.
     """
-    if n < 1:
-        raise ValueError(f"SABA_n needs n of 1 or more, not {n}")
+    _refuse_none(n, "SABA_n")
     nodes, weights = np.polynomial.legendre.leggauss(n)
-    drifts = np.diff(nodes, prepend=-1.0) / 2.0
-    return symmetric(
-        f"SABA_{n}",
-        order=2,
-        stages=n,
-        first="drift",
-        a=drifts[: n // 2].tolist(),
-        b=(weights[: (n - 1) // 2] / 2.0).tolist(),
-        reference=_LASKAR,
-        generalised=(2 * n, 2),
-    )
+    return _quadrature("SABA", n, "drift", np.diff(nodes, prepend=-1.0)[: n // 2], weights[: (n - 1) // 2])
 
 
 def sbab(n: int) -> Scheme:
     """Return SBAB_n, of the generalised orders (2n, 2): kicks at the n + 1 nodes of Lobatto, drifts between them.
 
-    Raises
-    ------
-    ValueError
-        If n < 1.
+    ValueError if n < 1.
     """
-    if n < 1:
-        raise ValueError(f"SBAB_n needs n of 1 or more, not {n}")
+    _refuse_none(n, "SBAB_n")
     last = np.polynomial.legendre.Legendre.basis(n)
     nodes = np.concatenate([[-1.0], np.sort(last.deriv().roots().real), [1.0]])
     weights = 2.0 / (n * (n + 1) * last(nodes) ** 2)
-    return symmetric(
-        f"SBAB_{n}",
-        order=2,
-        stages=n,
-        first="kick",
-        a=(np.diff(nodes)[: (n - 1) // 2] / 2.0).tolist(),
-        b=(weights[: n // 2] / 2.0).tolist(),
-        reference=_LASKAR,
-        generalised=(2 * n, 2),
-    )
+    return _quadrature("SBAB", n, "kick", np.diff(nodes)[: (n - 1) // 2], weights[: n // 2])
+
+
+def _refuse_none(n: int, name: str) -> None:
+    if n < 1:
+        raise ValueError(f"{name} needs n of 1 or more, not {n}")
+
+
+def _quadrature(name: str, n: int, first: Outer, drifts: Array, kicks: Array) -> Scheme:
+    """Return the scheme of the free coefficients of a rule of quadrature on [-1, 1]."""
+    a, b = (drifts / 2.0).tolist(), (kicks / 2.0).tolist()
+    return symmetric(f"{name}_{n}", order=2, stages=n, first=first, a=a, b=b, reference=_LASKAR, generalised=(2 * n, 2))
 
 
 def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...]) -> Scheme:
@@ -106,14 +93,11 @@ def corrected(kernel: Scheme, terms: int, name: str, generalised: tuple[int, ...
     right = [s[j] * math.factorial(2 * j - 1) / (2 * square ** (j - 1)) for j in range(1, terms + 1)]
     alpha = math.sqrt(square)
     b = [float(beta / i) / alpha for i, beta in enumerate(_solved(rows, right), 1)]
-    turns = [
-        (sign * i * alpha, sign * 0.5 * b[i - 1])
-        for sign, order in ((1, -1), (-1, 1))
-        for i in range(1, terms + 1)[::order]
-    ]
     processor: list[tuple[Substep, float]] = []
-    for a, kick in turns:
-        processor += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
+    for sign, order in ((1, -1), (-1, 1)):
+        for i in range(1, terms + 1)[::order]:
+            a, kick = sign * i * alpha, sign * 0.5 * b[i - 1]
+            processor += [(DRIFT, a), (KICK, kick), (DRIFT, -2.0 * a), (KICK, -kick), (DRIFT, a)]
     return replace(
         kernel,
         name=name,

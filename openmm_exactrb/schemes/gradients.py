@@ -90,23 +90,22 @@ def _kicks(kind: str, part: float, displacements: Iterator[float], k: float) -> 
     return [*plain, (GradientKick(strength), k * part)]
 
 
-def in_pairs(first: Scheme, second: Scheme, name: str) -> Scheme:
-    """Return half a step of one scheme and half a step of another one, which differ in their displacements."""
-    halves = merged((substep, 0.5 * part) for substep, part in (*first.sequence, *second.sequence))
-    return replace(first, name=name, sequence=halves)
-
-
-def _takahashi_imada(name: str, magnification: float) -> Scheme:
+def _takahashi_imada(magnification: float) -> Scheme:
     return force_gradient(
-        name, "ACA", order=2, e=(1.0 / 12.0,), magnification=magnification, reference=_TAKAHASHI_IMADA
+        "TI2", "ACA", order=2, e=(1.0 / 12.0,), magnification=magnification, reference=_TAKAHASHI_IMADA
     )
 
 
 #: Kicks between half drifts: order 2, of which a change of coordinates makes 4.
-TAKAHASHI_IMADA = _takahashi_imada("TI2", MAGNIFICATION)
+TAKAHASHI_IMADA = _takahashi_imada(MAGNIFICATION)
+_MIRRORED = _takahashi_imada(-MAGNIFICATION)
 #: Two of them, half as long, whose displacements point to either side: what is beyond first order in them cancels. No
 #: palindrome, but time-reversible up to what is left.
-TAKAHASHI_IMADA_PAIR = in_pairs(TAKAHASHI_IMADA, _takahashi_imada("TI2", -MAGNIFICATION), "TI2 in pairs")
+TAKAHASHI_IMADA_PAIR = replace(
+    TAKAHASHI_IMADA,
+    name="TI2 in pairs",
+    sequence=merged((substep, 0.5 * part) for substep, part in (*TAKAHASHI_IMADA.sequence, *_MIRRORED.sequence)),
+)
 
 #: By the number of forces per step, with those at displaced places. The tables of Schäfers and others are for kicks by
 #: forces at displaced places: e = 2 c/b in their letters.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -153,16 +153,6 @@ class Scheme:
         """Whether a step back is the inverse of a step; a processor is symmetric to first order in V only."""
         return not self.processor and palindromic(self.sequence)
 
-    @property
-    def composes_verlet(self) -> bool:
-        """Whether a step is a row of Verlet steps, kick first: it keeps its order with drifts of order 2."""
-        halves = [0.0, *self.a, 0.0]
-        return (
-            self.first == "kick"
-            and not self.has_gradients
-            and all(abs(b - 0.5 * (i + j)) < 1e-14 for b, i, j in zip(self.b, halves[:-1], halves[1:], strict=True))
-        )
-
 
 def _gradient_term(row: tuple[Substep, float]) -> float:
     substep, part = row
@@ -195,19 +185,16 @@ def symmetric(
     ValueError
         If a table has not as many coefficients as the stages leave free, or holds a number that is not finite.
     """
-    lengths = {first: stages + 1, "kick" if first == "drift" else "drift": stages}
-    drifts = palindrome(name, "a", a, lengths["drift"])
-    kicks = palindrome(name, "b", b, lengths["kick"])
-    outer, inner = ((KICK, kicks), (DRIFT, drifts)) if first == "kick" else ((DRIFT, drifts), (KICK, kicks))
-    return Scheme(name, order, _alternating(*outer, *inner), kind, reference, generalised)
+    of_drifts, of_kicks = (stages + 1, stages) if first == "drift" else (stages, stages + 1)
+    drifts = [(DRIFT, part) for part in palindrome(name, "a", a, of_drifts)]
+    kicks = [(KICK, part) for part in palindrome(name, "b", b, of_kicks)]
+    sequence = _alternating(drifts, kicks) if first == "drift" else _alternating(kicks, drifts)
+    return Scheme(name, order, sequence, kind, reference, generalised)
 
 
-def _alternating(first: Substep, outer: Sequence[float], second: Substep, inner: Sequence[float]) -> Substeps:
-    """Return first, second, first, ... with their parts."""
-    rows = [(first, outer[0])]
-    for i, o in zip(inner, outer[1:], strict=True):
-        rows += [(second, i), (first, o)]
-    return tuple(rows)
+def _alternating(first: Iterable[tuple[Substep, float]], second: Iterable[tuple[Substep, float]]) -> Substeps:
+    """Return rows of two substeps by turns."""
+    return tuple(row for pair in itertools.zip_longest(first, second) for row in pair if row)
 
 
 def processed(
@@ -220,21 +207,13 @@ def processed(
     output: Substeps = (),
     reference: str,
 ) -> Scheme:
-    """Return a scheme of the steps of another one in other coordinates, which its processor changes to.
+    """Return a scheme of the steps of another one, the kernel, between a processor and its inverse.
 
-    Parameters
-    ----------
-    kernel : Scheme
-        What a step is.
-    name, order, reference
-        As in `Scheme`, of the kernel and the processor together.
-    a, b : sequence of float
-        Drifts and kicks of the processor, by turns and a drift first, before the last ones, which make both sums zero.
-    output : tuple of (Substep, float), optional
-        As in `Scheme`.
+    Other arguments are those of `Scheme`, for both together. The processor has drifts a and kicks b by turns, a drift
+    first; the last ones, which make both sums zero, are not given.
     """
-    drifts, kicks = ((*table, -math.fsum(table)) for table in (a, b))
-    processor = tuple(itertools.chain(*zip(((DRIFT, x) for x in drifts), ((KICK, x) for x in kicks), strict=True)))
+    drifts, kicks = ([*table, -math.fsum(table)] for table in (a, b))
+    processor = _alternating([(DRIFT, part) for part in drifts], [(KICK, part) for part in kicks])
     return replace(kernel, name=name, order=order, processor=processor, output=output, reference=reference)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from openmm_exactrb.mechanics.state import Flow
@@ -47,30 +47,6 @@ def repeated(sequence: Sequence, n: int) -> Sequence:
     return merged(sequence * n)
 
 
-def nested(outer: Sequence, substep: Substep, inner: Sequence, n: int | Callable[[float], int]) -> Sequence:
-    """Put n repetitions of a sequence in the place of a substep: multiple time steps.
-
-    Parameters
-    ----------
-    outer : Sequence
-    substep : Substep
-        The one of `outer` that is replaced.
-    inner : Sequence
-        Its parts are those of the time that it fills.
-    n : int or callable
-        Repetitions for the part 1 of the substep, or n(part) for each part; at least one for each.
-    """
-    number = n if callable(n) else lambda part: round(n * part)
-    rows: list[tuple[Substep, float]] = []
-    for present, part in outer:
-        if present != substep:
-            rows.append((present, part))
-            continue
-        times = max(1, number(abs(part)))
-        rows += merged([(small, part / times * share) for _ in range(times) for small, share in inner])
-    return merged(rows)
-
-
 def spelled(text: str) -> Sequence:
     """Return the sequence of a text such as "B A O A B": every substep has an equal share of the step.
 
@@ -83,11 +59,6 @@ def spelled(text: str) -> Sequence:
     if not symbols:
         raise ValueError('a sequence needs substeps with blanks between them, such as "B A O A B"')
     return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
-
-
-def count(sequence: Sequence, substep: Substep) -> int:
-    """Return how often a sequence has a substep."""
-    return sum(present == substep for present, _ in sequence)
 
 
 def run(sequence: Sequence, flows: Mapping[Substep, Flow[Any]], state: Any, h: float) -> Any:

@@ -14,17 +14,8 @@ from openmm_exactrb.substeps import Matrix
 def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
     """Return the step, in units of 1/omega, up to which a harmonic oscillator stays bounded.
 
-    Parameters
-    ----------
-    scheme : Scheme
-    resolution : float, optional
-        Steps are tried at multiples of this.
-
-    Returns
-    -------
-    float
-        The last step before the trace of the matrix of a step leaves [-2, 2]. A touch of the bounds by less than 1e-6,
-        where two stable intervals meet, is passed over.
+    It is the last multiple of the resolution before the trace of the matrix of a step leaves [-2, 2]. A touch of the
+    bounds by less than 1e-6, where two stable intervals meet, is passed over.
 
     Raises
     ------
@@ -37,21 +28,18 @@ def stability_limit(scheme: Scheme, resolution: float = 1e-4) -> float:
             f"scheme {scheme.name} moves no oscillator by the step: the parts of its drifts, and of its kicks, must "
             "add up to 1"
         )
-    h = resolution
-    while abs(_trace(scheme, h)) <= 2.0 + 1e-6:
+    h = trace = 0.0
+    while abs(trace) <= 2.0 + 1e-6:
         h += resolution
+        (qq, _), (_, pp) = oscillated(scheme.sequence, h)
+        trace = qq + pp
     return h - resolution
 
 
 class Shadow(NamedTuple):
-    """How stiff the oscillator p²/2 + q²/2 seems to be from its p and from its q at the ends of steps.
+    """The energy kinetic p²/2 + potential q²/2 that a symmetric scheme keeps at the ends of steps of p²/2 + q²/2.
 
-    A symmetric scheme keeps the energy kinetic p²/2 + potential q²/2 there.
-
-    Attributes
-    ----------
-    kinetic, potential : float
-        Both are 1 for the exact flow.
+    Both numbers are 1 for the exact flow.
     """
 
     kinetic: float
@@ -70,16 +58,12 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     ----------
     scheme : Scheme
     step : float
-        In units of 1/omega, above zero.
+        In units of 1/omega, above zero; it is taken to turn the oscillator once at most.
 
     Raises
     ------
     ValueError
         If the step is not a positive number, or steps of this size are unstable.
-
-    Notes
-    -----
-    A step is taken to turn the oscillator once at most.
     """
     step = checks.positive(step, "step")
     (qq, qp), (pq, pp) = oscillated(scheme.sequence, step)
@@ -92,21 +76,10 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
     return Shadow(-width / pq, width / qp)
 
 
-def _trace(scheme: Scheme, h: float) -> float:
-    """Return the trace of the matrix of one step of q'' = -q."""
-    (qq, _), (_, pp) = oscillated(scheme.sequence, h)
-    return float(qq + pp)
-
-
 def oscillated(sequence: Sequence, h: Any) -> Matrix:
     """Return the matrix of a sequence for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 
-    Parameters
-    ----------
-    sequence : Sequence
-        That of a step, or of a processor.
-    h : float or array
-        Step sizes in units of 1/omega; entries have its shape.
+    Step sizes h, a number or an array, are in units of 1/omega; entries have their shape.
     """
     zero = 0.0 * h
     (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)

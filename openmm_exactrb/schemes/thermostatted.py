@@ -46,53 +46,40 @@ WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
 
 def with_thermostat(scheme: Scheme) -> Scheme:
     """Return a scheme with a thermostat: half of it before and half after each step, unless it is within."""
-    if scheme.has(HEAT_EXCHANGE):
-        return replace(scheme, sequence=numbered(scheme.sequence))
-    return replace(scheme, sequence=numbered(_between_halves(scheme.sequence)))
+    return _numbered(scheme, scheme.sequence if scheme.has(HEAT_EXCHANGE) else _between_halves(scheme.sequence))
 
 
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
     """Return a scheme whose step is a proposal between two halves of a thermostat."""
-    return replace(scheme, sequence=numbered(_between_halves(((proposal, 1.0),))))
+    return _numbered(scheme, _between_halves(((proposal, 1.0),)))
 
 
-def numbered(sequence: Sequence) -> Sequence:
-    """Give each heat exchange its number in the step: no two of them get the same noise."""
+def _between_halves(sequence: Sequence) -> Sequence:
+    return (HEAT_EXCHANGE, 0.5), *sequence, (HEAT_EXCHANGE, 0.5)
+
+
+def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
+    """Return a scheme with this sequence, each heat exchange numbered: no two of a step get the same noise."""
     numbers = itertools.count()
-    return tuple((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
+    rows = ((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
+    return replace(scheme, sequence=tuple(rows))
 
 
 def proposal(scheme: Scheme, steps: int) -> Scheme:
     """Return a scheme whose step is made of so many steps of another one.
 
-    Raises
-    ------
-    ValueError
-        If it is not symmetric in time, or has a thermostat in it: Metropolis's rule needs both.
+    ValueError if it is not symmetric in time or has a thermostat in it, which Metropolis's rule does not allow.
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(
             f"{scheme.name} has a thermostat within it, but a proposal has none: choose a scheme such as S2_2"
         )
-    if not palindromic(scheme.sequence):
-        raise ValueError(f"scheme {scheme.name} is not symmetric in time, as proposals must be: choose one that is")
+    refuse_lopsided(scheme)
     rows = repeated(scheme.sequence, steps)
     return replace(scheme, sequence=tuple((substep, part / steps) for substep, part in rows))
 
 
-def refuse_lopsided_inner(inner: Scheme | None) -> None:
-    """Refuse an inner scheme that makes proposals which are not symmetric in time.
-
-    Raises
-    ------
-    ValueError
-        If it is not symmetric itself.
-    """
-    if inner is not None and not palindromic(inner.sequence):
-        raise ValueError(
-            f"the inner scheme {inner.name} is not symmetric in time, as proposals must be: choose one that is"
-        )
-
-
-def _between_halves(sequence: Sequence) -> Sequence:
-    return (HEAT_EXCHANGE, 0.5), *sequence, (HEAT_EXCHANGE, 0.5)
+def refuse_lopsided(scheme: Scheme | None, role: str = "scheme") -> None:
+    """Refuse a scheme, or an inner one, that makes proposals which are not symmetric in time; ValueError."""
+    if scheme is not None and not palindromic(scheme.sequence):
+        raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")

@@ -213,7 +213,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     ) -> None:
         thermostat = HybridMonteCarlo(temperature, frictionCoeff, rotationalFriction, stepsPerProposal)
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
-        thermostatted.refuse_lopsided_inner(None if self._fast is None else self._fast.scheme)
+        thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
 
     def getStepsPerProposal(self) -> int:
         """Return how many steps of the scheme a proposal is made of."""

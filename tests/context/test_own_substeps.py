@@ -16,7 +16,7 @@ from few_dipoles import KT, REFERENCE, simulation_of, snapshot
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.rotors.flow import ascending
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.schemes.sequence import nested, spelled
+from openmm_exactrb.schemes.sequence import repeated, spelled
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, Kick, Substep
 from orders import slope
 
@@ -159,7 +159,8 @@ def test_a_kick_of_one_group_is_one_of_a_system_with_its_forces_alone():
 
 
 def test_nested_steps_in_openmm_have_order_two_and_few_evaluations_of_the_slow_forces():
-    respa = Scheme("respa", 2, nested(spelled("B1 A B1"), DRIFT, spelled("B0 A B0"), 4))
+    inner = tuple((substep, part / 4.0) for substep, part in repeated(spelled("B0 A B0"), 4))
+    respa = Scheme("respa", 2, ((Kick(1), 0.5), *inner, (Kick(1), 0.5)))
 
     def positions(n):
         return state_of(end(respa, n, 1.0 / n, prepared=in_two_groups, spacing=1.4)).R

@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, generator, normals, uniforms
+from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, generator, normals
 
 _WORD = 2**64 - 1
+
+
+def uniforms(seed, step, stream, shape):
+    return generator(seed, step, stream).random(shape)
 
 
 def philox(counter, key):

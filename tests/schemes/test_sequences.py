@@ -1,17 +1,16 @@
-"""Sequences: what inverting, merging, repeating, nesting and spelling make of them, and how they are carried out."""
+"""Sequences: what inverting, merging, repeating and spelling make of them, and how they are carried out."""
 
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import openmm_exactrb as rb
-from openmm_exactrb.schemes.sequence import count, inverse, merged, nested, palindromic, repeated, run, spelled
+from openmm_exactrb.schemes.sequence import inverse, merged, palindromic, repeated, run, spelled
 from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, GradientKick, HeatExchange, Kick, Substep
 
-GRADIENT, FAST, SLOW, PLACE = GradientKick(0.1), Kick(0), Kick(1), Substep()
+GRADIENT, SLOW, PLACE = GradientKick(0.1), Kick(1), Substep()
 SUBSTEPS = [DRIFT, KICK, SLOW, GRADIENT, HEAT_EXCHANGE, HeatExchange(1), PLACE]
 SEQUENCES = st.lists(st.tuples(st.sampled_from(SUBSTEPS), st.floats(-1.0, 1.0)), max_size=12).map(tuple)
 
@@ -83,49 +82,6 @@ def test_a_text_is_a_sequence_whose_substeps_have_equal_shares():
 def test_a_symbol_of_no_substep_is_refused(symbol):
     with pytest.raises(ValueError, match=f"unknown substep '{symbol}'"):
         spelled(f"B {symbol} B")
-
-
-def test_substeps_are_counted_by_value():
-    assert count(spelled("B1 A B A B1"), Kick(1)) == 2
-    assert count(spelled("B1 A B A B1"), KICK) == 1
-
-
-@given(n=st.integers(1, 6))
-def test_a_nested_sequence_fills_the_time_of_the_substep_that_gives_way(n):
-    """r-RESPA: slow kicks of group 1 outside, n Verlet steps with the fast forces inside."""
-    sequence = nested(((SLOW, 0.5), (PLACE, 1.0), (SLOW, 0.5)), PLACE, spelled("B0 A B0"), n)
-    assert times(sequence) == pytest.approx({SLOW: 1.0, FAST: 1.0, DRIFT: 1.0})
-    assert [substep for substep, _ in sequence] == [SLOW, *[FAST, DRIFT] * n, FAST, SLOW]
-    assert sequence[1][1] == pytest.approx(0.5 / n)
-
-
-def test_a_substep_of_a_part_of_the_step_gets_its_share_of_repetitions_and_never_none():
-    inner = spelled("B0 A B0")
-    outer = ((PLACE, 0.5), (SLOW, 1.0), (PLACE, 0.5))
-    assert count(nested(outer, PLACE, inner, 4), DRIFT) == 4
-    assert count(nested(outer, PLACE, inner, 1), DRIFT) == 2
-    assert count(nested(outer, PLACE, inner, lambda part: round(6 * part)), DRIFT) == 6
-    backward = nested(((PLACE, -0.5),), PLACE, inner, 4)
-    assert times(backward) == pytest.approx({DRIFT: -0.5, FAST: -0.5})
-    assert nested(outer, GRADIENT, inner, 3) == outer
-
-
-def test_nested_steps_of_a_harmonic_oscillator_are_those_written_by_hand():
-    flows = {
-        DRIFT: lambda s, tau: (s[0] + tau * s[1], s[1]),
-        FAST: lambda s, tau: (s[0], s[1] - 9.0 * tau * s[0]),
-        SLOW: lambda s, tau: (s[0], s[1] - tau * s[0]),
-    }
-    sequence = nested(((SLOW, 0.5), (PLACE, 1.0), (SLOW, 0.5)), PLACE, spelled("B0 A B0"), 3)
-    got = run(sequence, flows, (1.0, 0.2), 0.3)
-    x, v = 1.0, 0.2
-    v -= 0.15 * x
-    for _ in range(3):
-        v -= 0.05 * 9.0 * x
-        x += 0.1 * v
-        v -= 0.05 * 9.0 * x
-    v -= 0.15 * x
-    np.testing.assert_allclose(got, (x, v), rtol=1e-14)
 
 
 def test_a_sequence_reads_the_same_from_behind_up_to_kicks_that_commute():
