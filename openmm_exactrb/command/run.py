@@ -13,7 +13,6 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
-from openmm_exactrb.command.progress import progress_bar
 from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
@@ -88,7 +87,7 @@ def carry_out(args: argparse.Namespace) -> int:
     setup.refuse_flexible(box)
     setup.couple(box.system, settled)
     with job.lock():
-        equilibration.claim(job, settled, box, platform, [*_reporters(settled), analysis.PICTURE])
+        equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
         _simulate(job, settled, box, platform)
     return 0
 
@@ -133,10 +132,10 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     for name, reporter in _reporters(args).items():
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
     steps = math.ceil(args.duration / step - 1e-9)
-    with progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
+    with equilibration.progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:
-        analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom(), job.folder / analysis.PICTURE)
+        analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom())
     print("\n".join(analysis.summary(simulation, job, args.ensemble)))
 
 

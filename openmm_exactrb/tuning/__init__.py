@@ -3,7 +3,7 @@
 `tune` in `advice` is built in three layers. Measurement: `initial_state` reads the arguments, `equilibrium` brings the
 system to a temperature and tells its characteristic times, `benchmark` runs the methods of `candidates`, `error`
 extrapolates their energy errors, and `measurements` keeps them. `search` decides what to measure. `result` is the
-answer, as an object, text, JSON and a `picture`.
+answer, as an object, text and a `picture`.
 """
 
 from openmm_exactrb.tuning.advice import tune

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import openmm
@@ -203,7 +202,7 @@ class Tuning:
         )
         return text + ("; smaller steps were not tried" if self.floor is None else f". {self._about_floor()}")
 
-    # -- text, JSON and picture -------------------------------------------------------------------------------------
+    # -- text and picture -------------------------------------------------------------------------------------
 
     def __str__(self) -> str:
         head = (
@@ -267,21 +266,6 @@ class Tuning:
             return f"{VERLET} is cheaper here: the same error at {about}{ratio:.2g} times the cost ({step:.3g} fs)"
         return f"{VERLET} needs {about}{ratio:.2g} times the cost for the same error ({step:.3g} fs)"
 
-    def to_json(self) -> str:
-        """Return all attributes as JSON.
-
-        Errors of unstable runs are null, and so are costs if nothing was stable, since then nothing was timed.
-        """
-        content = asdict(replace(self, schemes={}, chosen=self.chosen and replace(self.chosen, scheme=None)))
-        content["schemes"] = {name: _in_words(scheme) for name, scheme in self.schemes.items()}
-        if self.chosen is not None and self.chosen.scheme is not None:
-            content["chosen"]["scheme"] = _in_words(self.chosen.scheme)
-        for point in content["points"]:
-            point |= {name: point[name] if math.isfinite(point[name]) else None for name in ("error", "cost")}
-        content["largest_stable_steps"] = {name: self._largest_stable(name) for name in self.seconds}
-        content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
-        return json.dumps(content, indent=1, allow_nan=False)
-
     def draw(self, file: str | os.PathLike[str]) -> None:
         """Draw energy error against cost; needs matplotlib.
 
@@ -314,11 +298,3 @@ class Tuning:
             axes.plot(*at, "o", ms=14, mfc="none", mec="black", mew=1.5, ls="", label=label)
         figure.legend(loc="outside right upper", fontsize=9)
         figure.savefig(file, dpi=150)
-
-
-def _in_words(scheme: Scheme) -> dict[str, Any]:
-    """Return the fields of a scheme for JSON: a substep is the expression that makes it."""
-    content = {of.name: getattr(scheme, of.name) for of in fields(scheme)}
-    for name in ("sequence", "processor", "output"):
-        content[name] = [[repr(substep), part] for substep, part in content[name]]
-    return content
