@@ -10,7 +10,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import tuning
-from openmm_exactrb.tuning.candidates import VERLET
+from openmm_exactrb.tuning.benchmark import VERLET
 
 FEW = ("V2", "S2_2", "SRKN4_6b")
 
@@ -22,7 +22,8 @@ def lines():
 
 @pytest.fixture(scope="module")
 def tuned(droplet, lines):
-    return rb.tune(*droplet, target=1e-3, schemes=FEW, platform="Reference", report=lines.append)
+    some = {"duration": 0.5, "platform": "Reference", "report": lines.append}
+    return rb.tune(*droplet, target=1e-3, schemes=FEW, **some)
 
 
 def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
