@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import openmm
@@ -23,7 +22,6 @@ from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 #: Files in the folder of a run: the start, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
 
-_CHUNK = 50
 _ITERATIONS = 100  # of the minimisation: enough to remove clashes
 _STEP = 1.0 * unit.femtosecond  # stable for free hydrogen atoms too
 _FRICTION = 5.0 / unit.picosecond
@@ -99,12 +97,7 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
         simulation.minimizeEnergy(maxIterations=_ITERATIONS)
     if not box.moves:
         simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
-        steps = round(args.equilibration / _STEP.value_in_unit(unit.picosecond))
-        simulation.currentStep = 0
-        with progress_bar("equilibration", steps, args.quiet) as tell:
-            while (chunk := min(_CHUNK, steps - simulation.currentStep)) > 0:
-                simulation.step(chunk)
-                tell(chunk)
+        simulation.step(round(args.equilibration / _STEP.value_in_unit(unit.picosecond)))
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)
@@ -113,16 +106,3 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
 def _store(job: Run, name: str, text: str) -> None:
     with written_whole(job.folder / name) as out:
         out.write(text)
-
-
-@contextmanager
-def progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """Yield a function that counts steps in a progress bar on stderr; none is shown if tqdm is not installed."""
-    try:
-        from tqdm import tqdm
-    except ModuleNotFoundError:
-        yield lambda steps: None
-        return
-    pause = 0.2 if sys.stderr.isatty() else 10.0
-    with tqdm(total=steps, desc=name, unit="step", mininterval=pause, delay=pause, disable=quiet) as bar:
-        yield bar.update

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -132,7 +134,7 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     for name, reporter in _reporters(args).items():
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
     steps = math.ceil(args.duration / step - 1e-9)
-    with equilibration.progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
+    with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:
         analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom())
@@ -145,3 +147,16 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
     if args.ensemble == "npt":
         reporters[analysis.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
     return reporters
+
+
+@contextmanager
+def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
+    """Yield a function that counts steps in a progress bar on stderr; none is shown if tqdm is not installed."""
+    try:
+        from tqdm import tqdm
+    except ModuleNotFoundError:
+        yield lambda steps: None
+        return
+    pause = 0.2 if sys.stderr.isatty() else 10.0
+    with tqdm(total=steps, desc=name, unit="step", mininterval=pause, delay=pause, disable=quiet) as bar:
+        yield bar.update

@@ -21,8 +21,6 @@ TOPOLOGY = "topology.pdb"
 
 # Bytes at the beginning of a file that may change while it grows: a DCD file counts its frames there.
 _HEAD = 128
-# The requests in a tuple that OpenMM's older reporters return, in their order.
-_REQUESTS = ("positions", "velocities", "forces", "energy")
 
 
 class Outputs:
@@ -121,18 +119,13 @@ def _described(factory: Callable[..., Any]) -> str:
 
 
 def _state(simulation: Any, request: Any) -> Any:
-    """Return the State that a reporter requests, as Simulation does."""
-    if isinstance(request, dict):
-        include, wrapped = request.get("include", ()), request.get("periodic")
-    else:
-        include = [name for name, wanted in zip(_REQUESTS, request[1:5], strict=False) if wanted]
-        wrapped = request[5] if len(request) > 5 else None
+    """Return a State with all that a reporter may request, as a dict or a tuple; its box is wrapped as requested."""
+    wrapped = request.get("periodic") if isinstance(request, dict) else (*request, None)[5]
     if wrapped is None:
         wrapped = simulation.system.usesPeriodicBoundaryConditions()
+    everything = dict.fromkeys(("positions", "velocities", "forces", "energy", "parameters"), True)
     groups = simulation.integrator.getIntegrationForceGroups()
-    return simulation.context.getState(
-        groups=groups, enforcePeriodicBox=wrapped, parameters=True, **dict.fromkeys(include, True)
-    )
+    return simulation.context.getState(groups=groups, enforcePeriodicBox=wrapped, **everything)
 
 
 def _files_of(reporter: Any) -> Iterator[Any]:

@@ -179,7 +179,7 @@ class Benchmark:
     def __init__(self, state: InitialState) -> None:
         integrator, context = state.probe()
         #: Of the initial state.
-        self.characteristics = characteristics(integrator, context, state.earlier_frequencies)
+        self.characteristics = characteristics(integrator, context)
         bodies, bodies_state = integrator.bodyState()
         #: The initial state of all integrators: molecules are rigid, and not split by the periodic box.
         self.state = replace(state, positions=bodies.positions(bodies_state, state.positions.copy()))

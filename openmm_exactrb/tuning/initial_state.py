@@ -31,7 +31,7 @@ LOST = 0.1
 _EXTENT = 0.1
 
 # Draws of momenta, steps after each, the most draws and the most failures before the temperature is out of reach, and
-# the last draws over which temperature and frequencies are means.
+# the last draws over which the temperature is a mean.
 _DRAWS, _STEPS, _MOST_DRAWS, _FAILURES, _LAST = 20, 150, 60, 40, 10
 _MINIMISER_ITERATIONS = 1000  # enough to remove overlaps; it need not converge
 # Accepted deviation of the kinetic energy: a fraction, since a large system takes up heat, and standard deviations.
@@ -57,8 +57,6 @@ class InitialState:
     bodies: list[list[int]] | None = None
     #: Bits of the force groups that act.
     groups: int = -1
-    #: Root mean square frequencies in 1/ps at earlier instants, if they are known.
-    earlier_frequencies: tuple[float, ...] = ()
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
@@ -168,27 +166,15 @@ class Characteristics(NamedTuple):
     n_bodies: int
     #: Kinetic energy in kJ/mol per body.
     kinetic: float
-    #: 1/omega in ps, at most `free`. omega² is the mean of force²/mass and torque²/inertia, divided by kT, over the
-    #: initial state and earlier instants: in equilibrium the mean square frequency.
+    #: 1/omega in ps, at most `free`. omega², the mean square frequency in equilibrium, is the mean of force²/mass and
+    #: torque²/inertia divided by kT.
     time: float
     #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
     free: float
 
 
-def characteristics(
-    integrator: ExactRigidBodyIntegrator, context: openmm.Context, earlier_frequencies: Sequence[float] = ()
-) -> Characteristics:
+def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
     """Return size and characteristic times of the system in a Context; ValueError if nothing moves or no force acts."""
-    frequencies = [_frequency(integrator, context), *earlier_frequencies]
-    bodies, state = integrator.bodyState()
-    kinetic = sum(bodies.kinetic_energies(state))
-    free = _free_time(bodies, kinetic)
-    time = 1.0 / math.sqrt(np.square(frequencies).mean())
-    return Characteristics(len(bodies), kinetic / len(bodies), min(time, free), free)
-
-
-def _frequency(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> float:
-    """Return the root mean square frequency in 1/ps at an instant; see `Characteristics.time`."""
     bodies, state = integrator.bodyState()
     context.computeVirtualSites()
     groups = integrator.getIntegrationForceGroups()
@@ -201,7 +187,8 @@ def _frequency(integrator: ExactRigidBodyIntegrator, context: openmm.Context) ->
     square = float((force**2 / bodies.mass).sum() + turning.sum())
     if not kinetic > 0.0 or not square > 0.0:
         raise ValueError("nothing moves or no force acts: there is no energy error to measure")
-    return math.sqrt(square / (2.0 * kinetic))
+    free = _free_time(bodies, kinetic)
+    return Characteristics(len(bodies), kinetic / len(bodies), min(math.sqrt(2.0 * kinetic / square), free), free)
 
 
 def _free_time(bodies: RigidBodies, kinetic: float) -> float:
@@ -225,7 +212,6 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimise: bo
     good = state.updated(context)
     h, failures = 0.05 * characteristics(*good.probe()).time, 0
     kinetic: list[float] = []
-    frequencies: list[float] = []
     while len(kinetic) < _DRAWS or not _is_at(temperature, kinetic[-_LAST:], integrator):
         if len(kinetic) == _MOST_DRAWS or failures > _FAILURES:
             raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
@@ -237,8 +223,7 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimise: bo
             continue
         good, h = state.updated(context), 1.1 * h
         kinetic.append(_kinetic(integrator))
-        frequencies.append(_frequency(integrator, context))
-    return replace(good, earlier_frequencies=tuple(frequencies[-_LAST:-1]))
+    return good
 
 
 def _is_at(temperature: float, kinetic: Sequence[float], integrator: ExactRigidBodyIntegrator) -> bool:

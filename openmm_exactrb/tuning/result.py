@@ -73,7 +73,7 @@ class Tuning:
     """The measured points of all methods, and the recommended setting."""
 
     points: tuple[Point, ...]
-    #: Wall time of a force evaluation in s by method, for nested schemes including the nested forces at a short step.
+    #: Wall time of a force evaluation in s by method, with the nested forces of nested schemes at a short step.
     seconds: Mapping[str, float]
     #: Force evaluations per step by method, not counting those of nested forces.
     stages: Mapping[str, int]
@@ -187,19 +187,15 @@ class Tuning:
         points = [p for name in self._methods(method) for p in self.curve(name)]
         if not points:
             return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
-        least = min(points, key=lambda p: p.error)
+        least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:
-            nearest = min(failed, key=lambda p: p.error)
-            return (
-                f"an error of {target:.3g} kJ/mol per body was not held: runs of {self.horizon:.3g} ps came down to "
-                f"{nearest.error:.2g}, with {nearest.method} and a step of {1e3 * nearest.step:.3g} fs"
-            )
+            least = min(failed, key=lambda p: p.error)
+            why = f"not held: runs of {self.horizon:.3g} ps came down to"
         text = (
-            f"an error of {target:.3g} kJ/mol per body was not reached: the smallest found is {least.error:.2g}, with "
-            f"{least.method} and a step of {1e3 * least.step:.3g} fs"
+            f"an error of {target:.3g} kJ/mol per body was {why} {least.error:.2g}, with {least.method} and a step of "
         )
-        return text if self.floor is None else f"{text}. {self._about_floor()}"
+        return f"{text}{1e3 * least.step:.3g} fs" + (f". {self._about_floor()}" if self.floor is not None else "")
 
     def __str__(self) -> str:
         head = (
