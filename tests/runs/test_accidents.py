@@ -68,7 +68,7 @@ def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytest
         process = launch(tmp_path / "errors", *COMMAND, "--out", folder, "--resume", "--checkpoint", often)
         if dice.random() < 0.8:  # else while it starts
             wait_until_stepping(process, folder)
-            time.sleep(dice.uniform(0.0, 0.8 / wanted))
+            time.sleep(dice.uniform(0.0, 0.4 / wanted))
         else:
             time.sleep(dice.uniform(0.0, 0.4))
         process.send(signal.SIGKILL)
@@ -126,7 +126,7 @@ def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path
 
 
 def limit_size_of_files():
-    resource.setrlimit(resource.RLIMIT_FSIZE, (50_001, 50_001))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_001, 30_001))
 
 
 def test_a_file_size_limit_is_one_line_and_the_run_goes_on(tmp_path, whole):
