@@ -32,7 +32,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from equipartition_record import FRICTION, GOALS, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
 from openmm_exactrb import ensemble
-from openmm_exactrb.ensemble.results import read as read_result
+from openmm_exactrb.ensemble.execution import stored_result
 from openmm_exactrb.schemes import splitting
 
 mpl.use("Agg")
@@ -250,7 +250,7 @@ def finished(jobs: list[ensemble.Job], args: argparse.Namespace) -> dict[str, di
     if not jobs:
         return {}
     if args.finished:
-        results = [result for job in jobs if (result := read_result(job, folder)) is not None]
+        results = [result for job in jobs if (result := stored_result(job, folder)) is not None]
     else:
         results = ensemble.run(jobs, folder, workers=args.workers)
     for result in results:

@@ -55,7 +55,7 @@ print("the same bytes:", resumed == undisturbed)
 # %%
 # On the Reference platform the bytes are the same, as here; on others the run continues from the same state, and
 # differs as two runs do whose forces are summed in another order. A checkpoint of another run, or a damaged one, is
-# refused in one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at twenty random moments.
+# refused in one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at random moments.
 
 
 def potential(table):

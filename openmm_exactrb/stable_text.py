@@ -17,9 +17,6 @@ import numpy as np
 import openmm
 from openmm import unit
 
-#: Key of a path in the text; its value is a pair of the path and the digest of the file's content.
-PATH = "pathlib.Path"
-
 _SERIALISABLE = (openmm.System, openmm.State, openmm.Force, openmm.Integrator)
 
 
@@ -65,7 +62,7 @@ def _described(name_of: Callable[[Any], str], value: Any) -> Any:
     if unit.is_quantity(value):
         return {"quantity": [value._value, str(value.unit)]}
     if isinstance(value, os.PathLike):
-        return {PATH: [os.fspath(value), digest_of_file(value)]}
+        return {"path": [os.fspath(value), digest_of_file(value)]}
     if isinstance(value, openmm.Integrator) and hasattr(value, "getSettings"):  # its XML lacks scheme and friction
         return {qualified_name(type(value)): value.getSettings()}
     if isinstance(value, _SERIALISABLE):

@@ -18,15 +18,13 @@ ENERGIES, VOLUME, PICTURE = "energies.csv", "volume.csv", "picture.png"
 
 _FEW = 3  # lines; fewer have no meaningful standard deviation
 _R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-_BLUE, _ORANGE = "#0072B2", "#D55E00"
 
 
 def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
     """Yield the lines of a summary, given the Simulation at its end."""
     integrator = simulation.integrator
     table, (bodies, _) = _table(job.folder / ENERGIES), integrator.bodyState()
-    step = integrator.getStepSize().value_in_unit(unit.picosecond)
-    length = simulation.currentStep * step
+    length = simulation.currentStep * integrator.getStepSize().value_in_unit(unit.picosecond)
     speed = f", {job.wall / length:.3g} s per ps, {86.4 * length / job.wall:.3g} ns/day" if job.wall > 0.0 else ""
     yield f"{integrator!r}: {length:.4g} ps{speed}"
     temperatures = _temperatures(table, integrator.degreesOfFreedom())
@@ -35,13 +33,10 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
         yield f"total energy: standard deviation {table[:, -1].std() / len(bodies):.1e} kJ/mol per body"
     if ensemble == "npt":
         yield f"density: {_table(job.folder / VOLUME)[:, -1].mean():.4g} g/mL"
-    if len(table) < _FEW:
-        lines = "1 line" if len(table) == 1 else f"{len(table)} lines"
-        yield f"{ENERGIES} has {lines}, too few for means: use a longer --duration or a shorter --interval"
     yield f"{job.folder}: {', '.join(sorted(file.name for file in job.folder.iterdir()))}"
 
 
-def draw(folder: Path, ensemble: str, freedom: tuple[int, int], file: Path) -> None:
+def draw(folder: Path, ensemble: str, freedom: tuple[int, int]) -> None:
     """Draw energy or density, and temperatures, over time, if matplotlib is installed.
 
     `freedom` are the translational and rotational degrees of freedom.
@@ -56,8 +51,8 @@ def draw(folder: Path, ensemble: str, freedom: tuple[int, int], file: Path) -> N
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, sharex=True)
-    for (name, T), colour in zip(_temperatures(table, freedom).items(), (_BLUE, _ORANGE), strict=False):
-        upper.plot(table[:, 1], T, color=colour, lw=1.0, label=f"{name}, mean {T.mean():.1f} K")
+    for name, T in _temperatures(table, freedom).items():
+        upper.plot(table[:, 1], T, lw=1.0, label=f"{name}, mean {T.mean():.1f} K")
     upper.set_ylabel("temperature (K)")
     upper.legend(fontsize=9)
     if ensemble == "npt":
@@ -68,9 +63,7 @@ def draw(folder: Path, ensemble: str, freedom: tuple[int, int], file: Path) -> N
         lower.plot(table[:, 1], table[:, -1] - table[0, -1], color="black", lw=1.0)
         lower.set_ylabel("change of the total energy (kJ/mol)")
     lower.set_xlabel("time (ps)")
-    for axes in (upper, lower):
-        axes.grid(True, alpha=0.3)
-    figure.savefig(file, dpi=150)
+    figure.savefig(folder / PICTURE, dpi=150)
 
 
 def _temperatures(table: NDArray[np.float64], freedom: tuple[int, int]) -> dict[str, NDArray[np.float64]]:

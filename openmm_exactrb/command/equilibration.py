@@ -8,52 +8,39 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 import openmm
 from openmm import app, unit
 
 from openmm_exactrb.command.inputs import Box, begin_at
-from openmm_exactrb.command.progress import progress_bar
 from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.runs import Run
-from openmm_exactrb.runs.checkpoint import refuse_others
-from openmm_exactrb.runs.identity import text_of_system
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.stable_text import digest
 from openmm_exactrb.states import read_xml
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 
-#: Files in the folder of a run: the command, the start, and the tuned scheme and step.
-COMMAND, START, STEP = "command.json", "start.xml", "step.json"
+#: Files in the folder of a run: the start, and the tuned scheme and step.
+START, STEP = "start.xml", "step.json"
 
-# Settings that may change until a step was tuned, for example after a target that nothing reaches.
-_OF_STEP = ("setting step", "setting target", "setting scheme")
-_CHUNK = 50
 _ITERATIONS = 100  # of the minimisation: enough to remove clashes
 _STEP = 1.0 * unit.femtosecond  # stable for free hydrogen atoms too
 _FRICTION = 5.0 / unit.picosecond
 
 
-def claim(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform, files: Iterable[str]) -> None:
+def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
     """Prepare the folder of a locked run: delete the files that are overwritten, refuse those of other runs.
 
-    `files` are those that the run may write beside the ones of this module; the box has its barostat.
+    `files` are those that the run may write beside the ones of this module, which a run that is resumed without a
+    checkpoint makes anew.
     """
-    if job.resuming:  # the checkpoint identifies the run
+    if job.resuming:
         return
-    names = [COMMAND, START, STEP, *files]
+    files = list(files)
     if args.overwrite:
         job.discard()
-        for name in names:
+        for name in (START, STEP, *files):
             (job.folder / name).unlink(missing_ok=True)
-    command = job.folder / COMMAND
-    if args.resume and command.exists():
-        here = _described(job, box, platform)
-        refuse_others(_read_json(job, COMMAND), here, command, () if (job.folder / STEP).exists() else _OF_STEP)
-        _store(job, COMMAND, json.dumps(here, indent=1))
-        names = list(files)
-    for name in names:
+    for name in files if args.resume else (START, STEP, *files):
         job.path(name)
 
 
@@ -63,11 +50,9 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
     A start without velocities gets some and is equilibrated for ``--equilibration`` with OpenMM's
     LangevinMiddleIntegrator.
     """
-    file = job.folder / START
-    if args.resume and file.exists():
-        return read_xml(file, openmm.State)
+    if job.resuming:
+        return read_xml(job.folder / START, openmm.State)
     state = _equilibrated(args, box, platform)
-    _store(job, COMMAND, json.dumps(_described(job, box, platform), indent=1))
     _store(job, START, openmm.XmlSerializer.serialize(state))
     return state
 
@@ -78,10 +63,9 @@ def step_of(
     """Return options of the integrator, including its scheme, and the step in ps; tuned unless a step is given."""
     if args.step is not None:
         return {} if args.scheme is None else {"scheme": args.scheme}, args.step
-    if args.resume and (job.folder / STEP).exists():
-        stored = _read_json(job, STEP)
-        step = stored.pop("step")
-        return stored, step
+    if job.resuming:
+        stored = json.loads((job.folder / STEP).read_text())
+        return stored, stored.pop("step")
     report = None if args.quiet else progress
     result = tune(box.system, start, target=args.target, schemes=candidates(args), platform=platform, report=report)
     if result.chosen is None:
@@ -113,32 +97,10 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
         simulation.minimizeEnergy(maxIterations=_ITERATIONS)
     if not box.moves:
         simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
-        steps = round(args.equilibration / _STEP.value_in_unit(unit.picosecond))
-        simulation.currentStep = 0
-        with progress_bar("equilibration", steps, args.quiet) as tell:
-            while (chunk := min(_CHUNK, steps - simulation.currentStep)) > 0:
-                simulation.step(chunk)
-                tell(chunk)
+        simulation.step(round(args.equilibration / _STEP.value_in_unit(unit.picosecond)))
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)
-
-
-def _described(job: Run, box: Box, platform: openmm.Platform) -> dict[str, str]:
-    """Return everything that determines start and step, by name."""
-    if box.state is not None:
-        start = openmm.XmlSerializer.serialize(box.state).encode()
-    else:
-        start = np.array(box.positions.value_in_unit(unit.nanometer)).tobytes()
-    system = text_of_system(box.system)
-    return {**job.settings, "platform": platform.getName(), "System": system, "start": digest(start)}
-
-
-def _read_json(job: Run, name: str) -> dict[str, Any]:
-    try:
-        return dict(json.loads((job.folder / name).read_text()))
-    except (ValueError, TypeError):
-        raise ValueError(f"{job.folder / name} is damaged: use another folder or --overwrite") from None
 
 
 def _store(job: Run, name: str, text: str) -> None:

@@ -29,25 +29,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Print the lines; return the exit status 0."""
-    print("\n".join(lines()))
+    print("\n".join(_lines()))
     return 0
 
 
-def lines() -> Iterator[str]:
-    """Yield versions, platforms, kernels, schemes and rotors, line by line."""
+def _lines() -> Iterator[str]:
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
-    yield f"kernels: {_kernels()}"
+    yield f"kernels: {'compiled by numba' if kernels.available() else 'numpy'}"
     yield "platforms, fastest first:"
     for found in platforms():
         yield f"  {found.getName()}, speed {found.getSpeed():g}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
-    yield "schemes:"
-    yield from (f"  {entry!r}" for entry in CATALOGUE.values())
-    yield "rotors:"
-    yield from (f"  {entry!r}" for entry in ROTORS.values())
+    yield from ("schemes:", *(f"  {entry!r}" for entry in CATALOGUE.values()))
+    yield from ("rotors:", *(f"  {entry!r}" for entry in ROTORS.values()))
 
 
 def _version(library: str) -> str:
@@ -55,11 +52,3 @@ def _version(library: str) -> str:
         return metadata.version(library)
     except metadata.PackageNotFoundError:
         return "not installed"
-
-
-def _kernels() -> str:
-    if kernels.available():
-        return "compiled by numba"
-    if os.environ.get(kernels.SWITCH) == "0":
-        return f"numpy, since {kernels.SWITCH}=0"
-    return "numpy; with numba they are compiled, and several times faster"

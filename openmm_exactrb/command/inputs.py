@@ -20,8 +20,7 @@ WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
 #: Constraints of ForceField.createSystem beside rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
-_READERS = {".pdb": app.PDBFile, ".ent": app.PDBFile, ".cif": app.PDBxFile, ".pdbx": app.PDBxFile}
-_READERS[".mmcif"] = app.PDBxFile
+_READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
 _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
 
 
@@ -55,7 +54,7 @@ def load(args: argparse.Namespace) -> Box:
     if not args.forcefield:
         raise ValueError("name the force field, such as --forcefield tip4pew.xml")
     force_field = _understood("the force field", app.ForceField, *args.forcefield)
-    modeller = _water_box(args) if not kinds else _solvated(args, force_field)
+    modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
     return Box(modeller.topology, _system(args, force_field, modeller.topology), modeller.positions)
 
@@ -72,22 +71,18 @@ def _serialised(args: argparse.Namespace) -> Box:
     return Box(topology_of(system, state), system, positions, state)
 
 
-def _solvated(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
+def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
     """Return the molecules in the file, with water around them if requested."""
     (file,) = args.files
-    content = _understood(str(file), _read, file)
+    reader = _READERS[file.suffix.lower()]
+    if reader is app.PDBFile and "\nEND" not in file.read_text(errors="replace"):
+        raise ValueError(f"{file} was not understood: there is no line END, so it is truncated or not a PDB file")
+    content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)
     if args.solvate:
         model = _water(args)
         _understood("the box of water", modeller.addSolvent, force_field, model=model, numAdded=args.solvate)
     return modeller
-
-
-def _read(file: Path) -> Any:
-    reader = _READERS[file.suffix.lower()]
-    if reader is app.PDBFile and not any(line.startswith("END") for line in file.read_text().splitlines()):
-        raise ValueError("there is no line END, so it is truncated or not a PDB file")
-    return reader(str(file))
 
 
 def _water_box(args: argparse.Namespace) -> app.Modeller:
@@ -162,14 +157,14 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(state.getPositions())
     molecules = context.getMolecules()
-    if [i for molecule in molecules for i in molecule] != list(
-        range(system.getNumParticles())
-    ):  # the order that a Topology keeps
+    in_order = [i for molecule in molecules for i in molecule]
+    if in_order != list(range(system.getNumParticles())):  # which a Topology requires
         raise ValueError("molecules of the System are interleaved: give their PDB or PDBx file instead")
     topology = app.Topology()
     chain = topology.addChain()
     for molecule in molecules:
-        elements = [_element(system.getParticleMass(i)) for i in molecule]
+        masses = [system.getParticleMass(i) for i in molecule]
+        elements = [app.Element.getByMass(mass) if mass._value > 0.0 else None for mass in masses]
         symbols = [element.symbol if element else "V" for element in elements]
         water = sorted(symbol for symbol in symbols if symbol != "V") == ["H", "H", "O"]
         residue = topology.addResidue("HOH" if water else "MOL", chain)
@@ -182,7 +177,3 @@ def topology_of(system: openmm.System, state: openmm.State) -> app.Topology:
     if system.usesPeriodicBoundaryConditions():
         topology.setPeriodicBoxVectors(state.getPeriodicBoxVectors())
     return topology
-
-
-def _element(mass: unit.Quantity) -> Any:
-    return app.Element.getByMass(mass) if mass.value_in_unit(unit.dalton) > 0.0 else None

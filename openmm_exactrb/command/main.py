@@ -12,19 +12,15 @@ import openmm_exactrb
 from openmm_exactrb.command import info, run, tune
 from openmm_exactrb.command.arguments import Parser
 
-# Errors in the files and options of a user, which are reported in one line.
+# Errors in the files and options of a user.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
-_INTERRUPTED = 128 + signal.SIGINT
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Execute a command line and return its exit status: 0, or 2 with one line on stderr, or 130 after Ctrl-C.
+    """Execute a command line, by default that of the process, and return its exit status.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Those of the process unless given.
+    That is 0, or 2 with one line on stderr, or 130 after Ctrl-C.
     """
     args = _parser().parse_args(arguments)
     try:
@@ -32,11 +28,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except _ERRORS as error:
         print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise  # else Ctrl-C came in a call of OpenMM, whose wrapper makes this of it
         again = "; resume it by the same command and --resume" if args.command == "run" else ""
         begin = "\n" if sys.stderr.isatty() else ""  # after ^C, or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
-        return _INTERRUPTED
+        return 128 + signal.SIGINT
 
 
 def _parser() -> Parser:
@@ -46,3 +44,7 @@ def _parser() -> Parser:
     for name, module in _COMMANDS.items():
         module.add_options(commands.add_parser(name, help=module.PURPOSE, description=module.PURPOSE))
     return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,6 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
-from openmm_exactrb.command.progress import progress_bar
 from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
@@ -88,7 +89,7 @@ def carry_out(args: argparse.Namespace) -> int:
     setup.refuse_flexible(box)
     setup.couple(box.system, settled)
     with job.lock():
-        equilibration.claim(job, settled, box, platform, [*_reporters(settled), analysis.PICTURE])
+        equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
         _simulate(job, settled, box, platform)
     return 0
 
@@ -133,10 +134,10 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     for name, reporter in _reporters(args).items():
         job.add_reporter(reporter, name, max(1, round(args.interval / step)))
     steps = math.ceil(args.duration / step - 1e-9)
-    with progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
+    with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:
-        analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom(), job.folder / analysis.PICTURE)
+        analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom())
     print("\n".join(analysis.summary(simulation, job, args.ensemble)))
 
 
@@ -146,3 +147,16 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
     if args.ensemble == "npt":
         reporters[analysis.VOLUME] = partial(app.StateDataReporter, step=True, time=True, volume=True, density=True)
     return reporters
+
+
+@contextmanager
+def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
+    """Yield a function that counts steps in a progress bar on stderr; none is shown if tqdm is not installed."""
+    try:
+        from tqdm import tqdm
+    except ModuleNotFoundError:
+        yield lambda steps: None
+        return
+    pause = 0.2 if sys.stderr.isatty() else 10.0
+    with tqdm(total=steps, desc=name, unit="step", mininterval=pause, delay=pause, disable=quiet) as bar:
+        yield bar.update

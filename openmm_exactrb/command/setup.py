@@ -21,15 +21,7 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 ENSEMBLES = ("nve", "nvt", "npt")
 #: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    (
-        "rotor",
-        {
-            "choices": ROTORS,
-            "default": "exact",
-            "metavar": "NAME",
-            "help": f"free rotation: {', '.join(ROTORS)} (exact)",
-        },
-    ),
+    ("rotor", {"choices": ROTORS, "default": "exact", "help": "free rotation (%(default)s)"}),
 )
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step

@@ -7,7 +7,6 @@ where it stopped. `energies` is a function for jobs: the energies of one simulat
 
 from openmm_exactrb.ensemble.dynamics import energies
 from openmm_exactrb.ensemble.execution import as_completed, run
-from openmm_exactrb.ensemble.jobs import Job, sweep
-from openmm_exactrb.ensemble.results import Result
+from openmm_exactrb.ensemble.jobs import Job, Result, sweep
 
 __all__ = ["Job", "Result", "as_completed", "energies", "run", "sweep"]

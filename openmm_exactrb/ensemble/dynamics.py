@@ -15,9 +15,6 @@ from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
 
-# Properties that make forces reproducible.
-_DETERMINISTIC = {"CPU": {"Threads": "1", "DeterministicForces": "true"}}
-
 
 def energies(
     build: Callable[..., Any],
@@ -72,7 +69,7 @@ def energies(
     seeded = {"seed": seed} if "seed" in inspect.signature(build).parameters else {}
     _, system, positions, *velocities = build(**arguments, **seeded)
     integrator = ExactRigidBodyIntegrator(step, scheme=scheme, rotor=rotor, engine="host")
-    properties = _DETERMINISTIC.get(platform, {})
+    properties = {"Threads": "1", "DeterministicForces": "true"} if platform == "CPU" else {}
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform), properties)
     context.setPositions(positions)
     if velocities:

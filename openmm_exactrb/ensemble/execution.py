@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from openmm_exactrb.checks import whole
-from openmm_exactrb.ensemble.jobs import Job
-from openmm_exactrb.ensemble.results import Result, read, write
+from openmm_exactrb.ensemble.jobs import Job, Result
+from openmm_exactrb.files import written_whole
 
 
 def run(
@@ -37,9 +38,9 @@ def as_completed(
 ) -> Iterator[Result]:
     """Execute jobs and yield their results as they complete, stored ones first.
 
-    A job whose function raises yields a result with the error; a later call tries it again. The jobs of a worker
-    process that dies are restarted on another one; a job that repeatedly kills its workers yields an error too. Closing
-    the iterator early cancels the jobs that are running.
+    A job whose function raises, or that repeatedly kills its workers, yields a result with the error; a later call
+    tries it again. Jobs of a worker process that dies are restarted on another one. Closing the iterator cancels the
+    rest.
 
     Parameters
     ----------
@@ -48,9 +49,8 @@ def as_completed(
     folder : path
         Stores one JSON file for each successful job. Delete a file to have its job executed again.
     scheduler : str, optional
-        Address of a dask scheduler, such as "tcp://node:8786". Its workers need the same version of this package and
-        the modules of the functions, and should have one thread each. By default, worker processes are started on this
-        machine.
+        Address of a dask scheduler, such as "tcp://node:8786", whose workers have one thread each, the same version of
+        this package and the modules of the functions. By default worker processes are started on this machine.
     workers : int, optional
         Number of processes on this machine, each with one thread; one per core by default.
     progress : bool, optional
@@ -69,9 +69,6 @@ def as_completed(
 
     Notes
     -----
-    Each job runs in one thread and depends on its arguments only, so results do not depend on the number of workers,
-    the order, or workers that died: `energies` returns the same bits on machines of one kind with the same packages.
-
     Scripts call this under ``if __name__ == "__main__":``, because workers import the script.
     """
     distinct = list(dict.fromkeys(jobs))
@@ -95,7 +92,7 @@ def as_completed(
 
 def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int | None) -> Iterator[Result]:
     """Yield stored results, then execute the other jobs."""
-    stored = {job: read(job, folder) for job in jobs}
+    stored = {job: stored_result(job, folder) for job in jobs}
     yield from (result for result in stored.values() if result is not None)
     missing = [job for job, result in stored.items() if result is None]
     if not missing:
@@ -105,5 +102,21 @@ def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int 
     with client_of(scheduler, workers, len(missing)) as client:
         for result in completed(client, missing):
             if result.error is None:
-                write(result, folder)
+                _store(result, folder)
             yield result
+
+
+def stored_result(job: Job, folder: Path) -> Result | None:
+    """Return the result of a job that a folder stores; None if there is none, or its file is damaged."""
+    try:
+        record = json.loads((folder / f"{job.key}.json").read_text("utf-8"))
+        return Result(job, record["value"], seconds=record["seconds"], cached=True)
+    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _store(result: Result, folder: Path) -> None:
+    record = {"job": repr(result.job), "seconds": result.seconds, "value": result.value}
+    # Another process may be finishing the same job.
+    with written_whole(folder / f"{result.job.key}.json", part=f".{os.getpid()}.part") as file:
+        file.write(json.dumps(record, indent=1) + "\n")

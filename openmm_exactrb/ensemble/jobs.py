@@ -1,4 +1,4 @@
-"""Jobs: a function and its arguments, with a key that is the same in every process."""
+"""Jobs: a function and its arguments, with a key that is the same in every process; and their results."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import json
 import reprlib
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from itertools import product
 from operator import attrgetter
 from typing import Any
 
 import openmm
 
-from openmm_exactrb.stable_text import PATH, digest, qualified_name, stable_text
+from openmm_exactrb.stable_text import digest, qualified_name, stable_text
 from openmm_exactrb.version import version
 
 
@@ -25,13 +26,12 @@ class Job:
     ----------
     function : callable
         A function at the top level of a script or of a module that the workers can import. It returns what JSON can
-        hold, or numpy arrays, which become lists. For reproducible results everything it depends on is an argument,
-        including seeds.
+        hold, or numpy arrays, which become lists. It depends on its arguments only, including seeds.
     **arguments
         Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
         System, State, Force or Integrator of OpenMM. The job keeps a copy, which travels to the worker: instead of
-        large ones pass the path of a file, or a function that builds them. A ``pathlib.Path`` to a file includes its
-        content; use a str for a file that the function writes.
+        large ones pass the path of a file, or a function that builds them. Use a ``pathlib.Path`` for a file that the
+        function reads, and a str for one that it writes.
 
     Raises
     ------
@@ -43,10 +43,8 @@ class Job:
     ----------
     function : callable
     key : str
-        Hash of the function's name, the arguments, the content of files among them, and the versions of this package
-        and OpenMM. It does not include the function's code: after changing that, use another folder for results.
-    files : list of (str, str)
-        Paths of the files among the arguments, and digests of their content.
+        Hash of the function's name, the arguments, the content of files that a ``pathlib.Path`` names, and the versions
+        of this package and OpenMM. It does not include the function's code: after changing that, use another folder.
 
     Examples
     --------
@@ -64,7 +62,6 @@ class Job:
         texts = {argument: _text(argument, value) for argument, value in arguments.items()}
         self.function = function
         self.key = digest(json.dumps([*versions(), name, texts], sort_keys=True).encode())
-        self.files = [file for text in texts.values() for file in _files_in(text)]
         self._arguments = copy.deepcopy(arguments)
 
     @property
@@ -82,6 +79,22 @@ class Job:
 
     def __hash__(self) -> int:
         return hash(self.key)
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a job."""
+
+    job: Job
+    #: What the function returned, as JSON holds it; None if it failed.
+    value: Any = None
+    #: Of the exception if it failed.
+    error: str | None = None
+    traceback: str | None = None
+    #: Wall time of the call, on its worker.
+    seconds: float = 0.0
+    #: Whether it was read from disk.
+    cached: bool = False
 
 
 def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fixed: Any) -> list[Job]:
@@ -138,10 +151,3 @@ def _text(argument: str, value: Any) -> str:
         return stable_text(value, _importable_name)
     except TypeError as error:
         raise TypeError(f"argument {argument} of a job {error}") from None
-
-
-def _files_in(text: str) -> list[tuple[str, str]]:
-    """Return the files in the text of an argument, each with the digest of its content."""
-    paths: list[tuple[str, str]] = []
-    json.loads(text, object_hook=lambda part: paths.append(part[PATH]) if PATH in part else part)
-    return [(name, content) for name, content in paths if content is not None]

@@ -17,33 +17,21 @@ import distributed
 import numpy as np
 from dask.system import CPU_COUNT
 
-from openmm_exactrb.ensemble.jobs import Job, versions
-from openmm_exactrb.ensemble.results import Result
-from openmm_exactrb.stable_text import digest_of_file
+from openmm_exactrb.ensemble.jobs import Job, Result, versions
 
 #: Seconds to wait for a scheduler to answer.
 TIMEOUT = 20.0
 
-_KILLED = "KilledWorker: every worker process that began it died: it crashed, ran out of memory, or was killed"
-# LocalCluster gives up a worker that dies twice within this time, and waits forever if it was the last one.
-_PATIENT = {"distributed.deploy.lost-worker-timeout": "7 days"}
+_LOCAL = {
+    # A worker holds one job at a time, so that none is blamed for the death of a worker that another one killed.
+    "distributed.scheduler.worker-saturation": 1.0,
+    # LocalCluster gives up a worker that dies twice within this time, and waits forever if it was the last one.
+    "distributed.deploy.lost-worker-timeout": "7 days",
+}
 
 
 def completed(client: distributed.Client, jobs: list[Job]) -> Iterator[Result]:
     """Send jobs to the workers and yield results as they complete."""
-    suspects = []
-    for result in _sent(client, jobs):
-        if result.error == _KILLED:
-            suspects.append(result.job)
-        else:
-            yield result
-    # Several workers died while they held these jobs, which may have been waiting there while another job killed the
-    # worker: each is tried once more by itself.
-    for suspect in suspects:
-        yield from _sent(client, [suspect])
-
-
-def _sent(client: distributed.Client, jobs: list[Job]) -> Iterator[Result]:
     # Pickled here, since dask never finishes a task whose module a worker cannot import.
     pickled = [cloudpickle.dumps(job) for job in jobs]
     futures = client.map(perform, pickled, wanted=versions(), pure=False)
@@ -63,7 +51,7 @@ def _fields(future: distributed.Future) -> dict[str, Any]:
     except distributed.CancelledError as error:
         raise ConnectionError("lost the scheduler; stored results are kept, repeat the call to continue") from error
     except distributed.KilledWorker:
-        return {"error": _KILLED}
+        return {"error": "KilledWorker: every worker process that began it died: it crashed, or ran out of memory"}
     except Exception as error:  # dask's own: exceptions of the function are caught by `perform`
         return {"error": f"{type(error).__name__}: {error}"}
 
@@ -75,9 +63,6 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
         if versions() != wanted:
             raise RuntimeError(f"this worker has openmm-exactrb and OpenMM {versions()}, but the job needs {wanted}")
         job = pickle.loads(pickled)
-        for name, content in job.files:
-            if digest_of_file(name) != content:
-                raise RuntimeError(f"the file {name} is missing or has changed since the job was created")
         fields = {"value": _as_from_json(job.function(**job.arguments))}
     except (Exception, SystemExit) as error:
         fields = {"error": f"{type(error).__name__}: {error}", "traceback": traceback.format_exc()}
@@ -100,7 +85,7 @@ def client_of(scheduler: str | None, workers: int | None, jobs: int) -> Iterator
     """Connect to a scheduler, or start one with workers on this machine, at most one for each job."""
     if scheduler is None:
         with (
-            dask.config.set(_PATIENT),
+            dask.config.set(_LOCAL),
             _cluster(min(workers or CPU_COUNT, jobs)) as cluster,
             distributed.Client(cluster, set_as_default=False) as client,
         ):
@@ -120,6 +105,6 @@ def _cluster(workers: int) -> distributed.LocalCluster:
         return distributed.LocalCluster(n_workers=workers, **options)
     except RuntimeError as error:
         raise RuntimeError(
-            f"a worker process ended while it started ({error}): it was killed, perhaps for lack of memory, or the "
-            "script lacks if __name__ == '__main__'. Stored results are kept; repeat the call to continue"
+            f"a worker process ended while it started ({error}): it lacks memory, or the script lacks if __name__ == "
+            "'__main__'"
         ) from error

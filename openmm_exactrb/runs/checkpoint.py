@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,36 +14,35 @@ from openmm_exactrb.files import written_whole
 CHECKPOINT = "checkpoint"
 #: Version of the file format; others are refused.
 FORMAT = b"5"
-
 _MAGIC = b"openmm-exactrb checkpoint"
 
 
 class Checkpoint(NamedTuple):
-    """The content of a checkpoint file.
+    """The content of a checkpoint file."""
 
-    Attributes
-    ----------
-    step, first : int
-        Step of the checkpoint, and first step of the run.
-    wall : float
-        Seconds that the run took until then.
-    timings : dict
-        Timings of the integrator, by name.
-    files : dict
-        Length and first bytes, in hexadecimal, of each output file.
-    identity : dict of str
-        Values that must be the same for the run to be resumed, by name.
-    state : bytes
-        OpenMM's checkpoint.
-    """
-
+    #: Step of the checkpoint, and first step of the run.
     step: int
     first: int
+    #: Seconds that the run took until then.
     wall: float
+    #: Timings of the integrator, by name.
     timings: dict[str, float]
+    #: Length and first bytes, in hexadecimal, of each output file.
     files: dict[str, tuple[int, str]]
+    #: Values that must be the same for the run to be resumed, by name.
     identity: dict[str, str]
+    #: OpenMM's checkpoint.
     state: bytes
+
+    def refuse_others(self, identity: Mapping[str, str], file: Path) -> None:
+        """Raise ValueError if the run has another identity."""
+        for name in {**self.identity, **identity}:
+            was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
+            if was != now:
+                raise ValueError(
+                    f"{file} is of another run: {name} is {was} in it, but {now} now; restore it, use another folder "
+                    "or overwrite"
+                )
 
     def refuse_cut_files(self, folder: Path) -> None:
         """Raise ValueError if an output file is shorter than it was."""
@@ -52,17 +51,6 @@ class Checkpoint(NamedTuple):
             found = file.stat().st_size if file.exists() else 0
             if found < length:
                 raise ValueError(f"{file} has {found} bytes, but had {length} at the checkpoint: it was changed since")
-
-
-def refuse_others(there: Mapping[str, str], here: Mapping[str, str], file: Path, free: Collection[str] = ()) -> None:
-    """Raise ValueError if the identity in a file differs from the present one in a name that is not free."""
-    for name in {**there, **here}:
-        was, now = there.get(name, "not there"), here.get(name, "not there")
-        if was != now and name not in free:
-            raise ValueError(
-                f"{file} is of another run: {name} is {was} in it, but {now} now; restore it, or use another folder or "
-                "overwrite"
-            )
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:

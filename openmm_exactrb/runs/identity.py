@@ -19,28 +19,24 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return everything that determines the bits of a run, by name.
-
-    This fixes the shape of bodies named by hand, before a checkpoint is loaded.
-    """
+    """Return everything that determines the bits of a run, by name; it fixes the shape of bodies named by hand."""
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,
         "openmm-exactrb": version("not installed"),
         "kernels": "compiled" if kernels.available() else "numpy",  # they round differently
         "platform": simulation.context.getPlatform().getName(),
-        "System": text_of_system(without_sums(simulation.system)),
+        "System": _text_of_system(without_sums(simulation.system)),
         "integrator": type(integrator).__name__,
     }
     if draws := [reporter.settings() for reporter in simulation.reporters if isinstance(reporter, CanonicalMomenta)]:
         identity["CanonicalMomenta"] = "; ".join(draws)
-    exact = isinstance(integrator, ExactRigidBodyIntegrator)
-    settings = _settings(integrator) if exact else _settings_of_openmm(integrator)
+    own = isinstance(integrator, ExactRigidBodyIntegrator)
+    settings = _settings(integrator) if own else _settings_of_openmm(integrator)
     return identity | {f"integrator {name}": text for name, text in settings.items()}
 
 
-def text_of_system(system: openmm.System) -> str:
-    """Return text that identifies a System; raise ValueError if OpenMM cannot serialise it."""
+def _text_of_system(system: openmm.System) -> str:
     try:
         content = openmm.XmlSerializer.serialize(system)
     except Exception as error:  # a PythonForce raises whatever pickle does with its function

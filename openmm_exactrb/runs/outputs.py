@@ -21,12 +21,10 @@ TOPOLOGY = "topology.pdb"
 
 # Bytes at the beginning of a file that may change while it grows: a DCD file counts its frames there.
 _HEAD = 128
-# The requests in a tuple that OpenMM's older reporters return, in their order.
-_REQUESTS = ("positions", "velocities", "forces", "energy")
 
 
 class Outputs:
-    """The output files of a run, each with its reporter."""
+    """The files in a folder, and their reporters."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -48,7 +46,7 @@ class Outputs:
         if "append" not in parameters and not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
             raise ValueError(
                 f"{_name_of(factory)} cannot resume a file, since it takes no append=: use a reporter that does, such "
-                "as DCDReporter, XTCReporter or StateDataReporter, or append it to simulation.reporters yourself"
+                "as DCDReporter, or append it to simulation.reporters yourself"
             )
         self._factories[name] = factory, interval
 
@@ -59,13 +57,15 @@ class Outputs:
         }
 
     def open(self, simulation: Any, files: Mapping[str, tuple[int, str]], first: int) -> None:
-        """Cut the files to their lengths at a checkpoint and open them; report the start to new ones."""
+        """Open the files, cut to their lengths at a checkpoint; report the start to new ones."""
         requests = {}
         for name, (factory, interval) in self._factories.items():
             length, head = files.get(name, (0, ""))
             file, append = self._folder / name, length > 0
             if append:
-                _cut(file, length, bytes.fromhex(head))
+                with file.open("r+b") as content:
+                    content.write(bytes.fromhex(head))
+                    content.truncate(length)
             file.parent.mkdir(parents=True, exist_ok=True)
             reporter = self._reporters[name] = factory(str(file), interval, append=append)
             begin_with_the_start(reporter, simulation, first - first % interval, interval, append)
@@ -84,12 +84,8 @@ class Outputs:
             for file in _files_of(reporter):
                 file.flush()
             refuse_lost_frames(reporter, self._folder / name)
-        return {name: _synced(self._folder / name) for name in self._reporters}
-
-    def remove(self) -> None:
-        """Delete the files."""
-        for name in (*self._factories, TOPOLOGY):
-            (self._folder / name).unlink(missing_ok=True)
+            sync(self._folder / name)
+        return {name: _extent(self._folder / name) for name in self._reporters}
 
     def close(self, simulation: Any) -> None:
         """Remove the reporters from the Simulation and close their files."""
@@ -97,7 +93,7 @@ class Outputs:
             if reporter in simulation.reporters:
                 simulation.reporters.remove(reporter)
             for file in _files_of(reporter):
-                with contextlib.suppress(OSError):  # of a full disk: the checkpoint does not include this content
+                with contextlib.suppress(OSError):  # of a full disk
                     file.close()
         self._reporters.clear()
 
@@ -123,18 +119,13 @@ def _described(factory: Callable[..., Any]) -> str:
 
 
 def _state(simulation: Any, request: Any) -> Any:
-    """Return the State that a reporter requests, as Simulation does."""
-    if isinstance(request, dict):
-        include, wrapped = request.get("include", ()), request.get("periodic")
-    else:
-        include = [name for name, wanted in zip(_REQUESTS, request[1:5], strict=False) if wanted]
-        wrapped = request[5] if len(request) > 5 else None
+    """Return a State with all that a reporter may request, as a dict or a tuple; its box is wrapped as requested."""
+    wrapped = request.get("periodic") if isinstance(request, dict) else (*request, None)[5]
     if wrapped is None:
         wrapped = simulation.system.usesPeriodicBoundaryConditions()
+    everything = dict.fromkeys(("positions", "velocities", "forces", "energy", "parameters"), True)
     groups = simulation.integrator.getIntegrationForceGroups()
-    return simulation.context.getState(
-        groups=groups, enforcePeriodicBox=wrapped, parameters=True, **dict.fromkeys(include, True)
-    )
+    return simulation.context.getState(groups=groups, enforcePeriodicBox=wrapped, **everything)
 
 
 def _files_of(reporter: Any) -> Iterator[Any]:
@@ -144,14 +135,6 @@ def _files_of(reporter: Any) -> Iterator[Any]:
             yield value
 
 
-def _synced(file: Path) -> tuple[int, str]:
-    sync(file)
+def _extent(file: Path) -> tuple[int, str]:
     with file.open("rb") as content:
         return file.stat().st_size, content.read(_HEAD).hex()
-
-
-def _cut(file: Path, length: int, head: bytes) -> None:
-    """Restore the length and the first bytes of a file."""
-    with file.open("r+b") as content:
-        content.write(head)
-        content.truncate(length)

@@ -52,21 +52,20 @@ class Run:
     settings : mapping, optional
         Further values that must be the same when the run is resumed, beside System, integrator, platform and reporters.
 
+    Attributes
+    ----------
+    folder : path
+    resuming : bool
+        Whether there is a checkpoint to continue from.
+    wall : float
+        Seconds that the run took so far, without those that an accident lost.
+
     Raises
     ------
     FileExistsError
         If the folder holds an earlier run that is neither resumed nor overwritten.
     TypeError, ValueError
         If the checkpoint is damaged or of another version, or an argument is invalid.
-
-    Attributes
-    ----------
-    folder : path
-    resuming : bool
-        Whether there is a checkpoint to continue from.
-    settings : dict of str
-    wall : float
-        Seconds that the run took so far, without those that an accident lost.
     """
 
     def __init__(
@@ -82,7 +81,8 @@ class Run:
         self._every = every if never else not_negative(every, "the time between checkpoints", "seconds")
         if settings is not None and not isinstance(settings, Mapping):
             raise ValueError(f"settings must be a mapping from names to values, not {settings!r}")
-        self.settings = {f"setting {name}": setting_text(value) for name, value in (settings or {}).items()}
+        self._settings = {f"setting {name}": setting_text(value) for name, value in (settings or {}).items()}
+        self._identity: dict[str, str] = {}
         self.folder = Path(folder)
         self._overwrite = overwrite
         self._outputs = Outputs(self.folder)
@@ -90,8 +90,7 @@ class Run:
         self._locked = False
         self.resuming = self._last is not None
         self.wall = self._last.wall if self._last else 0.0
-        for name in (CHECKPOINT, TOPOLOGY):
-            self.path(name)
+        self._refuse_files()
 
     @staticmethod
     def add_options(parser: argparse.ArgumentParser, folder: str = "out") -> None:
@@ -104,16 +103,9 @@ class Run:
 
     @classmethod
     def from_options(cls, args: argparse.Namespace, subfolder: str = "", *, free: Iterable[str] = ()) -> Run:
-        """Create a run from the options of `add_options`.
+        """Create a run in --out, or a subfolder of it, from the options of `add_options`.
 
-        Parameters
-        ----------
-        args : argparse.Namespace
-            All other options are settings of the run, which must be the same when it is resumed.
-        subfolder : str, optional
-            Of --out.
-        free : iterable of str, optional
-            Options that may change.
+        All other options, but for those that are `free`, are settings, which must be the same when it is resumed.
         """
         settings = {name: value for name, value in vars(args).items() if name not in {*_OPTIONS, *free}}
         options = {"resume": args.resume, "overwrite": args.overwrite, "every": args.checkpoint}
@@ -165,14 +157,14 @@ class Run:
         """Advance a Simulation to a step, from its start or from the checkpoint.
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps in progress, writes a checkpoint and raises
-        SystemExit with the usual status, 128 + the number of the signal. A second signal acts at once. A run that is
-        refused before its first step leaves no file.
+        SystemExit with the status 128 + the number of the signal. A second signal acts at once. A run that fails before
+        its first step leaves no file.
 
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            At its start. When a run is resumed its state does not matter, except that bodies named by hand take their
-            shape from the first positions, which must be the same again.
+            At its start. When a run is resumed its state does not matter, but bodies named by hand take their shape
+            from the first positions, which must be the same again.
         until : int
             Number of the last step.
         progress : callable, optional
@@ -196,23 +188,24 @@ class Run:
             raise ValueError(f"advance() takes an openmm.app.Simulation, not {type(simulation).__name__}")
         until = whole(until, "until, the number of the last step,", least=0)
         tell = progress or (lambda steps: None)
-        identity = identity_of(simulation) | self._outputs.identity() | self.settings
+        self._identity = identity_of(simulation) | self._outputs.identity() | self._settings
         with self.lock(), Signals() as signals:
             begins, first = self._last is None, simulation.currentStep
             try:
-                self._begin(simulation, identity)
+                self._begin(simulation)
                 tell(simulation.currentStep)
-                self._step(simulation, until, identity, tell, signals)
-                self._save(simulation, identity)
+                self._step(simulation, until, tell, signals)
+                self._save(simulation)
             except IntegrationError as error:
-                self._save(simulation, identity)
+                self._save(simulation)
                 files = ", ".join([*self._outputs.names, TOPOLOGY, CHECKPOINT])
                 raise type(error)(f"{error}. All before it is on disk: {self.folder}: {files}") from error
             except OSError as error:
                 self._explain(error)
             except Exception:
                 if begins and simulation.currentStep == first:
-                    self._clean_up()
+                    self._last = None
+                    self._delete(self._outputs.names)
                 raise
             finally:
                 self._outputs.close(simulation)
@@ -229,10 +222,8 @@ class Run:
         ------
         BlockingIOError
             If another process is running in the folder.
-        FileExistsError
-            If another process has begun a run there.
-        ValueError
-            If another process has continued this run.
+        FileExistsError, ValueError
+            If another process has begun a run there, or has continued this one.
         """
         if self._locked:
             yield
@@ -249,17 +240,17 @@ class Run:
                 self._locked = False
 
     def discard(self) -> None:
-        """Delete the files of an earlier run that is overwritten; do nothing if the run is resumed.
-
-        The checkpoint is deleted first, so that an incomplete run is never resumed.
-        """
+        """Delete the files of an earlier run that is overwritten; do nothing if the run is resumed."""
         if self._last is not None or not self._overwrite:
             return
         old: Iterable[str] = ()
         with contextlib.suppress(ValueError, OSError):  # a damaged one is overwritten too
             old = checkpoint.read(self._file).files
-        self._file.unlink(missing_ok=True)
-        for name in (*old, TOPOLOGY):
+        self._delete(old)
+
+    def _delete(self, names: Iterable[str]) -> None:
+        """Delete the checkpoint, first, so that an incomplete run is never resumed, and files of the run."""
+        for name in (CHECKPOINT, TOPOLOGY, *names):
             (self.folder / name).unlink(missing_ok=True)
 
     @property
@@ -272,34 +263,29 @@ class Run:
             self._last = checkpoint.read(self._file)
             self.wall = self._last.wall
         elif self._last is None:
-            for name in (CHECKPOINT, TOPOLOGY, *self._outputs.names):
-                self.path(name)
+            self._refuse_files()
         elif checkpoint.read(self._file).state != self._last.state:
             raise ValueError(f"another process has continued the run in {self.folder}: {_RESUME}")
 
-    def _begin(self, simulation: Any, identity: dict[str, str]) -> None:
+    def _refuse_files(self) -> None:
+        for name in (CHECKPOINT, TOPOLOGY, *self._outputs.names):
+            self.path(name)
+
+    def _begin(self, simulation: Any) -> None:
         """Write the first checkpoint or load the last one, and open the output files."""
         if self._last is None:
             self.discard()
-            self._save(simulation, identity)  # before any other file, which are then known to be of this run
+            self._save(simulation)  # before any other file, which are then known to be of this run
             self._outputs.open(simulation, {}, simulation.currentStep)
             return
-        checkpoint.refuse_others(self._last.identity, identity, self._file)
+        self._last.refuse_others(self._identity, self._file)
         if self.resuming:
             self._last.refuse_cut_files(self.folder)
             _load(simulation, self._last)
         self.resuming = False
         self._outputs.open(simulation, self._last.files, self._last.first)
 
-    def _clean_up(self) -> None:
-        """Delete the files of a run that has not made a step."""
-        self._last = None
-        self._outputs.remove()
-        self._file.unlink(missing_ok=True)
-
-    def _step(
-        self, simulation: Any, until: int, identity: dict[str, str], tell: Callable[[int], object], signals: Signals
-    ) -> None:
+    def _step(self, simulation: Any, until: int, tell: Callable[[int], object], signals: Signals) -> None:
         now = time.monotonic()
         due = now + self._every
         while simulation.currentStep < until and not signals.caught:
@@ -309,20 +295,20 @@ class Run:
             now = time.monotonic()
             tell(steps)
             if now >= due:
-                self._save(simulation, identity)
+                self._save(simulation)
                 due = time.monotonic() + self._every
 
-    def _save(self, simulation: Any, identity: dict[str, str]) -> None:
+    def _save(self, simulation: Any) -> None:
         """Write all files through to the disk, then a checkpoint with their lengths."""
         integrator = simulation.integrator
-        exact = isinstance(integrator, ExactRigidBodyIntegrator)
+        own = isinstance(integrator, ExactRigidBodyIntegrator)
         present = Checkpoint(
             step=simulation.currentStep,
             first=self._last.first if self._last else simulation.currentStep,
             wall=self.wall,
-            timings=asdict(integrator.timings) if exact else {},
+            timings=asdict(integrator.timings) if own else {},
             files=self._outputs.sync(),
-            identity=identity,
+            identity=self._identity,
             state=simulation.context.createCheckpoint(),
         )
         checkpoint.write(self._file, present)

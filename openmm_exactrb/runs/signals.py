@@ -15,15 +15,10 @@ class Signals:
     """Record the first signal that requests the end of the process; the second one ends it.
 
     A signal that the process ignores, for example under `nohup`, stays ignored.
-
-    Attributes
-    ----------
-    caught : int
-        Number of the signal, or 0.
     """
 
     def __init__(self) -> None:
-        self.caught = 0
+        self.caught = 0  #: Number of the signal, or 0.
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Signals:

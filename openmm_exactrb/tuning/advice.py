@@ -12,10 +12,8 @@ from openmm import app, unit
 from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.tuning.benchmark import Benchmark
-from openmm_exactrb.tuning.candidates import CANDIDATES, NESTED_CANDIDATES, Method, schemes_named
-from openmm_exactrb.tuning.equilibrium import thermalised
-from openmm_exactrb.tuning.initial_state import initial_state
+from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, Benchmark, Method, schemes_named
+from openmm_exactrb.tuning.initial_state import initial_state, thermalised
 from openmm_exactrb.tuning.measurements import Measurements, Point
 from openmm_exactrb.tuning.result import Choice, Tuning
 from openmm_exactrb.tuning.search import search
@@ -45,7 +43,6 @@ def tune(
     bodies: Sequence[Sequence[int]] | None = None,
     horizon: float | unit.Quantity | None = None,
     duration: float | unit.Quantity | None = None,
-    nest: bool = True,
     levels: int = 10,
     seed: int = 0,
     report: Callable[[str], None] | None = progress,
@@ -53,10 +50,10 @@ def tune(
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies, and particles beside them); oscillations, random walks and drifts count alike. Survey runs are
-    shorter, as long as `duration`, and their errors are extrapolated from the growth of the variance with the length of
-    the run. The recommended setting is run over the whole horizon first, since short runs do not show everything: if a
-    step is long against the vibrations the energy wanders for picoseconds, and near hard cores it is a random walk.
+    (rigid bodies, and particles beside them). Survey runs are as long as `duration`, and their errors are extrapolated
+    from the growth of the variance with the length of the run. The recommended setting is run over the whole horizon
+    first, since the energy may wander for picoseconds. If the System has bonds and angles that move, schemes with
+    ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
@@ -74,8 +71,8 @@ def tune(
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
-        In K. Minimise positions without velocities, then draw momenta and let them exchange energy with the positions
-        in short runs, 20 times or more, until the temperature is reached. Required if all velocities are zero.
+        In K, required if all velocities are zero. Positions without velocities are minimised; then momenta are drawn
+        and exchange energy with the positions in short runs, until the temperature is reached.
     platform : str or openmm.Platform, optional
         By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest.
     properties : mapping, optional
@@ -84,13 +81,10 @@ def tune(
         As in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
         Length of the production runs for which errors are promised, in ps without a unit; by default ten times
-        `duration`. Only runs as long as this show how the energy wanders, and they take their time.
+        `duration`.
     duration : float or Quantity, optional
         Length of the survey runs, in ps without a unit. By default 100 over the root mean square frequency of the
         system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this.
-    nest : bool, optional
-        Whether to try schemes with ``fast="bonded"`` too, if the System has bonds and angles that move: those of
-        `schemes`, or `NESTED_CANDIDATES`. The others do not nest anything.
     levels : int, optional
         Largest number of step sizes, each smaller by sqrt(2), from the largest stable one on.
     seed : int, optional
@@ -124,10 +118,9 @@ def tune(
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
     benchmark = Benchmark(state)
+    nested = plain if schemes is not None else schemes_named(NESTED_CANDIDATES)
     methods = [Method(scheme) for scheme in plain]
-    if nest and benchmark.nests:
-        nested = plain if schemes is not None else schemes_named(NESTED_CANDIDATES)
-        methods += [Method(scheme, nested=True) for scheme in nested]
+    methods += [Method(scheme, nested=True) for scheme in nested if benchmark.nests]
     if survey is None:
         usual = _SURVEY * benchmark.characteristics.time
         survey = usual if production is None else min(max(usual, production / _LONGER), _LONGEST * usual)

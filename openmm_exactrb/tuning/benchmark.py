@@ -1,13 +1,13 @@
-"""Benchmark of integrators from one initial state: the energy error of a run, and its wall time."""
+"""The methods that are compared, and their benchmark: energy error and wall time of runs from one initial state."""
 
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,81 @@ import openmm
 
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError
-from openmm_exactrb.tuning.candidates import Method
-from openmm_exactrb.tuning.equilibrium import LOST, characteristics, diverging
+from openmm_exactrb.schemes import CATALOGUE, Scheme
+from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.error import expected_error
-from openmm_exactrb.tuning.initial_state import InitialState
+from openmm_exactrb.tuning.initial_state import LOST, InitialState, characteristics, diverging
+
+#: Schemes that are tried by default: each is the cheapest at some accuracy on some system.
+CANDIDATES = (
+    "V2",
+    "W2_1",
+    "S2_2",
+    "S2_4",
+    "W2_4",
+    "W2_5",
+    "W4_4",
+    "W4_5",
+    "W4_6",
+    "SRKN4_6b",
+    "SRKN6_11b",
+    "SRKN6_14a",
+)
+
+#: Schemes that are tried with nested bonded forces by default.
+NESTED_CANDIDATES = ("W2_1", "S2_2", "S2_3", "W2_4", "W2_5", "W4_4", "W4_5", "SRKN4_6b", "ABA_8_6_4")
+
+#: Name of the baseline: OpenMM's leapfrog with constraints.
+VERLET = "VerletIntegrator"
+
+#: End of the name of a scheme with nested bonded forces.
+NESTED = " nested"
 
 # Energies of a run, and the fewest.
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
 # Rounds of timing through all methods, and force evaluations of each method in a round.
 _ROUNDS, _EVALUATIONS = 7, 28
+
+
+@dataclass(frozen=True)
+class Method:
+    """A scheme, plain or with the bonded forces nested in its drifts, or without a scheme the baseline `VERLET`."""
+
+    scheme: Scheme | None = None
+    nested: bool = False
+
+    @property
+    def name(self) -> str:
+        """The name in tables and results."""
+        return VERLET if self.scheme is None else self.scheme.name + NESTED * self.nested
+
+    @property
+    def order(self) -> int:
+        """Order in the step size."""
+        return 2 if self.scheme is None else self.scheme.order
+
+    @property
+    def stages(self) -> int:
+        """Force evaluations per step, not counting those of nested forces."""
+        return 1 if self.scheme is None else self.scheme.forces
+
+    @property
+    def own_scheme(self) -> Scheme | None:
+        """The scheme if it is the user's own, that is, if its name does not say which one it is."""
+        return None if self.scheme is None or CATALOGUE.get(self.scheme.name) == self.scheme else self.scheme
+
+
+def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
+    """Return the schemes that a user names, without repetitions; ValueError for unknown or ambiguous names."""
+    schemes = [look_up(name) for name in ([names] if isinstance(names, (str, Scheme)) else names)]
+    if not schemes:
+        raise ValueError(f"schemes is empty: name some of {', '.join(CATALOGUE)}")
+    known: dict[str, Scheme] = {}
+    for scheme in schemes:
+        name = scheme.name
+        if name.endswith(NESTED) or name == VERLET or known.setdefault(name, CATALOGUE.get(name, scheme)) != scheme:
+            raise ValueError(f"a scheme of your own has the name {name!r} of another method: choose another name")
+    return list(known.values())
 
 
 class IntegratorUnderTest:
@@ -61,7 +127,7 @@ class ExactRigidBody(IntegratorUnderTest):
 
     def __init__(self, state: InitialState, method: Method) -> None:
         options: dict[str, Any] = {"scheme": method.scheme, "fast": "bonded" if method.nested else None}
-        make = partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
+        make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
         super().__init__(state, make())
         if self.integrator.getEngine() == "device":  # chosen by name, it is kept when the step changes
             own = copy.deepcopy(state.system)  # the device adds a force to it
@@ -113,7 +179,7 @@ class Benchmark:
     def __init__(self, state: InitialState) -> None:
         integrator, context = state.probe()
         #: Of the initial state.
-        self.characteristics = characteristics(integrator, context, state.earlier_frequencies)
+        self.characteristics = characteristics(integrator, context)
         bodies, bodies_state = integrator.bodyState()
         #: The initial state of all integrators: molecules are rigid, and not split by the periodic box.
         self.state = replace(state, positions=bodies.positions(bodies_state, state.positions.copy()))
@@ -124,7 +190,7 @@ class Benchmark:
         """Whether constraints hold all bodies, so that OpenMM's Verlet integrator moves the same ones."""
         return self.state.bodies is None and self.state.system.getNumConstraints() > 0
 
-    @property
+    @functools.cached_property
     def nests(self) -> bool:
         """Whether there are bonded forces to be nested, beside others."""
         integrator, _context = self.state.probe(fast="bonded")
@@ -144,8 +210,7 @@ class Benchmark:
     def error(self, method: Method, step: float, duration: float, horizon: float) -> float:
         """Run from the initial state for a duration, and return the energy error to expect over the horizon, all in ps.
 
-        It is the standard deviation of the total energy in kJ/mol per body: infinite if the run diverges, or changes
-        the total energy by a tenth of the kinetic energy. Other errors are raised.
+        It is in kJ/mol per body, and infinite if the run diverges or changes the energy by a tenth of the kinetic one.
         """
         tested, (n_bodies, kinetic, *_) = self.under_test(method), self.characteristics
         every = max(1, round(duration / _SAMPLES / step))
@@ -165,10 +230,9 @@ class Benchmark:
         return error if error < LOST * kinetic else math.inf
 
     def seconds_per_evaluation(self, methods: Sequence[Method], interval: float) -> list[float]:
-        """Return the wall times in s per force evaluation of methods, with all else that their integrators do.
+        """Return the wall times in s per force evaluation of methods at a time per force evaluation in ps.
 
-        The time per force evaluation in ps is the interval, at which all methods are stable. The fastest of some rounds
-        counts, since other processes only add to the time.
+        The fastest of some rounds counts, since other processes only add to the time.
         """
         rounds = []
         for _ in range(_ROUNDS):

@@ -1,11 +1,13 @@
-"""The initial state of all runs, made from a Simulation, a State or arrays of the user."""
+"""The initial state of all runs, as given or brought to a temperature, and its characteristic times."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -14,11 +16,26 @@ from openmm import app, unit
 
 from openmm_exactrb import checks
 from openmm_exactrb.context.platforms import mixed, platform_of
-from openmm_exactrb.context.units import stripped
+from openmm_exactrb.context.units import gas_constant_times, stripped
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 
 Array = NDArray[np.float64]
+
+#: A run is unstable once its total energy is off by this fraction of the kinetic energy.
+LOST = 0.1
+
+# Extent in nm that stands for the shape of a particle, which has none.
+_EXTENT = 0.1
+
+# Draws of momenta, steps after each, the most draws and the most failures before the temperature is out of reach, and
+# the last draws over which the temperature is a mean.
+_DRAWS, _STEPS, _MOST_DRAWS, _FAILURES, _LAST = 20, 150, 60, 40, 10
+_MINIMISER_ITERATIONS = 1000  # enough to remove overlaps; it need not converge
+# Accepted deviation of the kinetic energy: a fraction, since a large system takes up heat, and standard deviations.
+_SLACK, _DEVIATIONS = 0.1, 5.0
 
 
 @dataclass(frozen=True)
@@ -40,8 +57,6 @@ class InitialState:
     bodies: list[list[int]] | None = None
     #: Bits of the force groups that act.
     groups: int = -1
-    #: Root mean square frequencies in 1/ps at earlier instants, if they are known.
-    earlier_frequencies: tuple[float, ...] = ()
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
@@ -98,15 +113,20 @@ def initial_state(
     if not isinstance(system, openmm.System):
         raise ValueError(f"the first argument must be an openmm.System or a Simulation, not {type(system).__name__}")
     if isinstance(start, openmm.State):
-        start, velocities, box, parameters_of_state = _read(start, velocities)
-        parameters |= parameters_of_state
+        kinds, box = start.getDataTypes(), start.getPeriodicBoxVectors()
+        if not kinds & openmm.State.Positions:
+            raise ValueError("the State has no positions: make it with getState(positions=True, velocities=True)")
+        if velocities is None and kinds & openmm.State.Velocities:
+            velocities = start.getVelocities(asNumpy=True)
+        if kinds & openmm.State.Parameters:
+            parameters |= dict(start.getParameters())
+        start = start.getPositions(asNumpy=True)
     if start is None:
         raise ValueError("there is no start: give a State or positions, or a Simulation")
     twin, left_out = conservative(system)
     x = _coordinates(start, system, unit.nanometer, "positions")
-    v = np.zeros_like(x)
-    if velocities is not None:
-        v = _coordinates(velocities, system, unit.nanometer / unit.picosecond, "velocities")
+    v = np.zeros_like(x) if velocities is None else velocities
+    v = _coordinates(v, system, unit.nanometer / unit.picosecond, "velocities")
     if parameters:  # without those of the forces left out
         known = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference")).getParameters()
         parameters = {name: value for name, value in parameters.items() if name in known}
@@ -115,17 +135,6 @@ def initial_state(
     named = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
     notes = [f"{', '.join(left_out)} of the System left out of the measurements"] if left_out else []
     return InitialState(twin, x, v, box, parameters, fastest.getName(), precision, named, groups), notes
-
-
-def _read(state: openmm.State, velocities: Any) -> tuple[Any, Any, Any, dict[str, float]]:
-    """Return positions, velocities (unless they are given), box vectors and parameters of a State."""
-    kinds = state.getDataTypes()
-    if not kinds & openmm.State.Positions:
-        raise ValueError("the State has no positions: make it with getState(positions=True, velocities=True)")
-    if velocities is None and kinds & openmm.State.Velocities:
-        velocities = state.getVelocities(asNumpy=True)
-    parameters = dict(state.getParameters()) if kinds & openmm.State.Parameters else {}
-    return state.getPositions(asNumpy=True), velocities, state.getPeriodicBoxVectors(), parameters
 
 
 def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: str) -> Array:
@@ -137,3 +146,104 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     if not np.isfinite(array).all():
         raise ValueError(f"{what} are not finite")
     return array
+
+
+@contextmanager
+def diverging() -> Iterator[None]:
+    """Turn OpenMM's exception for coordinates that are NaN into NonFiniteError; other exceptions pass."""
+    try:
+        yield
+    except openmm.OpenMMException as error:
+        if "NaN" not in str(error):
+            raise
+        raise NonFiniteError(str(error)) from error
+
+
+class Characteristics(NamedTuple):
+    """Size and characteristic times of a system."""
+
+    #: Rigid bodies, and particles beside them.
+    n_bodies: int
+    #: Kinetic energy in kJ/mol per body.
+    kinetic: float
+    #: 1/omega in ps, at most `free`. omega², the mean square frequency in equilibrium, is the mean of force²/mass and
+    #: torque²/inertia divided by kT.
+    time: float
+    #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
+    free: float
+
+
+def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
+    """Return size and characteristic times of the system in a Context; ValueError if nothing moves or no force acts."""
+    bodies, state = integrator.bodyState()
+    context.computeVirtualSites()
+    groups = integrator.getIntegrationForceGroups()
+    forces = context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
+    if not np.isfinite(forces).all():
+        raise ValueError("the forces at the start are not finite: minimise the energy first")
+    (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
+    moments = np.broadcast_to(bodies.inertia.T, torque.shape)
+    turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
+    square = float((force**2 / bodies.mass).sum() + turning.sum())
+    if not kinetic > 0.0 or not square > 0.0:
+        raise ValueError("nothing moves or no force acts: there is no energy error to measure")
+    free = _free_time(bodies, kinetic)
+    return Characteristics(len(bodies), kinetic / len(bodies), min(math.sqrt(2.0 * kinetic / square), free), free)
+
+
+def _free_time(bodies: RigidBodies, kinetic: float) -> float:
+    """Return the time of a turn by a radian or a flight over an extent: 1/rms of the inverse times."""
+    kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
+    moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
+    moments = moments[moments > 0.0]
+    inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])
+    return float(1.0 / math.sqrt(kT * inverse.mean()))
+
+
+def thermalised(state: InitialState, temperature: float, seed: int, minimise: bool) -> InitialState:
+    """Draw momenta at a temperature in K repeatedly; after each draw they exchange energy with the positions.
+
+    ValueError if the state is too far from equilibrium to reach the temperature.
+    """
+    integrator, context = state.probe()
+    if minimise:
+        integrator.minimizeEnergy(10.0, _MINIMISER_ITERATIONS)
+    integrator.setVelocitiesToTemperature(temperature, seed)
+    good = state.updated(context)
+    h, failures = 0.05 * characteristics(*good.probe()).time, 0
+    kinetic: list[float] = []
+    while len(kinetic) < _DRAWS or not _is_at(temperature, kinetic[-_LAST:], integrator):
+        if len(kinetic) == _MOST_DRAWS or failures > _FAILURES:
+            raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
+        integrator.setVelocitiesToTemperature(temperature, seed + len(kinetic))
+        integrator.setStepSize(h)
+        if not _conserves(integrator):
+            failures, h = failures + 1, 0.5 * h
+            context.setPositions(good.positions)
+            continue
+        good, h = state.updated(context), 1.1 * h
+        kinetic.append(_kinetic(integrator))
+    return good
+
+
+def _is_at(temperature: float, kinetic: Sequence[float], integrator: ExactRigidBodyIntegrator) -> bool:
+    """Return whether independent kinetic energies in kJ/mol are compatible with a temperature in K."""
+    freedom = sum(integrator.degreesOfFreedom())
+    ratio = 2.0 * np.mean(kinetic) / (freedom * gas_constant_times(temperature))
+    width = math.sqrt(2.0 / (freedom * len(kinetic)))
+    return bool(abs(ratio - 1.0) < _SLACK + _DEVIATIONS * width)
+
+
+def _conserves(integrator: ExactRigidBodyIntegrator) -> bool:
+    """Make some steps; return whether they conserved the total energy."""
+    before = integrator.totalEnergy()._value
+    try:
+        with diverging():
+            integrator.step(_STEPS)
+    except IntegrationError:
+        return False
+    return bool(abs(integrator.totalEnergy()._value - before) < LOST * _kinetic(integrator))
+
+
+def _kinetic(integrator: ExactRigidBodyIntegrator) -> float:
+    return float(sum(part._value for part in integrator.kineticEnergies()))

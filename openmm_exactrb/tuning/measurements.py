@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from openmm_exactrb.tuning.benchmark import Benchmark
-from openmm_exactrb.tuning.candidates import VERLET, Method
+from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
+
+Report = Callable[[str], None]
 
 # A force evaluation with its drift and kick is the same work in all schemes: times above the least one times this are
 # noise.
@@ -69,17 +70,12 @@ def step_at(curve: Sequence[Point], cost: float) -> float:
 class Measurements:
     """Points of methods, each run on request and kept.
 
-    The baseline is added to the methods if it moves the same bodies. A survey run takes `duration`, a production run,
-    for which errors are promised, the `horizon`, both in ps. `report` gets a line of text per run.
+    The baseline is added to the methods if it moves the same bodies. Survey runs take `duration`, production runs the
+    `horizon`, in ps. `report` gets a line of text per run.
     """
 
     def __init__(
-        self,
-        benchmark: Benchmark,
-        methods: Sequence[Method],
-        duration: float,
-        horizon: float,
-        report: Callable[[str], None],
+        self, benchmark: Benchmark, methods: Sequence[Method], duration: float, horizon: float, report: Report
     ) -> None:
         self.benchmark, self.duration, self.horizon, self._report = benchmark, duration, horizon, report
         self.methods = {method.name: method for method in (*methods, *[Method()] * benchmark.has_baseline)}

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import textwrap
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import openmm
@@ -15,9 +14,12 @@ import openmm
 from openmm_exactrb.checks import positive
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.tuning import picture
-from openmm_exactrb.tuning.candidates import NESTED, VERLET
+from openmm_exactrb.tuning.benchmark import NESTED, VERLET
 from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, stable_points, step_at
+
+# From the palettes of Okabe and Ito, and of Tol, for colour-blind readers; each colour has its own marker.
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#882255")
+_MARKERS = "sD^vpPX*"
 
 
 class UnreachableError(ValueError):
@@ -71,7 +73,7 @@ class Tuning:
     """The measured points of all methods, and the recommended setting."""
 
     points: tuple[Point, ...]
-    #: Wall time of a force evaluation in s by method, for nested schemes including the nested forces at a short step.
+    #: Wall time of a force evaluation in s by method, with the nested forces of nested schemes at a short step.
     seconds: Mapping[str, float]
     #: Force evaluations per step by method, not counting those of nested forces.
     stages: Mapping[str, int]
@@ -94,17 +96,14 @@ class Tuning:
     #: Bits of the force groups that act.
     groups: int = -1
 
-    # -- settings ---------------------------------------------------------------------------------------------------
-
     def best(self, target: float | None = None) -> Choice:
         """Return the cheapest scheme and step for an energy error.
 
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol per body within a run as long as the horizon; by default
-            the target of `tune`. For that target the setting was confirmed by a run over the whole horizon. For others
-            it is interpolated; see `cheapest`.
+            Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`, for
+            which the setting was confirmed by a run over the horizon; for others see `cheapest`.
 
         Raises
         ------
@@ -155,8 +154,7 @@ class Tuning:
             If the method was not measured, or no step of it was stable.
         """
         (name,) = self._methods(method)
-        step = self._largest_stable(name)
-        if step is None:
+        if math.isnan(step := self._largest_stable(name)):
             raise UnreachableError(f"no step of {name} that was tried is stable")
         return step
 
@@ -172,8 +170,8 @@ class Tuning:
             raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.seconds)}")
         return [method]
 
-    def _largest_stable(self, method: str) -> float | None:
-        return max((p.step for p in stable_points(self.points, method)), default=None)
+    def _largest_stable(self, method: str) -> float:
+        return max((p.step for p in stable_points(self.points, method)), default=math.nan)
 
     def _choice(self, method: str, target: float) -> Choice | None:
         """Return the cheapest setting of a method with an error, or None."""
@@ -189,21 +187,15 @@ class Tuning:
         points = [p for name in self._methods(method) for p in self.curve(name)]
         if not points:
             return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
-        least = min(points, key=lambda p: p.error)
+        least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:
-            nearest = min(failed, key=lambda p: p.error)
-            return (
-                f"an error of {target:.3g} kJ/mol per body was not held: runs of {self.horizon:.3g} ps came down to "
-                f"{nearest.error:.2g}, with {nearest.method} and a step of {1e3 * nearest.step:.3g} fs"
-            )
+            least = min(failed, key=lambda p: p.error)
+            why = f"not held: runs of {self.horizon:.3g} ps came down to"
         text = (
-            f"an error of {target:.3g} kJ/mol per body was not reached: the smallest found is {least.error:.2g}, with "
-            f"{least.method} and a step of {1e3 * least.step:.3g} fs"
+            f"an error of {target:.3g} kJ/mol per body was {why} {least.error:.2g}, with {least.method} and a step of "
         )
-        return text + ("; smaller steps were not tried" if self.floor is None else f". {self._about_floor()}")
-
-    # -- text, JSON and picture -------------------------------------------------------------------------------------
+        return f"{text}{1e3 * least.step:.3g} fs" + (f". {self._about_floor()}" if self.floor is not None else "")
 
     def __str__(self) -> str:
         head = (
@@ -228,7 +220,7 @@ class Tuning:
         rows = [
             ["fs per evaluation", *methods],
             *([f"{1e3 * t:.4g}", *(cells.get((t, method), "") for method in methods)] for t in intervals),
-            ["largest step, fs", *(f"{1e3 * (self._largest_stable(method) or math.nan):.4g}" for method in methods)],
+            ["largest step, fs", *(f"{1e3 * self._largest_stable(method):.4g}" for method in methods)],
             ["ms per evaluation", *(f"{1e3 * self.seconds[method]:.3g}" for method in methods)],
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -262,28 +254,11 @@ class Tuning:
         cost = cost_at(self.curve(VERLET), chosen.error)
         if cost is None:  # extrapolate: Verlet is of order 2
             cost, about = last.cost * (last.error / chosen.error) ** 0.5, "about "
-        ratio, step = cost / chosen.cost, 1e3 * self.seconds[VERLET] / cost
-        if ratio < 1.0:
-            return f"{VERLET} is cheaper here: the same error at {about}{ratio:.2g} times the cost ({step:.3g} fs)"
-        return f"{VERLET} needs {about}{ratio:.2g} times the cost for the same error ({step:.3g} fs)"
-
-    def to_json(self) -> str:
-        """Return all attributes as JSON.
-
-        Errors of unstable runs are null, and so are costs if nothing was stable, since then nothing was timed.
-        """
-        content = asdict(replace(self, schemes={}, chosen=self.chosen and replace(self.chosen, scheme=None)))
-        content["schemes"] = {name: _in_words(scheme) for name, scheme in self.schemes.items()}
-        if self.chosen is not None and self.chosen.scheme is not None:
-            content["chosen"]["scheme"] = _in_words(self.chosen.scheme)
-        for point in content["points"]:
-            point |= {name: point[name] if math.isfinite(point[name]) else None for name in ("error", "cost")}
-        content["largest_stable_steps"] = {name: self._largest_stable(name) for name in self.seconds}
-        content["units"] = {"error": "kJ/mol per body", "step": "ps", "cost": "s per ps", "seconds": "s"}
-        return json.dumps(content, indent=1, allow_nan=False)
+        step = 1e3 * self.seconds[VERLET] / cost
+        return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"
 
     def draw(self, file: str | os.PathLike[str]) -> None:
-        """Draw energy error against cost; needs matplotlib.
+        """Draw energy error against cost: the best schemes in colours, the others in grey; needs matplotlib.
 
         Parameters
         ----------
@@ -295,30 +270,39 @@ class Tuning:
         ModuleNotFoundError
             Without matplotlib.
         """
-        figure, axes = picture.new_figure(
+        try:
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+            from matplotlib.figure import Figure
+        except ModuleNotFoundError:
+            raise ModuleNotFoundError("the picture needs matplotlib: python -m pip install matplotlib") from None
+        figure = Figure(figsize=(8.5, 5.0), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.add_subplot(
+            xscale="log",
+            yscale="log",
             title=f"{self.n_bodies} bodies, {self.platform} platform",
             xlabel="wall time (s per ps)",
             ylabel=f"std of total energy over {self.horizon:.3g} ps (kJ/mol per body)",
         )
-        curves = {method: self.curve(method) for method in self.seconds}
-        picture.draw_curves(axes, curves)
-        errors = [p.error for curve in curves.values() for p in curve]
-        axes.set_ylim(bottom=0.4 * min([*errors, self.target or math.inf], default=1.0))
+        points = [p for name in self._methods(None) for p in self.curve(name)]
+        best = {p.method for p in points if not any(q.cost < p.cost and q.error < p.error for q in points)}
+        styles = iter(zip(_COLOURS, _MARKERS, strict=True))
+        for name in sorted(self.seconds, key=lambda name: name in best):
+            line = [p.cost for p in self.curve(name)], [p.error for p in self.curve(name)]
+            if name == VERLET:
+                axes.plot(*line, "o--", color="black", label=name)
+            elif name in best and (style := next(styles, None)):
+                axes.plot(*line, color=style[0], marker=style[1], mec="white", label=name)
+            else:
+                axes.plot(*line, color="0.8", lw=1.0)
+        axes.set_ylim(bottom=0.4 * min([*(p.error for p in points), self.target or math.inf], default=1.0))
         if self.target is not None:
-            axes.axhline(self.target, color="0.4", lw=0.8, ls=(0, (6, 3)), label="target", zorder=0)
+            axes.axhline(self.target, color="0.4", lw=0.8, ls="--", label="target")
         if self.floor is not None:
-            axes.axhspan(1e-3 * self.floor, self.floor, color="0.85", label="below the floor", zorder=0)
+            axes.axhspan(1e-3 * self.floor, self.floor, color="0.85", label="below the floor")
         if self.chosen is not None:
             label = f"chosen: {self.chosen.method}, {1e3 * self.chosen.step:.3g} fs"
-            at = self.chosen.cost, self.chosen.error
-            axes.plot(*at, "o", ms=14, mfc="none", mec="black", mew=1.5, ls="", label=label)
-        figure.legend(loc="outside right upper", fontsize=9)
+            axes.plot(self.chosen.cost, self.chosen.error, "o", ms=14, mfc="none", mec="black", label=label)
+        if axes.get_legend_handles_labels()[0]:
+            figure.legend(loc="outside right upper", fontsize=9)
         figure.savefig(file, dpi=150)
-
-
-def _in_words(scheme: Scheme) -> dict[str, Any]:
-    """Return the fields of a scheme for JSON: a substep is the expression that makes it."""
-    content = {of.name: getattr(scheme, of.name) for of in fields(scheme)}
-    for name in ("sequence", "processor", "output"):
-        content[name] = [[repr(substep), part] for substep, part in content[name]]
-    return content

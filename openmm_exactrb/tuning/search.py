@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from openmm_exactrb.tuning.candidates import VERLET
+from openmm_exactrb.tuning.benchmark import VERLET
 from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, step_at
 
 # Time per force evaluation at level 0, and the one at which wall times are measured, in units of the characteristic
@@ -16,10 +16,9 @@ _UNCERTAIN = 4  # stable points of a method before it may be given up
 
 
 def search(measured: Measurements, target: float | None, levels: int) -> tuple[float | None, Point | None]:
-    """Measure all methods from their largest stable steps downwards, until the target is met or nothing is gained.
+    """Measure all methods at so many levels of step sizes, until the target is met or nothing is gained.
 
-    At most this many levels of step sizes are measured. The error due to the noise of the forces is returned if it was
-    reached, and the cheapest point that meets the target if there is one.
+    Return the error due to the noise of the forces if it was reached, and the cheapest point that meets the target.
     """
     first = {name: level for name in measured.methods if (level := _first_stable(measured, name)) is not None}
     if not first:
@@ -42,9 +41,6 @@ def search(measured: Measurements, target: float | None, levels: int) -> tuple[f
 def _interval(measured: Measurements, level: float) -> float:
     """Return the time per force evaluation at a level in ps."""
     return float(_COARSE * measured.benchmark.characteristics.time * _RATIO**-level)
-
-
-# -- largest stable steps -----------------------------------------------------------------------------------------
 
 
 def _first_stable(measured: Measurements, name: str) -> int | None:
@@ -71,9 +67,6 @@ def _is_stable(measured: Measurements, name: str, level: float) -> bool:
 def _is_bounded(measured: Measurements, level: float) -> bool:
     """Return whether free bodies turn by at most a radian between two forces: in longer steps they miss each other."""
     return _interval(measured, level) <= measured.benchmark.characteristics.free
-
-
-# -- methods worth smaller steps ----------------------------------------------------------------------------------
 
 
 def _survivors(measured: Measurements, live: set[str], target: float | None) -> set[str]:
@@ -107,9 +100,6 @@ def _floor(measured: Measurements) -> float | None:
     least = min((p.error for name in names for p in measured.curve(name)), default=math.inf)
     at_floor = [name for name in names if measured.is_flat(name) and measured.curve(name)[-1].error < 2.0 * least]
     return least if len(at_floor) >= min(2, len(names)) else None
-
-
-# -- near the target ----------------------------------------------------------------------------------------------
 
 
 def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> Point | None:

@@ -6,7 +6,7 @@ import sys
 
 from openmm_exactrb import kernels
 
-COMMAND = [sys.executable, "-m", "openmm_exactrb.command"]
+COMMAND = [sys.executable, "-m", "openmm_exactrb.command.main"]
 #: In numpy each starts sooner.
 ENVIRONMENT = os.environ | {kernels.SWITCH: "0", "OPENMM_CPU_THREADS": "1"}
 

@@ -27,25 +27,6 @@ def test_a_target_out_of_reach_has_a_status_of_its_own(serialised, capsys):
     assert "holds a State, not a System" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("picture", "message"),
-    [
-        ("nowhere/tune.png", "No such file"),
-        ("tune.txt", "tune.txt is no picture: let it end with one of"),
-        (".", "Is a"),
-    ],
-)
-def test_a_picture_that_cannot_be_drawn_is_refused_before_the_measurements(
-    serialised, tmp_path, monkeypatch, capsys, picture, message
-):
-    monkeypatch.chdir(tmp_path)
-    assert main(["tune", *map(str, serialised), *BRIEF, "--output", picture]) == 2
-    out, errors = capsys.readouterr()
-    assert message in errors
-    assert (errors.count("\n"), out) == (1, "")
-    assert set(tmp_path.iterdir()) == set(serialised)
-
-
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a disk that is always full")
 def test_what_was_measured_is_printed_before_the_picture(serialised, tmp_path, capsys):
     picture = tmp_path / "tune.png"

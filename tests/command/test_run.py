@@ -62,10 +62,9 @@ def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path, capsys):
     assert residues == 8 * ["HOH"]
 
 
-@pytest.mark.parametrize("trajectory", ["dcd", "xtc"])
-def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, trajectory):
+def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path):
     once, killed = tmp_path / "once", tmp_path / "killed"
-    command = "run", *serialised, *SHORT, "--checkpoint", 0, "--trajectory", trajectory, "--no-picture", "--out"
+    command = "run", *serialised, *SHORT, "--checkpoint", 0, "--no-picture", "--out"
     assert finish(*command, once, "--duration", "0.4")[0] == 0
     process = launch(*command, killed, "--duration", "0.4")
     energies = killed / "energies.csv"
@@ -78,7 +77,7 @@ def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, traj
     assert (status, errors) == (0, "")
     assert energies.read_bytes() == (once / "energies.csv").read_bytes()
     top = str(once / "topology.pdb")
-    frames = [mdtraj.load(str(folder / f"trajectory.{trajectory}"), top=top).xyz for folder in (once, killed)]
+    frames = [mdtraj.load(str(folder / "trajectory.dcd"), top=top).xyz for folder in (once, killed)]
     np.testing.assert_array_equal(*frames)
 
 
@@ -210,13 +209,11 @@ def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path,
     assert volumes[0] == volumes[1]
 
 
-@pytest.mark.parametrize(("duration", "lines"), [("2fs", "1 line"), ("4fs", "2 lines")])
-def test_a_few_lines_of_energies_have_no_deviation(serialised, tmp_path, capsys, duration, lines):
-    options = "--duration", duration, "--no-picture", "--out", tmp_path / "out"
+def test_a_few_lines_of_energies_have_no_deviation(serialised, tmp_path, capsys):
+    options = "--duration", "4fs", "--no-picture", "--out", tmp_path / "out"
     status, said, _ = carry_out(capsys, "run", *serialised, *SHORT, *options)
     assert status == 0
     assert "standard deviation" not in said
-    assert f"energies.csv has {lines}, too few" in said
 
 
 def test_an_equilibration_has_units(droplet, tmp_path, capsys):

@@ -10,7 +10,7 @@ import cloudpickle
 import numpy as np
 import openmm
 import pytest
-from job_functions import SHORT, Multiple, Other, disguised, length_of, square
+from job_functions import SHORT, Multiple, Other, disguised, square
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -130,19 +130,6 @@ def test_the_key_knows_what_is_in_a_file(tmp_path):
     assert folder == keys(tmp_path)
     file.write_text("one")
     assert keys(file) == one
-
-
-def test_a_file_that_was_changed_is_not_computed_with(tmp_path):
-    file = tmp_path / "atoms.xyz"
-    file.write_text("one")
-    made = [Job(length_of, file=file), Job(square, x=[{"deep": file}])]
-    assert done(made[0])["value"] == 3
-    for change in (lambda: file.write_text("another"), file.unlink):
-        change()
-        for job in made:
-            report = done(job)
-            assert report["error"].startswith(f"RuntimeError: the file {file} is missing or has changed")
-            assert "value" not in report
 
 
 def test_classes_of_one_name_in_two_modules_are_two():

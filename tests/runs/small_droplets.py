@@ -8,8 +8,8 @@ from openmm import app
 import openmm_exactrb as rb
 
 #: Of the droplet in another process: reports do not fall on the chunks of ten steps.
-STEPS, INTERVAL = 2800, 7
-COMMAND = "dipole_fluid.py", "-n", 4, "--scheme", "V2", "--step", 0.005, "--duration", 14, "--frames", 400
+STEPS, INTERVAL = 1400, 7
+COMMAND = "dipole_fluid.py", "-n", 4, "--scheme", "V2", "--step", 0.005, "--duration", 7, "--frames", 200
 
 
 def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Reference", groups=None):

@@ -10,12 +10,13 @@ from openmm_exactrb.runs import checkpoint
 from openmm_exactrb.runs.signals import ENDING, Signals
 
 
-def test_signal_handlers_are_there_only_while_it_steps(tmp_path, heard):
-    before = [signal.getsignal(number) for number in ENDING]
+@pytest.mark.parametrize("number", ENDING)
+def test_signal_handlers_are_there_only_while_it_steps(tmp_path, heard, number):
+    before = [signal.getsignal(each) for each in ENDING]
     with pytest.raises(SystemExit) as left:
-        make(tmp_path).advance(droplet(), 1000, lambda steps: os.kill(os.getpid(), signal.SIGTERM) if steps else None)
-    assert left.value.code == 143
-    assert [signal.getsignal(number) for number in ENDING] == before
+        make(tmp_path).advance(droplet(), 1000, lambda steps: os.kill(os.getpid(), number) if steps else None)
+    assert left.value.code == 128 + number
+    assert [signal.getsignal(each) for each in ENDING] == before
     assert checkpoint.read(tmp_path / "checkpoint").step == 10
 
 

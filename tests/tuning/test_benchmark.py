@@ -12,10 +12,8 @@ import openmm_exactrb as rb
 from openmm_exactrb import schemes
 from openmm_exactrb.device import selection
 from openmm_exactrb.tuning import Choice
-from openmm_exactrb.tuning.benchmark import Benchmark
-from openmm_exactrb.tuning.candidates import Method
-from openmm_exactrb.tuning.equilibrium import thermalised
-from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state
+from openmm_exactrb.tuning.benchmark import Benchmark, Method
+from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised
 
 VERLET = Method()
 

@@ -11,8 +11,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.tuning import Choice
-from openmm_exactrb.tuning.benchmark import Benchmark
-from openmm_exactrb.tuning.candidates import VERLET, Method
+from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
 from openmm_exactrb.tuning.initial_state import initial_state
 
 

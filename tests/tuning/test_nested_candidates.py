@@ -8,7 +8,7 @@ from equilibrium import equilibrated
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.tuning.candidates import VERLET
+from openmm_exactrb.tuning.benchmark import VERLET
 
 PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"
 
@@ -69,8 +69,3 @@ def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):
     integrator = choice.integrator()
     assert integrator.getScheme().name == "S2_2"
     assert integrator.getMultipleTimeSteps().fast == "bonded"
-
-
-def test_nothing_is_nested_that_nobody_wants(peptide):
-    result, _ = tuned(*peptide, schemes=["S2_2"], levels=3, nest=False)
-    assert not any("nested" in text for text in (*result.notes, *(p.method for p in result.points)))
