@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -18,6 +19,7 @@ from openmm_exactrb.body_access import BodyAccess
 from openmm_exactrb.context.environment import Settings
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
+from openmm_exactrb.context.program import OwnProgram
 from openmm_exactrb.context.propagator import Propagator
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import picoseconds, refuse_temperature
@@ -33,7 +35,7 @@ from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 Array = NDArray[np.float64]
 
 
-class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
+class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
@@ -111,6 +113,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         self._context: weakref.ref[Any] | None = None
         self._propagator: Propagator | DevicePropagator | None = None
         self._left: State | None = None  # what the last call of `step` ended with
+        self._at_work = threading.Lock()  # held within `step`
+        self._made = True
 
     # -- settings -------------------------------------------------------------------------------------------------
 
@@ -242,11 +246,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         ValueError
             If the number is not whole or negative, there is no Context yet, nothing in the System can move, a barostat
             would tear bodies, or positions are not finite or not rigid. The state stays what it was.
+        RuntimeError
+            If this integrator is within a step already, in another thread.
         IntegrationError
             If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error the
             Context holds the last valid step; on the device or with a processor, that before this call.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
+        self._begin_work()
         self._left = None
         start = time.perf_counter()
         try:
@@ -260,6 +267,15 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
                 self._left = propagator.sync.state
         finally:
             self.timings.total += time.perf_counter() - start
+            self._at_work.release()
+
+    def _begin_work(self) -> None:
+        """Raise RuntimeError within a step, when the state is not whole."""
+        if not self._at_work.acquire(blocking=False):
+            raise RuntimeError(
+                "this integrator is within a step already, of another thread or of a force that calls it: wait until "
+                "step() has returned, and give each thread an integrator and a Context of its own"
+            )
 
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
@@ -300,6 +316,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
 
     def _up_to_date(self) -> Propagator | DevicePropagator:
         """Return the propagator of the present Context, which knows what was set there."""
+        self._begin_work()
+        self._at_work.release()
         propagator = self._present()
         propagator.sync.pull()
         return propagator

@@ -366,3 +366,56 @@ def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
         assert context.getTime()._value == pytest.approx(0.05 * done)
     assert done == (0 if integrator.getScheme().processor else 3)
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-14)
+
+
+# -- what OpenMM allows a user of a CustomIntegrator ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("addComputePerDof", ("v", "0")),
+        ("addComputeGlobal", ("y", "0")),
+        ("addComputeSum", ("y", "v")),
+        ("addConstrainPositions", ()),
+        ("addConstrainVelocities", ()),
+        ("addUpdateContextState", ()),
+        ("addGlobalVariable", ("y", 0.0)),
+        ("addPerDofVariable", ("y", 0.0)),
+        ("addTabulatedFunction", ("y", None)),
+        ("beginIfBlock", ("dt > 0",)),
+        ("beginWhileBlock", ("dt > 0",)),
+        ("endBlock", ()),
+    ],
+)
+def test_a_program_of_ones_own_is_refused(name, arguments, engine):
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01, engine=engine)
+    before = openmm.XmlSerializer.serialize(integrator)
+    with pytest.raises(ValueError, match=rf"has no {name}\(\): .* put a Substep of your own into the sequence"):
+        getattr(integrator, name)(*arguments)
+    assert openmm.XmlSerializer.serialize(integrator) == before
+
+
+@pytest.mark.parametrize("ask", [lambda integrator: integrator.step(1), lambda integrator: integrator.temperatures()])
+def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothing(ask):
+    within, asked = threading.Event(), threading.Event()
+
+    def slow(state):
+        within.set()
+        asked.wait(10.0)
+        return 0.0, np.zeros((state.getPositions(asNumpy=True).shape[0], 3))
+
+    simulation = simulation_of(2)
+    simulation.system.addForce(openmm.PythonForce(slow))
+    simulation.context.reinitialize(preserveState=True)
+    thread = threading.Thread(target=simulation.integrator.step, args=(3,))
+    thread.start()
+    within.wait(10.0)
+    with pytest.raises(RuntimeError, match=r"within a step already, .* give each thread an integrator"):
+        ask(simulation.integrator)
+    asked.set()
+    thread.join()
+    assert simulation.context.getStepCount() == 3
+    simulation.integrator.step(1)
+    assert simulation.context.getStepCount() == 4
