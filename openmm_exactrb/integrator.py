@@ -303,11 +303,20 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return _restored, (type(self), *self.getSettings().values())
+        return _restored, (type(self), self._own_attributes(), *self.getSettings().values())
 
     def __copy__(self) -> Any:
         """Return an integrator with the same settings and no Context."""
-        return _restored(type(self), *self.getSettings().values())
+        return _restored(type(self), self._own_attributes(), *self.getSettings().values())
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        """Return the same with copies of what a subclass of a user has."""
+        return _restored(type(self), copy.deepcopy(self._own_attributes(), memo), *self.getSettings().values())
+
+    def _own_attributes(self) -> dict[str, Any]:
+        """Return the attributes that a subclass of a user has given itself."""
+        known = vars(_made_of(type(self), self.getSettings()["arguments"]))
+        return {name: value for name, value in vars(self).items() if name not in known}
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
@@ -361,9 +370,18 @@ def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
     return part
 
 
-def _restored(kind: Any, arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
+def _made_of(kind: Any, arguments: dict[str, Any]) -> Any:
+    """Return an integrator of a kind, made by the class of this package that it is or extends."""
+    ours = next(base for base in kind.__mro__ if base.__module__.split(".")[0] == __package__)
+    integrator = kind.__new__(kind)
+    ours.__init__(integrator, **arguments)  # a subclass may take other arguments
+    return integrator
+
+
+def _restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
     """Return an integrator with the settings of another one."""
-    integrator = kind(**arguments)
+    integrator = _made_of(kind, arguments)
+    vars(integrator).update(attributes)
     for name, value in settings.items():
         getattr(integrator, f"set{name}")(value)
     return integrator

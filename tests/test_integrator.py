@@ -419,3 +419,36 @@ def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothin
     assert simulation.context.getStepCount() == 3
     simulation.integrator.step(1)
     assert simulation.context.getStepCount() == 4
+
+
+class OfWater(rb.ExactRigidBodyLangevinIntegrator):
+    """An integrator with arguments of its own."""
+
+    def __init__(self, label):
+        super().__init__(300.0, 5.0, 0.004, scheme="BAOAB")
+        self.label = label
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
+    simulation = simulation_of(2)
+    integrator = OfWater(["water"])
+    integrator.setTemperature(310.0)
+    integrator.setRandomNumberSeed(3)
+    context = openmm.Context(simulation.system, integrator, REFERENCE)
+    context.setPositions(snapshot(simulation)[0])
+    integrator.step(1)
+    twin = twin_of(integrator)
+    assert (type(twin), twin.label) == (OfWater, ["water"])
+    assert twin.getSettings() == integrator.getSettings()
+    assert set(vars(twin)) == set(vars(OfWater("water")))
+    assert twin.timings.evaluations == 0
+    again = openmm.Context(simulation.system, twin, REFERENCE)
+    again.setPositions(snapshot(simulation)[0])
+    twin.step(1)
+    assert again.getStepCount() == 1
+
+
+def test_openmm_makes_a_plain_custom_integrator_of_the_xml_of_a_subclass():
+    text = openmm.XmlSerializer.serialize(OfWater("water"))
+    assert type(openmm.XmlSerializer.deserialize(text)) is openmm.CustomIntegrator
