@@ -16,6 +16,7 @@ from openmm import unit
 
 from openmm_exactrb import checks
 from openmm_exactrb.body_access import BodyAccess
+from openmm_exactrb.context import copies
 from openmm_exactrb.context.environment import Settings
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
@@ -72,6 +73,10 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
+    checkDivergence : bool, optional
+        Whether a jump of the total energy is an error. Switch it off where forces or substeps of your own do work, as
+        in active matter. Energies are not compared either where a force may do so: a PythonForce, or one of a plugin.
+        Numbers that are not finite are an error in any case.
 
     Raises
     ------
@@ -95,6 +100,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         innerSteps: int | None = None,
         engine: Engine = "auto",
         thermostat: Thermostat | None = None,
+        checkDivergence: bool = True,
     ) -> None:
         refuse_temperature(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
@@ -103,6 +109,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._thermostat = thermostat
         self._scheme = look_up(scheme) if thermostat is None else splitting(scheme)
         self._rotor = look_up_rotor(rotor)
+        self._check = checks.switch(checkDivergence, "checkDivergence")
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._h = picoseconds(stepSize)
         super().__init__(self._h)
@@ -141,6 +148,16 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
         """Return the settings of inner steps, or None without any."""
         return self._fast
+
+    @property
+    def checkDivergence(self) -> bool:
+        """Whether a jump of the total energy is an error."""
+        return self._check
+
+    @checkDivergence.setter
+    def checkDivergence(self, check: bool) -> None:
+        self._check = checks.switch(check, "checkDivergence")
+        self._changed()
 
     @property
     def forceEvaluationsPerStep(self) -> int:
@@ -280,7 +297,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat)
+        return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat, self._check)
 
     def _steps(self) -> Scheme:
         """Return the scheme with all substeps of a step."""
@@ -303,24 +320,23 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return _restored, (type(self), self._own_attributes(), *self.getSettings().values())
+        return copies.restored, self._parts()
 
     def __copy__(self) -> Any:
         """Return an integrator with the same settings and no Context."""
-        return _restored(type(self), self._own_attributes(), *self.getSettings().values())
+        return copies.restored(*self._parts())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
         """Return the same with copies of what a subclass of a user has."""
-        return _restored(type(self), copy.deepcopy(self._own_attributes(), memo), *self.getSettings().values())
+        return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
 
-    def _own_attributes(self) -> dict[str, Any]:
-        """Return the attributes that a subclass of a user has given itself."""
-        known = vars(_made_of(type(self), self.getSettings()["arguments"]))
-        return {name: value for name, value in vars(self).items() if name not in known}
+    def _parts(self) -> tuple[Any, ...]:
+        settings = self.getSettings()
+        return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        others = {"engine": self._engine.asked, "thermostat": self._thermostat}
+        others = {"engine": self._engine.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 
     def _up_to_date(self) -> Propagator | DevicePropagator:
@@ -368,20 +384,3 @@ def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
             noise.part(alive)
 
     return part
-
-
-def _made_of(kind: Any, arguments: dict[str, Any]) -> Any:
-    """Return an integrator of a kind, made by the class of this package that it is or extends."""
-    ours = next(base for base in kind.__mro__ if base.__module__.split(".")[0] == __package__)
-    integrator = kind.__new__(kind)
-    ours.__init__(integrator, **arguments)  # a subclass may take other arguments
-    return integrator
-
-
-def _restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
-    """Return an integrator with the settings of another one."""
-    integrator = _made_of(kind, arguments)
-    vars(integrator).update(attributes)
-    for name, value in settings.items():
-        getattr(integrator, f"set{name}")(value)
-    return integrator

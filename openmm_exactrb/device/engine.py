@@ -127,7 +127,8 @@ class DevicePropagator:
             If the total energy rises by integration errors.
         """
         if version != self.version:
-            thermostat = settings().thermostat
+            present = settings()
+            thermostat, self.watch.asked = present.thermostat, present.check
             self.version, self.numbers = version, {} if thermostat is None else thermostat.device_numbers()
         integrator, numbers = self.integrator(), self.numbers
         kT = numbers.get(names.KT, 0.0)
@@ -170,6 +171,7 @@ class DevicePropagator:
         if not self.watch.grown(before.v, self.sync.shown[1]):
             return None
         kT = max(kT, self.updates.hottest(context))
+        self.timings.evaluations += 2
         gain = self.watch.gained(context, integrator.getIntegrationForceGroups(), before, kT)
         self.sync.moved_on()  # the positions before the call were in the Context
         return gain
@@ -192,7 +194,7 @@ class DevicePropagator:
         if finite and n:
             fastest = integrator.getGlobalVariableByName(names.FASTEST)
             self.rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # its power may be too large
-            self.timings.evaluations += n * self.forces + self.processing
+            self.timings.evaluations += n * self.forces + self.processing + self.updates.trial_energies(n)
         return finite
 
     def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: Call) -> None:

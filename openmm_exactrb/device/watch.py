@@ -9,6 +9,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import arrays
+from openmm_exactrb.context.updates import conserve_energy
 from openmm_exactrb.mechanics.divergence import GROWN, gained
 
 Array = NDArray[np.float64]
@@ -30,20 +31,25 @@ class Watch:
     Parameters
     ----------
     system : openmm.System
-        With a PythonForce, which may depend on time, energy need not be conserved, and nothing is compared.
+        With forces that may do work, nothing is compared.
     freedom : int
         Degrees of freedom of the bodies.
+
+    Attributes
+    ----------
+    asked : bool
+        Whether a jump of the total energy is an error.
     """
 
     def __init__(self, system: openmm.System, freedom: int) -> None:
         self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in system.getForces())
-        self._freedom, self._largest = freedom, 0.0
+        self._conserves = conserve_energy(system)
+        self._freedom, self._largest, self.asked = freedom, 0.0, True
 
     def grown(self, then: Array, now: Array) -> bool:
         """Return whether the kinetic energy of velocities after a call is far above all those before calls."""
         self._largest = max(self._largest, self._kinetic(then))
-        return self._conserves and self._kinetic(now) > GROWN * self._largest
+        return self.asked and self._conserves and self._kinetic(now) > GROWN * self._largest
 
     def gained(self, context: Any, groups: int, then: Snapshot, kT: float) -> str | None:
         """Return by how much the total energy rose in a call, if that was integration error, or None.

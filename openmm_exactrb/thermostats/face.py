@@ -25,6 +25,7 @@ class Options(TypedDict, total=False):
     inner: str | Scheme | None
     innerSteps: int | None
     engine: Engine
+    checkDivergence: bool
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):

@@ -184,7 +184,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         What the thermostat renews of the momenta between proposals, as friction in 1/ps if it has no unit.
     stepSize : float or Quantity
         Time of a proposal, in ps if it has no unit.
-    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps
+    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a thermostat within it. The
         inner steps are those for the time of one step of the scheme.
     stepsPerProposal : int, optional

@@ -198,7 +198,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         Of the kinetic energy, in ps if it has no unit.
     stepSize : float or Quantity
         Size of a whole step of the scheme, in ps if it has no unit.
-    scheme, rotor, bodies, fast, inner, innerSteps
+    scheme, rotor, bodies, fast, inner, innerSteps, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.
