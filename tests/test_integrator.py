@@ -452,3 +452,17 @@ def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
 def test_openmm_makes_a_plain_custom_integrator_of_the_xml_of_a_subclass():
     text = openmm.XmlSerializer.serialize(OfWater("water"))
     assert type(openmm.XmlSerializer.deserialize(text)) is openmm.CustomIntegrator
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_particles_that_were_set_to_the_origin_have_positions(engine):
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addParticle(1.0)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, engine=engine)
+    context = openmm.Context(system, integrator, REFERENCE)
+    with pytest.raises(ValueError, match="no positions yet"):
+        integrator.step(1)
+    context.setPositions(np.zeros((2, 3)))
+    integrator.step(1)
+    assert context.getStepCount() == 1
