@@ -34,6 +34,13 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
     return int(value)
 
 
+def switch(value: Any, name: str) -> bool:
+    """Return True or False; ValueError for anything else."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be True or False, not {reprlib.repr(value)}")
+    return value
+
+
 def array(
     value: Any, name: str, asked: str = "real numbers in rows of one length, without a unit"
 ) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -15,9 +16,11 @@ from openmm import unit
 
 from openmm_exactrb import checks
 from openmm_exactrb.body_access import BodyAccess
+from openmm_exactrb.context import copies
 from openmm_exactrb.context.environment import Settings
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
+from openmm_exactrb.context.program import OwnProgram
 from openmm_exactrb.context.propagator import Propagator
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import picoseconds, refuse_temperature
@@ -33,7 +36,7 @@ from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 Array = NDArray[np.float64]
 
 
-class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
+class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
@@ -74,6 +77,10 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
     forceInterval : float or Quantity, optional
         Mean time between two force evaluations, in ps if it has no unit, in place of ``stepSize``: a step is this times
         `forceEvaluationsPerStep`, so that schemes of equal intervals cost about the same.
+    checkDivergence : bool, optional
+        Whether a jump of the total energy is an error. Switch it off where forces or substeps of your own do work, as
+        in active matter. Energies are not compared either where a force may do so: a PythonForce, or one of a plugin.
+        Numbers that are not finite are an error in any case.
 
     Raises
     ------
@@ -99,6 +106,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         engine: Engine = "auto",
         thermostat: Thermostat | None = None,
         forceInterval: float | unit.Quantity | None = None,
+        checkDivergence: bool = True,
     ) -> None:
         refuse_temperature(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
@@ -107,6 +115,7 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         self._thermostat = thermostat
         self._scheme = look_up(scheme or DEFAULT) if thermostat is None else splitting(scheme or thermostat.scheme)
         self._rotor = look_up_rotor(rotor)
+        self._check = checks.switch(checkDivergence, "checkDivergence")
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._h = self._step_of(stepSize, forceInterval)
         super().__init__(self._h)
@@ -117,6 +126,8 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         self._context: weakref.ref[Any] | None = None
         self._propagator: Propagator | DevicePropagator | None = None
         self._left: State | None = None  # what the last call of `step` ended with
+        self._at_work = threading.Lock()  # held within `step`
+        self._made = True
 
     # -- settings -------------------------------------------------------------------------------------------------
 
@@ -143,6 +154,16 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
         """Return the settings of inner steps, or None without any."""
         return self._fast
+
+    @property
+    def checkDivergence(self) -> bool:
+        """Whether a jump of the total energy is an error."""
+        return self._check
+
+    @checkDivergence.setter
+    def checkDivergence(self, check: bool) -> None:
+        self._check = checks.switch(check, "checkDivergence")
+        self._changed()
 
     @property
     def forceEvaluationsPerStep(self) -> int:
@@ -248,11 +269,14 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
         ValueError
             If the number is not whole or negative, there is no Context yet, nothing in the System can move, a barostat
             would tear bodies, or positions are not finite or not rigid. The state stays what it was.
+        RuntimeError
+            If this integrator is within a step already, in another thread.
         IntegrationError
             If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error the
             Context holds the last valid step; on the device or with a processor, that before this call.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
+        self._begin_work()
         self._left = None
         start = time.perf_counter()
         try:
@@ -266,11 +290,20 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
                 self._left = propagator.sync.state
         finally:
             self.timings.total += time.perf_counter() - start
+            self._at_work.release()
+
+    def _begin_work(self) -> None:
+        """Raise RuntimeError within a step, when the state is not whole."""
+        if not self._at_work.acquire(blocking=False):
+            raise RuntimeError(
+                "this integrator is within a step already, of another thread or of a force that calls it: wait until "
+                "step() has returned, and give each thread an integrator and a Context of its own"
+            )
 
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat)
+        return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat, self._check)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
@@ -303,19 +336,29 @@ class ExactRigidBodyIntegrator(openmm.CustomIntegrator, BodyAccess):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy and pickle the settings; a copy has no Context."""
-        return _restored, (type(self), *self.getSettings().values())
+        return copies.restored, self._parts()
 
     def __copy__(self) -> Any:
         """Return an integrator with the same settings and no Context."""
-        return _restored(type(self), *self.getSettings().values())
+        return copies.restored(*self._parts())
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        """Return the same with copies of what a subclass of a user has."""
+        return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
+
+    def _parts(self) -> tuple[Any, ...]:
+        settings = self.getSettings()
+        return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
         """Return what a copy is made with, beside the arguments that all have."""
-        others = {"engine": self._engine.asked, "thermostat": self._thermostat}
+        others = {"engine": self._engine.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 
     def _up_to_date(self) -> Propagator | DevicePropagator:
         """Return the propagator of the present Context, which knows what was set there."""
+        self._begin_work()
+        self._at_work.release()
         propagator = self._present()
         propagator.sync.pull()
         return propagator
@@ -360,11 +403,3 @@ def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
             noise.part(alive)
 
     return part
-
-
-def _restored(kind: Any, arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
-    """Return an integrator with the settings of another one."""
-    integrator = kind(**arguments)
-    for name, value in settings.items():
-        getattr(integrator, f"set{name}")(value)
-    return integrator

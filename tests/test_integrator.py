@@ -366,3 +366,103 @@ def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
         assert context.getTime()._value == pytest.approx(0.05 * done)
     assert done == (0 if integrator.getScheme().processor else 3)
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-14)
+
+
+# -- what OpenMM allows a user of a CustomIntegrator ------------------------------------------------------------
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("addComputePerDof", ("v", "0")),
+        ("addComputeGlobal", ("y", "0")),
+        ("addComputeSum", ("y", "v")),
+        ("addConstrainPositions", ()),
+        ("addConstrainVelocities", ()),
+        ("addUpdateContextState", ()),
+        ("addGlobalVariable", ("y", 0.0)),
+        ("addPerDofVariable", ("y", 0.0)),
+        ("addTabulatedFunction", ("y", None)),
+        ("beginIfBlock", ("dt > 0",)),
+        ("beginWhileBlock", ("dt > 0",)),
+        ("endBlock", ()),
+    ],
+)
+def test_a_program_of_ones_own_is_refused(name, arguments, engine):
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.01, engine=engine)
+    before = openmm.XmlSerializer.serialize(integrator)
+    with pytest.raises(ValueError, match=rf"has no {name}\(\): .* put a Substep of your own into the sequence"):
+        getattr(integrator, name)(*arguments)
+    assert openmm.XmlSerializer.serialize(integrator) == before
+
+
+@pytest.mark.parametrize("ask", [lambda integrator: integrator.step(1), lambda integrator: integrator.temperatures()])
+def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothing(ask):
+    within, asked = threading.Event(), threading.Event()
+
+    def slow(state):
+        within.set()
+        asked.wait(10.0)
+        return 0.0, np.zeros((state.getPositions(asNumpy=True).shape[0], 3))
+
+    simulation = simulation_of(2)
+    simulation.system.addForce(openmm.PythonForce(slow))
+    simulation.context.reinitialize(preserveState=True)
+    thread = threading.Thread(target=simulation.integrator.step, args=(3,))
+    thread.start()
+    within.wait(10.0)
+    with pytest.raises(RuntimeError, match=r"within a step already, .* give each thread an integrator"):
+        ask(simulation.integrator)
+    asked.set()
+    thread.join()
+    assert simulation.context.getStepCount() == 3
+    simulation.integrator.step(1)
+    assert simulation.context.getStepCount() == 4
+
+
+class OfWater(rb.ExactRigidBodyLangevinIntegrator):
+    """An integrator with arguments of its own."""
+
+    def __init__(self, label):
+        super().__init__(300.0, 5.0, 0.004, scheme="BAOAB")
+        self.label = label
+
+
+@pytest.mark.parametrize("twin_of", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
+    simulation = simulation_of(2)
+    integrator = OfWater(["water"])
+    integrator.setTemperature(310.0)
+    integrator.setRandomNumberSeed(3)
+    context = openmm.Context(simulation.system, integrator, REFERENCE)
+    context.setPositions(snapshot(simulation)[0])
+    integrator.step(1)
+    twin = twin_of(integrator)
+    assert (type(twin), twin.label) == (OfWater, ["water"])
+    assert twin.getSettings() == integrator.getSettings()
+    assert set(vars(twin)) == set(vars(OfWater("water")))
+    assert twin.timings.evaluations == 0
+    again = openmm.Context(simulation.system, twin, REFERENCE)
+    again.setPositions(snapshot(simulation)[0])
+    twin.step(1)
+    assert again.getStepCount() == 1
+
+
+def test_openmm_makes_a_plain_custom_integrator_of_the_xml_of_a_subclass():
+    text = openmm.XmlSerializer.serialize(OfWater("water"))
+    assert type(openmm.XmlSerializer.deserialize(text)) is openmm.CustomIntegrator
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_particles_that_were_set_to_the_origin_have_positions(engine):
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addParticle(1.0)
+    integrator = rb.ExactRigidBodyIntegrator(0.01, engine=engine)
+    context = openmm.Context(system, integrator, REFERENCE)
+    with pytest.raises(ValueError, match="no positions yet"):
+        integrator.step(1)
+    context.setPositions(np.zeros((2, 3)))
+    integrator.step(1)
+    assert context.getStepCount() == 1

@@ -57,5 +57,10 @@ def flag(name: str) -> str:
 
 
 def time_or_auto(text: str) -> float | None:
-    """Return a positive time in ps, or None for "auto"."""
-    return None if text == "auto" else float(time(text))
+    """Return a positive time with a unit in ps, or None for "auto"."""
+    if text == "auto":
+        return None
+    value = float(time(text))
+    if not text.strip()[-1].isalpha():
+        raise argparse.ArgumentTypeError(f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps")
+    return value

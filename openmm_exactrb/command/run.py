@@ -59,7 +59,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
     add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
     add("--duration", type=times, default=10.0, metavar="T", help="ps, or with a unit: 1ns (%(default)s)")
-    add("--step", type=arguments.time_or_auto, metavar="T", help="step of the scheme, ps, or 4fs; auto tunes it (auto)")
+    add(
+        "--step",
+        type=arguments.time_or_auto,
+        metavar="T",
+        help="step of the scheme with its unit: 4fs; auto tunes it (auto)",
+    )
     add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:

@@ -40,6 +40,8 @@ class Settings:
     splits : int
         Steps of the splitting in a step.
     thermostat : Thermostat or None
+    check : bool
+        Whether a jump of the total energy is an error.
     """
 
     scheme: Scheme
@@ -48,6 +50,7 @@ class Settings:
     splitting: Scheme
     splits: int = 1
     thermostat: Any = None
+    check: bool = True
 
     @property
     def numbers(self) -> tuple[str, ...]:

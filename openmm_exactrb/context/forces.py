@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import weakref
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -198,13 +199,11 @@ class ContextForces(Forces):
         if self._energies:
             self(state)
             return self._energy
-        self.positions.write(state)
-        return self._potential_energy()
+        return self._potential_energy(self.positions.write, state)
 
     def energy_at(self, state: State) -> float:
         """Return the same at the positions of any state."""
-        self.positions.show(state)
-        return self._potential_energy()
+        return self._potential_energy(self.positions.show, state)
 
     def with_energies(self) -> None:
         """Evaluate the potential energy with each force."""
@@ -221,22 +220,26 @@ class ContextForces(Forces):
         """Return the forces of those of the groups that are among some others (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
-    def _potential_energy(self) -> float:
+    def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
         if not self.groups:
             return 0.0
-        state = self.positions.context.getState(energy=True, groups=self.groups)
-        return float(state.getPotentialEnergy()._value)
+        return float(self._asked(place, state, energy=True).getPotentialEnergy()._value)
 
     def _evaluated(self, state: State, present: bool) -> Force:
-        start, timings = time.perf_counter(), self._timings
-        (self.positions.write if present else self.positions.show)(state)
-        found = self.positions.context.getState(forces=True, energy=self._energies, groups=self.groups)
-        forces = arrays.forces(found)
+        place = self.positions.write if present else self.positions.show
+        found = self._asked(place, state, forces=True, energy=self._energies)
         if self._energies and present:
             self._energy = float(found.getPotentialEnergy()._value)
+        return self.positions.bodies.forces(state.rounded, arrays.forces(found))
+
+    def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
+        """Return what OpenMM evaluates at the positions of a state; every evaluation is counted here."""
+        start, timings = time.perf_counter(), self._timings
+        place(state)
+        found = self.positions.context.getState(groups=self.groups, **kinds)
         timings.forces += time.perf_counter() - start
         setattr(timings, self._counter, getattr(timings, self._counter) + 1)
-        return self.positions.bodies.forces(state.rounded, forces)
+        return found
 
 
 class SlowGroups(ContextForces):

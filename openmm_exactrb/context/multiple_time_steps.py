@@ -201,17 +201,16 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
     return FastForces(settings, frequency, excerpt)
 
 
-def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces:
-    groups = tuple(map(int, settings.fast))
+def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
+    """Return the forces of the groups; None, for no inner steps, if these are not told and nothing there is bonded."""
     present = {group for force in acting(system) for group in groups_of(force)}
-    for group in groups:
-        if group not in present:
-            raise ValueError(f"the System has no force in group {group}: fast must name groups that act")
+    groups = tuple(group for group in map(int, settings.fast) if group in present)
+    if not groups:
+        return None
     if present <= set(groups):
         raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
     frequency = fastest(system, groups)
-    _refuse_unknown(frequency, settings, f"forces of groups {groups}")
-    return FastForces(settings, frequency)
+    return FastForces(settings, frequency) if frequency or settings.steps else None
 
 
 def _refuse_unknown(frequency: float, settings: MultipleTimeSteps, what: str) -> None:

@@ -25,7 +25,7 @@ from openmm_exactrb.context.inner_drift import InnerDrift, free_motion
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
@@ -124,7 +124,7 @@ class Propagator:
         self.sync = Synchronisation(context, integrator, named)
         self.updates = ContextUpdates(context, named or [])
         self._updates_act = self.updates.act
-        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in context.getSystem().getForces())
+        self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = Positions(context, self.sync.bodies, self.sync.particles)
         self._kinetic = free_motion(self.sync.bodies, rotor)
@@ -254,6 +254,7 @@ class Propagator:
             self.sync.write_velocities(true)
         box = arrays.box(self.sync.context.getState())
         self._clock.update(self._integrator(), n)
+        self._timings.evaluations += self.updates.trial_energies(n)
         after = self.updates.changed(self.sync, true, box)
         if after is not true or self.updates.pushes:
             self._positions.moved()
@@ -274,7 +275,7 @@ class Propagator:
         if self._version is not None and self._processed:
             self._leave_coordinates(settings)
         forces = ContextForces(self._positions, settings.groups, self._timings)
-        divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves)
+        divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves and settings.check)
         kinetic, slow = self._split(settings, forces, divergence)
         scheme, bodies = settings.scheme, sync.bodies
         self._h, self._processed, self._coordinates = h, bool(scheme.processor), _mark(scheme, h)

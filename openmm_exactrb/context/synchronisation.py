@@ -62,8 +62,7 @@ class Synchronisation:
         self, context: openmm.Context, integrator: openmm.CustomIntegrator, named: Sequence[Sequence[int]] | None
     ) -> None:
         x, v = _positions_and_velocities(context)
-        if len(x) > 1 and not x.any():
-            raise ValueError("the Context has no positions yet: call setPositions first")
+        refuse_unset(context)
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
         self.bodies = find_bodies(context.getSystem(), x, named, _box(context))
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
@@ -202,6 +201,16 @@ def _positions_and_velocities(context: Any) -> tuple[Array, Array]:
     """Return positions (nm) and velocities (nm/ps) of all particles."""
     state = context.getState(positions=True, velocities=True)
     return arrays.positions(state), arrays.velocities(state)
+
+
+def refuse_unset(context: openmm.Context) -> None:
+    """Raise ValueError if positions were never set: OpenMM tells only when it is asked for forces, here of no group."""
+    try:
+        context.getState(forces=True, groups=0)
+    except openmm.OpenMMException as error:
+        if "positions" not in str(error):
+            raise
+        raise ValueError("the Context has no positions yet: call setPositions first") from None
 
 
 def _box(context: openmm.Context) -> Array | None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass
 class Timings:
-    """Wall time in seconds, and force evaluations, since the integrator was made or `reset` was called.
+    """Wall time in seconds, and evaluations by OpenMM, since the integrator was made or `reset` was called.
 
     Attributes
     ----------
@@ -18,7 +18,8 @@ class Timings:
     total : float
         Everything inside step().
     evaluations : int
-        Force evaluations, but for those of nested forces.
+        All that steps have OpenMM evaluate, but for nested forces: forces, with or without the energy, and energies
+        alone, which barostats, Metropolis's rule and now and then the check for divergence need.
     fast_evaluations : int
         Evaluations of the forces that are nested in the drifts.
     """

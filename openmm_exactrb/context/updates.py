@@ -24,6 +24,7 @@ _BAROSTATS = (
     "MonteCarloFlexibleBarostat",
     "MonteCarloMembraneBarostat",
 )
+_OURS = "SoftDipoleForce"  # a PythonForce of this package, which has an energy
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps: without them a System conserves its energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *_BAROSTATS)
@@ -62,6 +63,7 @@ class ContextUpdates:
         self._removals = tuple(force.getFrequency() for force in removers)
         self._barostats = barostats
         self._waiting = 0  # steps since OpenMM last acted
+        self._since_trial = [0] * len(barostats)  # updates
         self.moves, self.pushes = bool(barostats), bool(thermostats)
         self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
 
@@ -121,6 +123,15 @@ class ContextUpdates:
         waiting, self._waiting = self._waiting, 0
         return waiting
 
+    def trial_energies(self, n: int) -> int:
+        """Return how many energies the barostats evaluate in n updates of OpenMM: two for each trial volume."""
+        trials = 0
+        for k, barostat in enumerate(self._barostats):
+            if period := barostat.getFrequency():
+                more, self._since_trial[k] = divmod(min(self._since_trial[k], period - 1) + n, period)
+                trials += more
+        return 2 * trials
+
     def changed(self, sync: Synchronisation, state: State, box: tuple[float, ...]) -> State:
         """Return a state with what an update made of the particles of its Context, which had this box before."""
         context = sync.context
@@ -131,6 +142,17 @@ class ContextUpdates:
         x, v = sync.held()
         sync.particles[:] = x  # a barostat moves what has no mass too
         return sync.compared(state, x, v)
+
+
+def conserve_energy(system: openmm.System) -> bool:
+    """Return whether the forces of a System conserve its energy for all that is known.
+
+    A PythonForce, but for ours, may depend on time or have no energy, and a plugin's force, a mere Force here, do work.
+    """
+    return not any(
+        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() != _OURS)
+        for force in system.getForces()
+    )
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:

@@ -15,7 +15,7 @@ from openmm import unit
 from openmm_exactrb.context.environment import Settings
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.device import load, names
 from openmm_exactrb.device.gather import MOST
 from openmm_exactrb.device.noise import draws
@@ -66,9 +66,9 @@ class DevicePropagator:
         self._numbers: Mapping[str, float] = {}  # what the program is told of a thermostat
         self._rate: float | None = None  # b norm(m) of the fastest body in 1/ps, if it was measured
         self._noise: tuple[int, int] | None = None  # seed and step count for which the generators are set, if known
-        # For the divergence check. With a PythonForce, which may depend on time, energy need not be conserved.
+        # For the divergence check.
         self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-        self._conserves = not any(isinstance(force, openmm.PythonForce) for force in system.getForces())
+        self._conserves, self._checks = conserve_energy(system), True
         self._largest = 0.0  # kinetic energy before a call
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
@@ -81,8 +81,9 @@ class DevicePropagator:
         summed; IntegrationError if the total energy rises by integration errors.
         """
         if version != self._version:
-            thermostat = settings().thermostat
-            self._version, self._numbers = version, {} if thermostat is None else thermostat.device_numbers()
+            present = settings()
+            self._version, self._checks = version, present.check and self._conserves
+            self._numbers = {} if present.thermostat is None else present.thermostat.device_numbers()
         integrator, context = self._integrator(), self.sync.context
         x, v = self.sync.settle()
         before = context.getState()
@@ -136,7 +137,8 @@ class DevicePropagator:
         if finite and n:
             fastest = integrator.getGlobalVariableByName(names.FASTEST)
             self._rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # a power may be too large
-            self._timings.evaluations += n * self._scheme.forces + self._scheme.processing
+            asked = n * self._scheme.forces + self._scheme.processing
+            self._timings.evaluations += asked + self.updates.trial_energies(n)
         return finite
 
     def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: _Call) -> None:
@@ -175,12 +177,13 @@ class DevicePropagator:
         (x_now, v_now), context, bodies = self.sync.shown, self.sync.context, self.sync.bodies
         kinetic_before, kinetic = (0.5 * float(self._masses @ np.einsum("ij,ij->i", u, u)) for u in (v, v_now))
         self._largest = max(self._largest, kinetic_before)
-        if not self._conserves or kinetic <= GROWN * self._largest:
+        if not self._checks or kinetic <= GROWN * self._largest:
             return None
         kT = max(self._numbers.get(names.KT, 0.0), self.updates.hottest(context))
         freedom = bodies.translational_freedom + bodies.rotational_freedom
         if kinetic <= GROWN * kT * (freedom + 20):
             return None
+        self._timings.evaluations += 2
         groups, box = integrator.getIntegrationForceGroups(), context.getState().getPeriodicBoxVectors()
         potential = _potential(context, groups)
         _move(context, x, before.getPeriodicBoxVectors())

@@ -13,6 +13,7 @@ from openmm import unit
 from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
+from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.device import emit, gather, names
 from openmm_exactrb.device.rebind import rebind
 from openmm_exactrb.device.rows import Table
@@ -197,8 +198,7 @@ def _unsupported_context(context: Any, integrator: Any, fast: MultipleTimeSteps 
         if parameter in names.OPENMM or names.has(parameter):
             return f"the parameter {parameter!r} of a force has the name of a variable of the program: rename it"
     x = arrays.positions(context.getState(positions=True))
-    if len(x) > 1 and not x.any():
-        raise ValueError("the Context has no positions yet, on which the engine depends: call setPositions first")
+    refuse_unset(context)
     bodies = find_bodies(system, x, integrator.getNamedBodies())
     if len(bodies.clusters):
         return "constraints leave a molecule of the System a motion of its own, which the device does not follow"

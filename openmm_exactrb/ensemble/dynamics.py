@@ -52,7 +52,7 @@ def energies(
     Returns
     -------
     dict
-        "times" in ps and "energies" (total) in kJ/mol, "steps", and "evaluations" of the forces.
+        "times" in ps and "energies" (total) in kJ/mol, "steps", and "evaluations" of forces and energies by the steps.
 
     Raises
     ------

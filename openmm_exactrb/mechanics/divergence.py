@@ -50,7 +50,7 @@ class DivergenceCheck:
     box : callable
         box() -> the vectors (3, 3) of the periodic box in nm, or None.
     conserves : bool
-        Whether forces conserve energy; if that is unknown, energies are compared within a step alone.
+        Whether energies are compared: forces conserve them for all that is known, and a user wants it.
     """
 
     def __init__(
@@ -78,8 +78,6 @@ class DivergenceCheck:
     def enter(self, number: int, time: float, state: State) -> None:
         """Note the number of a step, and the time (ps) and the state before it."""
         self._number, self._time, self._before = number, time, state
-        if not self._conserves:
-            self._since = state
 
     def finite(self, state: State) -> None:
         """Raise NonFiniteError if OpenMM cannot be asked for forces at a state."""
@@ -95,11 +93,12 @@ class DivergenceCheck:
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
+        most = _HOTTEST if self._conserves else np.inf
 
         def check(state: State) -> None:
             P, m = state.P[0], state.m[0]
             mean = float((P * P).sum(axis=0) @ half_mass + (m * m * half_inertia).sum()) / len(bodies)
-            if not mean <= _HOTTEST:  # so that nan is too hot
+            if not mean <= most:  # so that nan is too hot
                 raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
 
         return check
@@ -107,6 +106,8 @@ class DivergenceCheck:
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step has diverged from that before it."""
         self.finite(state)
+        if not self._conserves:
+            return
         (P, m), (good_P, good_m) = (_square(state.P[0]), _square(state.m[0])), self._good
         if GROWN * good_P < P or m > GROWN * good_m:
             assert self._since is not None

@@ -26,6 +26,7 @@ class Options(TypedDict, total=False):
     innerSteps: int | None
     engine: Engine
     forceInterval: float | unit.Quantity | None
+    checkDivergence: bool
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):

@@ -185,7 +185,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         What the thermostat renews of the momenta between proposals, as friction in 1/ps if it has no unit.
     stepSize : float or Quantity, optional
         Time of a proposal, in ps if it has no unit. Give it or ``forceInterval``.
-    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval
+    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a thermostat within it, such
         as the default, "S2_2". The inner steps are those for the time of one step of the scheme.
     stepsPerProposal : int, optional

@@ -165,7 +165,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation; that of translation unless given.
-    bodies, fast, inner, innerSteps, forceInterval : optional
+    bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise

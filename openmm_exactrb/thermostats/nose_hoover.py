@@ -229,7 +229,7 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         Of the chain, in 1/ps if it has no unit; above zero.
     stepSize : float or Quantity, optional
         Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
-    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval
+    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
     chainLength, numMTS, numYoshidaSuzuki : int, optional
         As in OpenMM's NoseHooverIntegrator: links of the chain, repetitions of a substep of it, and 1, 3, 5 or 7

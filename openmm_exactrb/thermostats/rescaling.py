@@ -198,7 +198,7 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         Of the kinetic energy, in ps if it has no unit.
     stepSize : float or Quantity, optional
         Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
-    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval
+    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.

@@ -81,6 +81,7 @@ def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, mes
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--step", "2"], "argument --step: '2' has no unit: write 2fs for femtoseconds, or 2ps"),
         (["--step", "4kg"], "'4kg' is not a positive time"),
         (["--duration=-1"], "'-1' is not a positive time"),
         (["--temperature", "nan"], "'nan' is not a positive number"),

@@ -98,9 +98,7 @@ def test_bonded_forces_need_no_group_of_their_own(scheme):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": (7,)}, "no force in group 7"),
         ({"fast": (0, 1)}, "fast names all forces"),
-        ({"fast": (0,)}, "innerSteps="),  # no bonds in it that tell how fast it is
     ],
 )
 def test_groups_that_cannot_be_nested_are_refused(options, message):
@@ -530,3 +528,17 @@ def test_substeps_of_ones_own_may_have_any_symbol():
     integrator, context = moving(system, [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]], 0.001, scheme)
     integrator.step(1)
     assert context.getStepCount() == 1
+
+
+def test_a_group_without_bonded_forces_is_nothing_to_nest():
+    ends = []
+    for fast in ((7,), (1,), None):
+        _, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
+        system.getForce(1).setForceGroup(1)
+        integrator = rb.ExactRigidBodyIntegrator(0.01, "S2_2", fast=fast)
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+        context.setPositions(positions)
+        integrator.step(3)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+        assert integrator.timings.fast_evaluations == 0
+    np.testing.assert_allclose(ends, [ends[-1]] * 3, rtol=0.0, atol=1e-14)

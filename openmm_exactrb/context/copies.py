@@ -1,0 +1,28 @@
+"""Copies of integrators, and of subclasses of a user, whose arguments may be others."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def own_attributes(integrator: Any, arguments: dict[str, Any]) -> dict[str, Any]:
+    """Return the attributes that a subclass of a user gave an integrator with these arguments."""
+    known = vars(_made(type(integrator), arguments))
+    return {name: value for name, value in vars(integrator).items() if name not in known}
+
+
+def restored(kind: Any, attributes: dict[str, Any], arguments: dict[str, Any], settings: dict[str, Any]) -> Any:
+    """Return an integrator of a kind with the attributes, arguments and settings of another one."""
+    integrator = _made(kind, arguments)
+    vars(integrator).update(attributes)
+    for name, value in settings.items():
+        getattr(integrator, f"set{name}")(value)
+    return integrator
+
+
+def _made(kind: Any, arguments: dict[str, Any]) -> Any:
+    """Return an integrator of a kind, made by the class of this package that it is or extends."""
+    ours = next(base for base in kind.__mro__ if base.__module__.split(".")[0] == "openmm_exactrb")
+    integrator = kind.__new__(kind)
+    ours.__init__(integrator, **arguments)
+    return integrator
