@@ -113,7 +113,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             raise ValueError(f"thermostat= takes one of openmm_exactrb.thermostats, not a {type(thermostat).__name__}")
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
         self._thermostat = thermostat
-        self._scheme = look_up(scheme or DEFAULT) if thermostat is None else splitting(scheme or thermostat.scheme)
+        if scheme is None:
+            scheme = DEFAULT if thermostat is None else thermostat.scheme
+        self._scheme = look_up(scheme) if thermostat is None else splitting(scheme)
         self._rotor = look_up_rotor(rotor)
         self._check = checks.switch(checkDivergence, "checkDivergence")
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")

@@ -134,7 +134,7 @@ def test_a_restart_ends_in_the_same_bits(tmp_path, how, scheme):
 def test_cm_motion_remover_works():
     topology, system, positions = rb.dipole_fluid(8, trap=0.5)
     system.addForce(openmm.CMMotionRemover(1))
-    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
+    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.01, "S2_2"), REFERENCE)
     simulation.context.setPositions(positions)
     simulation.context.setVelocitiesToTemperature(KT, 2)
     simulation.step(3)

@@ -182,7 +182,9 @@ class Propagator:
 
     def _make(self, n: int) -> None:
         """Make n steps from the present state."""
-        check, clock, state = self.environment.divergence, self._clock, self._entered()
+        check, clock = self.environment.divergence, self._clock
+        check.enter(clock.number + 1, clock.time, self.sync.state)
+        state = self._entered()
         check.keep_from(state)
         for _ in range(n):
             check.enter(clock.number + 1, clock.time, state)

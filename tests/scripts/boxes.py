@@ -47,7 +47,7 @@ def smooth(system):
 
 def simulation_of(topology, system, positions, integrator=None, minimise=10, platform=REFERENCE):
     """Return a Simulation, minimised a little and warm, of our integrator unless another is given."""
-    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS) if integrator is None else integrator
+    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b") if integrator is None else integrator
     simulation = app.Simulation(topology, system, integrator, platform)
     simulation.context.setPositions(positions)
     if minimise:

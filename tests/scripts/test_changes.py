@@ -36,7 +36,7 @@ def longer(simulation):
 
 @pytest.mark.parametrize("change", [heavier, longer])
 def test_reinitialize_takes_up_what_was_changed(change):
-    simulation = water(rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS))
+    simulation = water(rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "SRKN4_6b"))
     quietly(simulation.step, 2)
     change(simulation)
     simulation.context.reinitialize(preserveState=True)
@@ -89,7 +89,7 @@ def test_force_groups_select_what_acts():
     system = water_system(topology)
     for force in system.getForces():
         force.setForceGroup(1 if isinstance(force, openmm.NonbondedForce) else 0)
-    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
+    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b")
     integrator.setIntegrationForceGroups({0})
     simulation = simulation_of(topology, system, positions, integrator)
     quietly(simulation.step, 1)
@@ -134,7 +134,7 @@ def in_a_compound(integrator):
 def test_copies_in_c_plus_plus_fail_loudly(way, platform):
     """They would let the clock run while nothing moves."""
     topology, positions = solvent()
-    integrator = way(rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS))
+    integrator = way(rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b"))
     context = openmm.Context(droplet(topology), integrator, openmm.Platform.getPlatform(platform))
     context.setPositions(positions)
     context.setVelocitiesToTemperature(300, 1)

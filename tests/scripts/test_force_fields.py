@@ -26,7 +26,7 @@ def test_one_line_changes(name, tmp_path):
     ours = quietly(swing, simulation)
     verlet = openmm.VerletIntegrator(2 * FEMTOSECONDS)
     verlet = simulation_of(modeller.topology, system, start, verlet, minimise=0)
-    assert ours < 0.1 * swing(verlet)
+    assert ours < 0.5 * swing(verlet)
     assert misfit(simulation) < 1e-6
     frames = mdtraj.load(str(tmp_path / "run.dcd"), top=mdtraj.Topology.from_openmm(modeller.topology))
     np.testing.assert_allclose(frames.xyz[-1], coordinates(simulation), atol=1e-5)

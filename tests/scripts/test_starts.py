@@ -155,7 +155,7 @@ def test_molecules_that_a_box_wrapped_are_taken_up(named):
         if named:
             for i in reversed(range(system.getNumConstraints())):
                 system.removeConstraint(i)
-        integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, bodies=bodies)
+        integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b", bodies=bodies)
         simulations.append(simulation_of(topology, system, coordinates(first), integrator, minimise=0))
         system = water_system(topology)
     simulation, twin = simulations
@@ -204,7 +204,7 @@ def test_a_system_without_rigid_bodies_runs():
     x, v = (
         f() for f in (lambda: coordinates(verlet), lambda: verlet.context.getState(velocities=True).getVelocities())
     )
-    simulation = simulation_of(topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS), minimise=0)
+    simulation = simulation_of(topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS, "SRKN4_6b"), minimise=0)
     simulation.context.setVelocities(v)
     assert swing(simulation) < 0.1 * swing(verlet)
 
@@ -220,7 +220,7 @@ def test_flexible_molecules_beside_rigid_ones_run():
         p, q, length = rigid.getConstraintParameters(i)
         if p >= 15:  # all but five molecules
             system.addConstraint(p, q, length)
-    simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS))
+    simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS, "SRKN4_6b"))
     quietly(simulation.step, 1)
     assert len(simulation.integrator.bodyState()[0]) == topology.getNumResidues() - 5 + 15
     verlet = simulation_of(topology, system, coordinates(simulation), openmm.VerletIntegrator(0.2 * FEMTOSECONDS))
@@ -229,7 +229,7 @@ def test_flexible_molecules_beside_rigid_ones_run():
 
 def test_the_natural_order_is_bind_and_then_positions():
     topology, positions = solvent()
-    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
+    integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b")
     context = openmm.Context(water_system(topology), integrator, REFERENCE)
     integrator.bind(context)
     context.setPositions(positions)

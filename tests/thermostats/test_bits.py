@@ -66,7 +66,7 @@ THERMOSTATS = {
     "W2_3m": ("W2_3m", Langevin(30.0, 2.0)),
     "BAOAB": ("BAOAB", Langevin(30.0, 2.0)),
     "ABOBA": ("ABOBA", Langevin(30.0, 2.0, rotationalFriction=7.0)),
-    "rescaling": ("S2_2", StochasticRescaling(30.0, 0.1)),
+    "rescaling": ("BAOA", StochasticRescaling(30.0, 0.1)),
     "hybrid": ("S2_2", HybridMonteCarlo(30.0, 2.0, stepsPerProposal=2)),
 }
 

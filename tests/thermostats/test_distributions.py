@@ -270,7 +270,7 @@ def test_the_canonical_state_has_no_direction_in_time():
 
 
 def rescaling(time=0.1, h=0.002, **options):
-    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, time, h, **options)
+    integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, time, h, "S2_2", **options)
     integrator.setRandomNumberSeed(5)
     return integrator
 

@@ -37,7 +37,7 @@ def chain_of(**options):
 
 
 def nose_hoover(h=H, temperature=30.0, frequency=FREQUENCY, **options):
-    return rb.ExactRigidBodyNoseHooverIntegrator(temperature, frequency, h, **options)
+    return rb.ExactRigidBodyNoseHooverIntegrator(temperature, frequency, h, **{"scheme": "S2_2"} | options)
 
 
 def stirred(chain, rng):
