@@ -1,8 +1,10 @@
 """ExactRigidBodyIntegrator in stock Simulations and bare Contexts."""
 
 import copy
+import io
 import pickle
 import threading
+from functools import partial
 
 import mdtraj
 import numpy as np
@@ -222,6 +224,54 @@ def test_wrong_settings_get_one_sentence(arguments, message):
 
 def test_a_step_size_may_have_a_unit():
     assert rb.ExactRigidBodyIntegrator(2.0 * unit.femtosecond).getStepSize()._value == pytest.approx(0.002)
+
+
+ALL = {
+    "constant energy": rb.ExactRigidBodyIntegrator,
+    "Langevin": partial(rb.ExactRigidBodyLangevinIntegrator, 300.0, 1.0),
+    "rescaling": partial(rb.ExactRigidBodyRescalingIntegrator, 300.0, 1.0),
+    "Nosé-Hoover": partial(rb.ExactRigidBodyNoseHooverIntegrator, 300.0, 1.0),
+    "hybrid": partial(rb.ExactRigidBodyHybridIntegrator, 300.0, 1.0, stepsPerProposal=3),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_step_is_as_long_as_the_interval_of_its_forces_tells(name):
+    integrator = ALL[name](forceInterval=2.0 * unit.femtosecond, scheme="S2_2")
+    forces = 6 if name == "hybrid" else 2
+    assert integrator.getStepSize()._value == pytest.approx(0.002 * forces)
+    assert copy.copy(integrator).getStepSize() == integrator.getStepSize()
+
+
+@pytest.mark.parametrize("both", [{}, {"stepSize": 0.002, "forceInterval": 0.002}])
+@pytest.mark.parametrize("name", ALL)
+def test_the_step_is_given_once(name, both):
+    with pytest.raises(ValueError, match=r"either stepSize=.* or forceInterval="):
+        ALL[name](**both)
+
+
+def test_an_interval_of_forces_needs_forces():
+    free = rb.schemes.Scheme("free", 2, rb.schemes.spelled("A"))
+    with pytest.raises(ValueError, match="evaluates no forces: give stepSize="):
+        rb.ExactRigidBodyIntegrator(forceInterval=0.002, scheme=free)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_default_evaluates_forces_once_a_step(name):
+    """As OpenMM's integrators do, through `Simulation` with reports; a proposal of hybrid Monte Carlo twice."""
+    topology, system, positions = rb.rigid_water(8)
+    system.addForce(openmm.CMMotionRemover())
+    integrator = ALL[name](0.002, checkDivergence=False)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    simulation.context.setVelocitiesToTemperature(300, 1)
+    simulation.reporters.append(app.StateDataReporter(io.StringIO(), 100, totalEnergy=True))
+    simulation.step(10)
+    integrator.timings.reset()
+    simulation.step(500)
+    assert integrator.getScheme().forces == (2 if name == "hybrid" else 1)
+    if name != "hybrid":
+        assert integrator.timings.evaluations <= 515
 
 
 @pytest.mark.parametrize("steps", [-1, 1.5, "ten", None])

@@ -56,11 +56,14 @@ def flag(name: str) -> str:
     return "--" + re.sub("([A-Z])", r"-\1", name).lower()
 
 
-def time_or_auto(text: str) -> float | None:
-    """Return a positive time with a unit in ps, or None for "auto"."""
-    if text == "auto":
-        return None
+def time_with_unit(text: str) -> float:
+    """Return a positive time with a unit in ps."""
     value = float(time(text))
     if not text.strip()[-1].isalpha():
         raise argparse.ArgumentTypeError(f"{text!r} has no unit: write {text}fs for femtoseconds, or {text}ps")
     return value
+
+
+def time_or_auto(text: str) -> float | None:
+    """Return a positive time with a unit in ps, or None for "auto"."""
+    return None if text == "auto" else time_with_unit(text)

@@ -16,10 +16,12 @@ from openmm import app
 
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
 from openmm_exactrb.context.platforms import mixed, platform_of
+from openmm_exactrb.integrator import DEFAULT
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
-from openmm_exactrb.schemes import WITH_THERMOSTAT, splitting
+from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.thermostats import Langevin
 from openmm_exactrb.tuning import CANDIDATES
 
 #: The purpose, in one sentence.
@@ -65,6 +67,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="T",
         help="step of the scheme with its unit: 4fs; auto tunes it (auto)",
     )
+    between = "time between two force evaluations with its unit: 2fs; instead of --step"
+    add("--force-interval", type=arguments.time_with_unit, metavar="T", help=between)
     add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:
@@ -87,7 +91,11 @@ def carry_out(args: argparse.Namespace) -> int:
     named = {name: value for name, value in vars(args).items() if value is not None}
     settled = argparse.Namespace(**vars(args) | _DEFAULTS | named)
     job = Run.from_options(settled, free=_FREE)
-    _refuse_scheme(args)
+    scheme = _scheme_of(args)
+    if args.force_interval is not None:
+        if args.step is not None:
+            raise ValueError("give --step or --force-interval, not both")
+        args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
     box = inputs.load(settled)
     _refuse_idle(args, box)
@@ -99,13 +107,13 @@ def carry_out(args: argparse.Namespace) -> int:
     return 0
 
 
-def _refuse_scheme(args: argparse.Namespace) -> None:
-    """Raise ValueError if the scheme does not exist in the ensemble, or cannot be tuned."""
-    if args.scheme is None:
-        return
-    (look_up if args.ensemble == "nve" else splitting)(args.scheme)
-    if args.step is None and args.scheme in WITH_THERMOSTAT:
+def _scheme_of(args: argparse.Namespace) -> Scheme:
+    """Return the scheme of the ensemble; raise ValueError if there is none of its name, or it cannot be tuned."""
+    known, default = (look_up, DEFAULT) if args.ensemble == "nve" else (splitting, Langevin.scheme)
+    scheme = known(args.scheme or default)
+    if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
         raise ValueError(f"--step auto tunes at constant energy, but {args.scheme} has a thermostat: give a --step")
+    return scheme
 
 
 def _refuse_idle(args: argparse.Namespace, box: inputs.Box) -> None:

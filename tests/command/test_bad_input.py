@@ -18,6 +18,10 @@ CASES = [
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA has a thermostat within it"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has a thermostat"),
+    (
+        ["droplet.pdb", "--forcefield", "tip3p.xml", "--step", "4fs", "--force-interval", "2fs"],
+        "give --step or --force-interval, not both",
+    ),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water model? Add --water"),
@@ -82,6 +86,7 @@ def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, mes
     ("arguments", "message"),
     [
         (["--step", "2"], "argument --step: '2' has no unit: write 2fs for femtoseconds, or 2ps"),
+        (["--force-interval", "2"], "argument --force-interval: '2' has no unit: write 2fs for femtoseconds, or 2ps"),
         (["--step", "4kg"], "'4kg' is not a positive time"),
         (["--duration=-1"], "'-1' is not a positive time"),
         (["--temperature", "nan"], "'nan' is not a positive number"),

@@ -62,6 +62,17 @@ def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path, capsys):
     assert residues == 8 * ["HOH"]
 
 
+def test_an_interval_of_forces_is_a_step(serialised, tmp_path, capsys):
+    """W4_4 evaluates forces four times a step."""
+    files = []
+    for name, given in (("step", ("--step", "8fs")), ("interval", ("--force-interval", "2fs"))):
+        folder = tmp_path / name
+        options = *given, "--scheme", "W4_4", "--interval", "8fs", "--duration", "0.04", "--platform", "Reference"
+        assert carry_out(capsys, "run", *serialised, *options, "--no-picture", "--out", folder)[0] == 0
+        files.append((folder / "energies.csv").read_bytes())
+    assert files[0] == files[1]
+
+
 def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path):
     once, killed = tmp_path / "once", tmp_path / "killed"
     command = "run", *serialised, *SHORT, "--checkpoint", 0, "--no-picture", "--out"

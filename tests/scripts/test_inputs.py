@@ -19,7 +19,9 @@ SETTINGS = {
 
 def a_script_ends_well(topology, system, positions, folder):
     """Run as a script does, and look at what it leaves."""
-    simulation = simulation_of(topology, smooth(system), positions, rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b"))
+    simulation = simulation_of(
+        topology, smooth(system), positions, rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b")
+    )
     simulation.reporters.append(app.DCDReporter(str(folder / "run.dcd"), 5, enforcePeriodicBox=False))
     simulation.reporters.append(
         app.StateDataReporter(str(folder / "log.csv"), 5, step=True, totalEnergy=True, temperature=True)

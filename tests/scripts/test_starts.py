@@ -204,7 +204,9 @@ def test_a_system_without_rigid_bodies_runs():
     x, v = (
         f() for f in (lambda: coordinates(verlet), lambda: verlet.context.getState(velocities=True).getVelocities())
     )
-    simulation = simulation_of(topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS, "SRKN4_6b"), minimise=0)
+    simulation = simulation_of(
+        topology, system, x, rb.ExactRigidBodyIntegrator(0.2 * FEMTOSECONDS, "SRKN4_6b"), minimise=0
+    )
     simulation.context.setVelocities(v)
     assert swing(simulation) < 0.1 * swing(verlet)
 
