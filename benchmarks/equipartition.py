@@ -2,7 +2,7 @@
 
 With SETTLE and leapfrog, rigid water is off equipartition at every step above 0.5 fs: D. Asthagiri and T. L. Beck,
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
-BAOAB, the default of `ExactRigidBodyLangevinIntegrator` and W2_4g run the same water at the same time a force
+BAOAB, W2_3m and W2_4g run the same water at the same time a force
 evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
 T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error.
 
@@ -55,7 +55,7 @@ STYLES = {
     f"{LFM}, constrained": ("#E69F00", "s"),
     "BAOAB, at the end": ("#56B4E9", "^"),
     "BAOAB, around O": ("#009E73", "v"),
-    "W2_3m, the default": ("#0072B2", "D"),
+    "W2_3m": ("#0072B2", "D"),
     "W2_4g": ("#CC79A7", "P"),
     "BAOA, friction 30/ps": ("#8C510A", "<"),
     "S2_2": ("#999999", "X"),
@@ -326,7 +326,7 @@ def labels(point: Point) -> tuple[str, ...]:
     names = {
         LFM: (f"{LFM}, as reported", f"{LFM}, constrained"),
         "BAOAB": ("BAOAB, at the end", "BAOAB, around O"),
-        "W2_3m": ("W2_3m, the default",),
+        "W2_3m": ("W2_3m",),
         EXACT: ("hybrid Monte Carlo",),
     }
     return names.get(point.method, (point.method,))

@@ -121,7 +121,7 @@ def dipoles_of(start):
     """Return topology and system of 27 dipoles, and the positions and velocities of a droplet that rests as a whole."""
     topology, system, positions = rb.dipole_fluid(27, seed=start)
     system.addForce(springs([atom.index for atom in topology.atoms() if atom.name == "C"]))
-    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    integrator = rb.ExactRigidBodyIntegrator(0.001, "SRKN4_6b")
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 1e-3)

@@ -20,7 +20,7 @@ import openmm_exactrb as rb
 
 def make_simulation():
     topology, system, positions = rb.dipole_fluid(n=8, trap=0.5)
-    integrator = rb.ExactRigidBodyIntegrator(0.02)
+    integrator = rb.ExactRigidBodyIntegrator(0.02, "SRKN4_6b")
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions(positions)
     return simulation

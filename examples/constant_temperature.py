@@ -19,7 +19,7 @@ import openmm_exactrb as rb
 topology, system, positions = rb.rigid_water(27, seed=1)
 platform = openmm.Platform.getPlatform("Reference")
 
-integrator = rb.ExactRigidBodyLangevinIntegrator(300 * kelvin, 5 / picosecond, 4 * femtoseconds)
+integrator = rb.ExactRigidBodyLangevinIntegrator(300 * kelvin, 5 / picosecond, 2 * femtoseconds)
 integrator.setRandomNumberSeed(1)
 simulation = app.Simulation(topology, system, integrator, platform)
 simulation.context.setPositions(positions)
@@ -27,7 +27,7 @@ simulation.minimizeEnergy(tolerance=50)
 
 times, temperatures = [], []
 for _ in range(200):
-    simulation.step(5)
+    simulation.step(10)
     times.append(simulation.context.getTime()._value)
     temperatures.append([T._value for T in integrator.temperatures()])
 translational, rotational = np.mean(temperatures[100:], axis=0)

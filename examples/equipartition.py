@@ -17,8 +17,8 @@ import openmm_exactrb as rb
 
 topology, system, positions = rb.rigid_water(64, model="spce")
 integrator = rb.ExactRigidBodyLangevinIntegrator(
-    298 * kelvin, 5 / picosecond, 12 * femtoseconds
-)  # three forces per step
+    298 * kelvin, 5 / picosecond, forceInterval=4 * femtoseconds, scheme="W2_3m"
+)
 context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
 
 integrator.setRandomNumberSeed(1)
@@ -67,7 +67,9 @@ def difference(integrator, picoseconds=40.0):
 intervals = (3, 6)  # fs between two forces
 lines = {
     "LangevinMiddleIntegrator": lambda fs: openmm.LangevinMiddleIntegrator(298, 5, fs * femtoseconds),
-    "ExactRigidBodyLangevinIntegrator": lambda fs: rb.ExactRigidBodyLangevinIntegrator(298, 5, 3 * fs * femtoseconds),
+    "ExactRigidBodyLangevinIntegrator, W2_3m": lambda fs: rb.ExactRigidBodyLangevinIntegrator(
+        298, 5, forceInterval=fs * femtoseconds, scheme="W2_3m"
+    ),
 }
 out = Path("out/equipartition_example")
 out.mkdir(parents=True, exist_ok=True)

@@ -55,7 +55,7 @@ def test_errors_are_those_of_the_mean_of_independent_runs():
 def test_a_table_has_whole_points_only():
     values = np.linspace(-46.0, -47.0, 20)
     whole, part = record_of(*values), record_of(*values[:19])
-    assert "| W2_3m, the default | −46.50 ± 0.07 |" in over_steps(whole, "U", "spce", "NVT")
+    assert "| W2_3m | −46.50 ± 0.07 |" in over_steps(whole, "U", "spce", "NVT")
     assert "−46" not in over_steps(part, "U", "spce", "NVT")
     harder = {run._replace(friction=20.0): means for run, means in whole.items()}
     assert over_frictions(whole | harder, "spce", 6.0).count("−46.50 ± 0.07") == 2
