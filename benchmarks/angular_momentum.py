@@ -1,0 +1,80 @@
+"""What each scheme does to the total angular momentum of a droplet, which nothing outside acts on.
+
+Drifts and kicks by forces of one place keep it to roundoff. A force-gradient kick takes forces at displaced places,
+which exert a torque about the true ones of second order in the displacement.
+
+16 TIP3P molecules on Reference; the largest change of the total angular momentum over its size, and over three starts
+the largest, at the times that `--interval` and `--picoseconds` tell. The table goes to docs/angular_momentum.csv.
+
+    python benchmarks/angular_momentum.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from pathlib import Path
+
+import numpy as np
+import openmm
+
+import droplets
+import openmm_exactrb as rb
+from openmm_exactrb import ensemble
+from openmm_exactrb.quaternions import matrix
+
+TABLE = Path(__file__).resolve().parents[1] / "docs" / "angular_momentum.csv"
+MOLECULES, MODEL = 16, "tip3p"
+
+
+def angular_momentum(integrator: rb.ExactRigidBodyIntegrator) -> np.ndarray:
+    """Return the total angular momentum, (3,)."""
+    _, state = integrator.bodyState()
+    spin = np.einsum("ijn,jn->i", matrix(state.q), state.m)
+    return np.cross(state.R, state.P, axis=0).sum(axis=1) + spin
+
+
+def change(scheme: str, interval: float, picoseconds: float, seed: int) -> float:
+    """Return the largest change of the angular momentum in a run over its size; nan of a run that diverged."""
+    _, system, positions = rb.rigid_water(MOLECULES, model=MODEL)
+    integrator = rb.ExactRigidBodyIntegrator(forceInterval=interval, scheme=scheme, engine="host")
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.setBodyState(droplets.start(MOLECULES, MODEL, seed))
+    start, steps, largest = angular_momentum(integrator), round(picoseconds / 10 / integrator.getStepSize()._value), 0.0
+    try:
+        for _ in range(10):
+            integrator.step(steps)
+            largest = max(largest, float(np.linalg.norm(angular_momentum(integrator) - start)))
+    except rb.IntegrationError:
+        return float("nan")
+    return largest / float(np.linalg.norm(start))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--interval", type=float, default=0.001, metavar="PS", help="between forces (%(default)s)")
+    add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
+    add("--starts", type=int, default=3)
+    add("--workers", type=int, default=None)
+    add("--out", type=Path, default=Path("out/angular_momentum"), metavar="FOLDER")
+    args = parser.parse_args()
+    seeds = range(11, 11 + args.starts)
+    jobs = {
+        name: [ensemble.Job(change, name, args.interval, args.picoseconds, seed) for seed in seeds]
+        for name in rb.SCHEMES
+    }
+    results = ensemble.run([job for some in jobs.values() for job in some], args.out, workers=args.workers)
+    values = {result.job.key: result.value for result in results}
+    with TABLE.open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["scheme", "force_interval_ps", "picoseconds", "starts", "change"])
+        for name, some in jobs.items():
+            worst = max(values[job.key] for job in some)
+            table.writerow([name, args.interval, args.picoseconds, args.starts, f"{worst:.1e}"])
+            print(f"{name:16} {worst:.1e}")
+
+
+if __name__ == "__main__":
+    main()
