@@ -61,17 +61,15 @@ def main() -> None:
     add("--out", type=Path, default=Path("out/angular_momentum"), metavar="FOLDER")
     args = parser.parse_args()
     seeds = range(11, 11 + args.starts)
-    jobs = {
-        name: [ensemble.Job(change, name, args.interval, args.picoseconds, seed) for seed in seeds]
-        for name in rb.SCHEMES
-    }
+    settings = {"interval": args.interval, "picoseconds": args.picoseconds}
+    jobs = {name: [ensemble.Job(change, scheme=name, seed=seed, **settings) for seed in seeds] for name in rb.SCHEMES}
     results = ensemble.run([job for some in jobs.values() for job in some], args.out, workers=args.workers)
     values = {result.job.key: result.value for result in results}
     with TABLE.open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["scheme", "force_interval_ps", "picoseconds", "starts", "change"])
         for name, some in jobs.items():
-            worst = max(values[job.key] for job in some)
+            worst = np.max([values[job.key] for job in some])  # nan if one diverged
             table.writerow([name, args.interval, args.picoseconds, args.starts, f"{worst:.1e}"])
             print(f"{name:16} {worst:.1e}")
 

@@ -1,0 +1,140 @@
+"""What one changed line of a stock script costs and brings: the defaults beside OpenMM's own integrators.
+
+A box of TIP3P and a helix in water, as `createSystem` makes them (PME, a CMMotionRemover), on the CPU platform with one
+thread, through `Simulation.step` with a report every 100 steps. Processor times are the least of rounds in which the
+integrators take turns, so that all of them meet the same neighbours on the machine. With --energies also the standard
+deviation of the total energy over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
+
+    python benchmarks/one_line.py
+    python benchmarks/one_line.py --energies --molecules 216 --starts 3
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from collections.abc import Callable
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from protein import FORCE_FIELD, solvated_helix
+
+STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
+PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Integrator]]] = {
+    "constant energy": (lambda: openmm.VerletIntegrator(STEP), lambda: rb.ExactRigidBodyIntegrator(STEP)),
+    "constant temperature": (
+        lambda: openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, STEP),
+        lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, FRICTION, STEP),
+    ),
+}
+SMOOTH = {"switchDistance": 0.8 * unit.nanometer, "ewaldErrorTolerance": 1e-5}
+
+
+def box(molecules: int) -> tuple[app.Topology, unit.Quantity]:
+    """Return a box of TIP3P."""
+    modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
+    modeller.addSolvent(app.ForceField("amber14/tip3p.xml"), numAdded=molecules, model="tip3p")
+    return modeller.topology, modeller.positions
+
+
+def system_of(topology: app.Topology, **options) -> openmm.System:
+    """Return the System that a stock script makes."""
+    cutoff = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.9 * unit.nanometer, "constraints": app.HBonds}
+    return app.ForceField(*FORCE_FIELD).createSystem(topology, **cutoff, **options)
+
+
+def simulation_of(topology, system, integrator, start=None) -> app.Simulation:
+    platform = openmm.Platform.getPlatform("CPU")
+    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, {"Threads": "1"})
+    if start is not None:
+        made.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+        made.context.setPositions(start.getPositions())
+        made.context.setVelocities(start.getVelocities())
+    return made
+
+
+def start_of(topology, system, positions, seed: int) -> openmm.State:
+    """Return a canonical start."""
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, STEP)
+    integrator.setRandomNumberSeed(seed)
+    made = simulation_of(topology, system, integrator)
+    made.context.setPositions(positions)
+    made.minimizeEnergy(maxIterations=200)
+    made.context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    made.step(2_500)
+    return made.context.getState(positions=True, velocities=True)
+
+
+def costs(topology, system, start, rounds: int) -> None:
+    """Print what a step of ours takes over one of OpenMM's, and how many forces."""
+    for name, makers in PAIRS.items():
+        runs = [simulation_of(topology, system, make(), start) for make in makers]
+        for run in runs:
+            run.reporters.append(app.StateDataReporter(io.StringIO(), 100, potentialEnergy=True, temperature=True))
+            run.step(100)
+        runs[1].integrator.timings.reset()
+        times: list[list[float]] = [[], []]
+        for _ in range(rounds):
+            for run, spent in zip(runs, times, strict=True):
+                begun = time.process_time()
+                run.step(100)
+                spent.append(time.process_time() - begun)
+        theirs, ours = map(min, times)
+        timings = runs[1].integrator.timings
+        evaluations = [count / (100 * rounds) for count in (timings.evaluations, timings.fast_evaluations)]
+        print(
+            f"{name}: {10 * ours:.2f} ms a step over {10 * theirs:.2f}, ratio {ours / theirs:.3f} "
+            f"(median {np.median(times[1]) / np.median(times[0]):.3f}); evaluations a step: all {evaluations[0]:.3f}, "
+            f"bonded beside them {evaluations[1]:.1f}"
+        )
+
+
+def energies(topology, system, positions, starts: int, picoseconds: float) -> None:
+    """Print the standard deviation of the total energy over whole runs of both integrators."""
+    spreads: list[list[float]] = [[], []]
+    for seed in range(1, starts + 1):
+        start = start_of(topology, system, positions, seed)
+        for make, found in zip(PAIRS["constant energy"], spreads, strict=True):
+            run = simulation_of(topology, system, make(), start)
+            total = []
+            for _ in range(round(picoseconds / (50 * STEP))):
+                run.step(50)
+                state = run.context.getState(energy=True)
+                total.append((state.getPotentialEnergy() + state.getKineticEnergy())._value)
+            found.append(float(np.std(total)))
+        print(f"start {seed}: {spreads[1][-1]:.3f} over {spreads[0][-1]:.3f} kJ/mol", flush=True)
+    theirs, ours = (np.sqrt(np.mean(np.square(found))) for found in spreads)
+    print(f"energy over {picoseconds:g} ps, {starts} starts: {ours / theirs:.3f} of VerletIntegrator's")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--molecules", type=int, default=887, help="of water in the box (%(default)s)")
+    add("--residues", type=int, default=35, help="of the helix; 0 for none (%(default)s)")
+    add("--rounds", type=int, default=8)
+    add("--energies", action="store_true", help="energy errors instead of times")
+    add("--starts", type=int, default=3)
+    add("--picoseconds", type=float, default=30.0)
+    args = parser.parse_args()
+    topology, positions = box(args.molecules)
+    if args.energies:
+        smooth = system_of(topology, **SMOOTH, removeCMMotion=False)
+        energies(topology, smooth, positions, args.starts, args.picoseconds)
+        return
+    system = system_of(topology)
+    print(f"{args.molecules} TIP3P")
+    costs(topology, system, start_of(topology, system, positions, 1), args.rounds)
+    if args.residues:
+        topology, positions = solvated_helix(args.residues)
+        system = system_of(topology)
+        print(f"a helix of {args.residues} alanines in water, {system.getNumParticles()} atoms")
+        costs(topology, system, start_of(topology, system, positions, 1), args.rounds)
+
+
+if __name__ == "__main__":
+    main()
