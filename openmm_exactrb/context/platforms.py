@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from typing import Any
 
 import openmm
@@ -70,3 +71,19 @@ def no_gpu(context: Any) -> str | None:
 def mixed(platform: openmm.Platform) -> dict[str, str]:
     """Return the properties of mixed precision where a platform has a choice: its default loses the energy's digits."""
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
+
+
+def is_single(context: Any) -> bool:
+    """Return whether a Context computes in the single precision of its platform."""
+    platform = context.getPlatform()
+    return platform.getName() in DEVICES and platform.getPropertyValue(context, _PRECISION) == "single"
+
+
+def warn_of_single_precision(context: Any) -> None:
+    """Warn where rounding hides what an integrator is chosen for."""
+    if is_single(context):
+        warnings.warn(
+            "the Context is in single precision, whose rounding hides the errors and the drift of the energy that "
+            'schemes differ in: make it with the platform properties {"Precision": "mixed"}',
+            stacklevel=5,
+        )

@@ -61,6 +61,7 @@ class Selection:
         self.note = f'engine="{asked}" was asked for'
         self._group = names.GROUP if self.on_device else None  # of the sums over bodies; None in the host's program
         self._own = () if thermostat is None else thermostat.own_numbers
+        self._warned = False  # of single precision
         self._mark()
         why = None if asked == "host" else _unsupported_settings(scheme, rotor, fast, thermostat)
         self._refuse(why)
@@ -127,6 +128,9 @@ class Selection:
 
     def install_host(self, context: Any, integrator: openmm.CustomIntegrator) -> None:
         """Give the integrator the host's program, unless it has it and the device wrote none of its variables."""
+        if not self._warned:
+            platforms.warn_of_single_precision(context)
+            self._warned = True
         if self._group is not None:
             gather.remove(context.getSystem())
         if self._group is not None or (self.open and integrator.getGlobalVariable(0) not in self.marks):
@@ -174,7 +178,7 @@ def _unsupported_context(context: Any, integrator: Any, fast: MultipleTimeSteps 
     name = platform.getName()
     if name not in (*platforms.DEVICES, "Reference"):
         return f"the device supports the platforms CUDA, HIP, OpenCL and Reference only, not {name}"
-    if name in platforms.DEVICES and platform.getPropertyValue(context, "Precision") == "single":
+    if platforms.is_single(context):
         return "in single precision the state of the bodies would be rounded: set Precision to mixed or double"
     if name == "Reference" and any(map(system.isVirtualSite, range(system.getNumParticles()))):
         return "the Reference platform of OpenMM moves virtual sites at the end of a step only, not within a program"

@@ -210,6 +210,16 @@ def test_single_precision_is_the_hosts_and_refused_to_the_device(gpu, platform, 
 
 
 @pytest.mark.opencl
+def test_single_precision_is_warned_of_once(platform, water):
+    simulation = auto(water, platform, precision="single")
+    with pytest.warns(UserWarning, match=r'"Precision": "mixed"'):
+        simulation.step(1)
+    simulation.context.reinitialize(preserveState=True)
+    simulation.step(1)
+    auto(water, platform, precision="mixed").step(1)
+
+
+@pytest.mark.opencl
 @pytest.mark.parametrize("name", ["c", "exactrb_turns", "v"])
 def test_parameters_with_the_names_of_the_program_are_the_hosts(name, gpu, platform, water):
     topology, system, positions = copy.deepcopy(water)
