@@ -13,7 +13,7 @@ import openmm
 
 import openmm_exactrb
 from openmm_exactrb import kernels
-from openmm_exactrb.context.platforms import platforms
+from openmm_exactrb.context.platforms import platforms, refused_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE
 
@@ -40,7 +40,8 @@ def _lines() -> Iterator[str]:
     yield f"kernels: {'compiled by numba' if kernels.available() else 'numpy'}"
     yield "platforms, fastest first:"
     for found in platforms():
-        yield f"  {found.getName()}, speed {found.getSpeed():g}"
+        why = refused_by_default(found)
+        yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; taken only if it is named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
     yield from ("schemes:", *(f"  {entry!r}" for entry in CATALOGUE.values()))

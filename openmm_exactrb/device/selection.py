@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -10,7 +9,7 @@ from typing import Any, Literal, get_args
 import openmm
 from openmm import unit
 
-from openmm_exactrb.context import arrays, variables
+from openmm_exactrb.context import arrays, platforms, variables
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import refuse_unset
@@ -24,9 +23,6 @@ from openmm_exactrb.thermostat import Thermostat
 
 Engine = Literal["host", "device", "auto"]
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
-_DEVICES = ("CUDA", "HIP", "OpenCL")
-# CPUs in OpenCL's DeviceName and OpenCLPlatformName: of Intel, AMD and Arm, and of PoCL (pthread-..., cpu-..., basic).
-_CPU = re.compile(r"\b(cpu|pthread|basic|core\(tm\)|xeon|pentium|celeron|epyc|ryzen|threadripper|opteron|cortex)", re.I)
 
 
 class Selection:
@@ -65,6 +61,7 @@ class Selection:
         self.note = f'engine="{asked}" was asked for'
         self._group = names.GROUP if self.on_device else None  # of the sums over bodies; None in the host's program
         self._own = () if thermostat is None else thermostat.own_numbers
+        self._warned = False  # of single precision
         self._mark()
         why = None if asked == "host" else _unsupported_settings(scheme, rotor, fast, thermostat)
         self._refuse(why)
@@ -108,7 +105,7 @@ class Selection:
     def _rule(self, context: Any, integrator: Any) -> tuple[bool, str]:
         """Return whether to take the device, and the reason. A run from a checkpoint keeps its engine if it can."""
         writer = _writer(integrator, self._own)
-        why = None if writer == "device" else no_gpu(context)
+        why = None if writer == "device" else platforms.no_gpu(context)
         why = why or _unsupported_context(context, integrator, self._fast)
         if why or writer:
             return not why and writer == "device", why or f"the run began with engine={writer!r}"
@@ -131,6 +128,9 @@ class Selection:
 
     def install_host(self, context: Any, integrator: openmm.CustomIntegrator) -> None:
         """Give the integrator the host's program, unless it has it and the device wrote none of its variables."""
+        if not self._warned:
+            platforms.warn_of_single_precision(context)
+            self._warned = True
         if self._group is not None:
             gather.remove(context.getSystem())
         if self._group is not None or (self.open and integrator.getGlobalVariable(0) not in self.marks):
@@ -142,18 +142,6 @@ class Selection:
         self.declare(program)
         rebind(context, integrator, program)
         self._mark()
-
-
-def no_gpu(context: Any) -> str | None:
-    """Return why the platform of a Context is no GPU, or None."""
-    platform = context.getPlatform()
-    name = platform.getName()
-    if name not in _DEVICES:
-        return f"{name} is not a GPU platform"
-    if name != "OpenCL":
-        return None
-    device, vendor = (platform.getPropertyValue(context, key) for key in ("DeviceName", "OpenCLPlatformName"))
-    return f"the OpenCL device {device} is a CPU" if _CPU.search(f"{device} {vendor}") else None
 
 
 def _writer(integrator: openmm.CustomIntegrator, own: Sequence[str]) -> str | None:
@@ -188,9 +176,9 @@ def _unsupported_context(context: Any, integrator: Any, fast: MultipleTimeSteps 
     """Return why a Context, at the present step size, needs the host, or None."""
     platform, system = context.getPlatform(), context.getSystem()
     name = platform.getName()
-    if name not in (*_DEVICES, "Reference"):
+    if name not in (*platforms.DEVICES, "Reference"):
         return f"the device supports the platforms CUDA, HIP, OpenCL and Reference only, not {name}"
-    if name in _DEVICES and platform.getPropertyValue(context, "Precision") == "single":
+    if platforms.is_single(context):
         return "in single precision the state of the bodies would be rounded: set Precision to mixed or double"
     if name == "Reference" and any(map(system.isVirtualSite, range(system.getNumParticles()))):
         return "the Reference platform of OpenMM moves virtual sites at the end of a step only, not within a program"

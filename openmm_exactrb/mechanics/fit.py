@@ -76,7 +76,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             misfit = relative - turned(_attitudes(q, of_kind), sites)
             misfits.append((of_kind, np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))))
     misfits.append(_missed(bodies, R, moved))
-    _judge(bodies, *map(np.concatenate, zip(*misfits, strict=True)))
+    _judge(bodies, x, *map(np.concatenate, zip(*misfits, strict=True)))
     for kind in bodies.kinds:
         of_kind, particles, sites = _chosen(kind, pushed)
         V = v[particles]
@@ -129,23 +129,56 @@ def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
         )
 
 
-def _judge(bodies: RigidBodies, chosen: Indices, distance: Array) -> None:
+def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> None:
     """Refuse positions that are no rigid bodies, and tell of those that are not quite."""
     if not (distance > RIGIDITY).any():
         return
     worst = int(np.argmax(distance))
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
-        raise ValueError(
-            f"{name} is {distance[worst]:.2g} nm away from its shape, more than {REFUSED:g} nm: do not let a "
-            "periodic box split molecules, and set positions whose distances are about those of the constraints"
+        cause = _cause(bodies, x, int(chosen[worst])) or (
+            f", more than {REFUSED:g} nm: do not let a periodic box split molecules, and set positions whose distances "
+            "are about those of the constraints"
         )
+        raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warnings.warn(
         f"positions of {(distance > RIGIDITY).sum()} bodies were not quite those of their shapes and were put on them: "
         f"the largest distance is {distance[worst]:.2g} nm, in {name}",
         ShapeWarning,
         stacklevel=2,
     )
+
+
+def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
+    """Return how a body misses its shape, and what to do: as its mirror image, or by one atom out of place."""
+    if body >= bodies.n_turning:
+        return None
+    kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
+    row = body - kind.bodies.start
+    particles, sites = kind.particles[row], kind.sites[row % len(kind.sites)]
+    missed = np.array([_missed_by(k, kind.masses, sites, x[particles]) for k in range(len(particles))])
+    if _missed_by(None, kind.masses, -sites, x[particles]).max() <= REFUSED:
+        return (
+            " and the mirror image of it: set positions of the handedness of the first ones, or call "
+            "context.reinitialize(preserveState=True) to make these the shape"
+        )
+    (astray,) = np.nonzero(np.where(np.eye(len(missed)), 0.0, missed).max(axis=1) <= REFUSED)
+    if len(astray) != 1:
+        return None
+    k = astray[0]
+    return (
+        f" because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its place among the others: set the "
+        "position of this particle again, in the periodic image of the others"
+    )
+
+
+def _missed_by(left_out: int | None, masses: Array, sites: Array, x: Array) -> Array:
+    """Return the distances (k,) of particles from their places in the fit of a body to all but one of them."""
+    weights = masses.copy()
+    weights[[] if left_out is None else left_out] = 0.0
+    relative, about = (a - weights @ a / weights.sum() for a in (x, sites))
+    attitude = _attitudes(best_attitudes(weights, about[None], relative[None]), np.arange(1))
+    return np.asarray(np.linalg.norm(relative - turned(attitude, about[None])[0], axis=1))
 
 
 def _clusters_of(bodies: RigidBodies, chosen: Indices) -> Iterator[tuple[ClusterKind, Indices, NDArray[np.bool_]]]:

@@ -74,7 +74,7 @@ def tune(
         In K, required if all velocities are zero. Positions without velocities are minimised; then momenta are drawn
         and exchange energy with the positions in short runs, until the temperature is reached.
     platform : str or openmm.Platform, optional
-        By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest.
+        By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest but for OpenCL on a CPU.
     properties : mapping, optional
         Of the platform; by default mixed precision if there is a choice.
     bodies : sequence of sequences of int, optional

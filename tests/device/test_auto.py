@@ -10,7 +10,8 @@ from devices import REFERENCE, opencl, shown, stepped
 from openmm import app
 
 import openmm_exactrb as rb
-from openmm_exactrb.device import selection
+from openmm_exactrb.command.main import main
+from openmm_exactrb.context import platforms
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import Kick
 from peptides import peptide
@@ -31,7 +32,7 @@ def water():
 @pytest.fixture
 def gpu(monkeypatch):
     """Have the rule take PoCL for a GPU."""
-    monkeypatch.setattr(selection, "no_gpu", lambda context: None)
+    monkeypatch.setattr(platforms, "no_gpu", lambda context: None)
 
 
 def auto(water, platform, thermostat=False, precision="double", engine="auto", scheme="S2_2"):
@@ -78,7 +79,7 @@ class Platform:
     ],
 )
 def test_gpus_are_recognised(platform):
-    assert selection.no_gpu(Platform(*platform)) is None
+    assert platforms.no_gpu(Platform(*platform)) is None
 
 
 @pytest.mark.parametrize(
@@ -96,7 +97,7 @@ def test_gpus_are_recognised(platform):
     ],
 )
 def test_cpus_are_recognised(platform):
-    assert isinstance(selection.no_gpu(Platform(*platform)), str)
+    assert isinstance(platforms.no_gpu(Platform(*platform)), str)
 
 
 @pytest.mark.parametrize("engine", ["host", "device"])
@@ -139,6 +140,17 @@ def test_an_opencl_device_that_is_a_cpu_is_the_hosts_unless_the_device_is_asked_
     named = auto(water, platform, engine="device")
     named.step(1)
     assert named.integrator.getEngine() == "device"
+
+
+@pytest.mark.opencl
+def test_an_opencl_device_that_is_a_cpu_is_taken_only_if_it_is_named(platform, monkeypatch, capsys):
+    """OpenMM's minimiser crashes the process on PoCL."""
+    monkeypatch.delenv("OPENMM_DEFAULT_PLATFORM", raising=False)
+    monkeypatch.setattr(platforms, "no_gpu", lambda context: "it is a CPU")
+    assert platforms.platform_of().getName() != "OpenCL"
+    assert platforms.platform_of("OpenCL").getName() == "OpenCL"
+    assert main(["info"]) == 0
+    assert "taken only if it is named: it is a CPU" in capsys.readouterr().out
 
 
 @pytest.mark.opencl
@@ -195,6 +207,16 @@ def test_single_precision_is_the_hosts_and_refused_to_the_device(gpu, platform, 
     assert "Precision" in simulation.integrator.engineNote()
     with pytest.raises(ValueError, match="Precision"):
         auto(water, platform, precision="single", engine="device").step(1)
+
+
+@pytest.mark.opencl
+def test_single_precision_is_warned_of_once(platform, water):
+    simulation = auto(water, platform, precision="single")
+    with pytest.warns(UserWarning, match=r'"Precision": "mixed"'):
+        simulation.step(1)
+    simulation.context.reinitialize(preserveState=True)
+    simulation.step(1)
+    auto(water, platform, precision="mixed").step(1)
 
 
 @pytest.mark.opencl

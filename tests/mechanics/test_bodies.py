@@ -138,6 +138,18 @@ def test_positions_that_are_not_rigid_are_put_on_the_shape_or_refused_by_name(mi
     moved(0.2 * RIGIDITY)
 
 
+def test_a_mirror_image_and_an_atom_astray_are_named():
+    system = openmm.System()
+    add_rigid(system, CHIRAL, [1.0, 2.0, 3.0, 4.0])
+    bodies = find_bodies(system, CHIRAL)
+    with pytest.raises(ValueError, match=r"body 0 \(particles 0, 1, 2, 3\) .* mirror image of it: set .*"):
+        fit(bodies, CHIRAL * [1.0, 1.0, -1.0], np.zeros((4, 3)))
+    torn = CHIRAL.copy()
+    torn[2] += [0.0, 3.0, 0.0]
+    with pytest.raises(ValueError, match=r"particles 0, 1, 2, 3\) .* because of particle 2 alone, 3 nm from its place"):
+        fit(bodies, torn, np.zeros((4, 3)))
+
+
 def test_the_best_fit_of_distorted_positions_keeps_the_centre_and_is_the_nearest_attitude(mixture, rng):
     system, x, bodies = mixture
     y = x + 5.0 * RIGIDITY * rng.standard_normal(x.shape)

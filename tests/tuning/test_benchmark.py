@@ -10,7 +10,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import schemes
-from openmm_exactrb.device import selection
+from openmm_exactrb.context import platforms
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
 from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised
@@ -69,7 +69,7 @@ def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
 @pytest.mark.parametrize(("reason", "engine"), [(None, "device"), ("a CPU", "host")])
 def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, engine):
     opencl()
-    monkeypatch.setattr(selection, "no_gpu", lambda context: reason)
+    monkeypatch.setattr(platforms, "no_gpu", lambda context: reason)
     system, state = droplet
     forces = system.getNumForces()
     start = InitialState(system, *arrays(state), platform="OpenCL", properties={"Precision": "mixed"})
