@@ -50,7 +50,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once a step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or with a thermostat the one that the thermostat names, mostly "BAOA".
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or with a thermostat "BAOA"; hybrid Monte Carlo has
+        "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
