@@ -36,7 +36,7 @@ browse: $(VENV)/.docs
 linkcheck: $(VENV)/.docs
 	$(BIN)/python -m sphinx --quiet -D plot_gallery=0 -b linkcheck docs docs/_build/linkcheck
 
-validate: $(VENV)/.test
+validate: $(VENV)/.validation
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
@@ -74,6 +74,10 @@ $(VENV)/.run: $(VENV)/.python
 
 $(VENV)/.test: $(VENV)/.python
 	$(BIN)/python -m pip install --quiet --editable ".[test]"
+	touch $@
+
+$(VENV)/.validation: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".[validation]"
 	touch $@
 
 $(LOWEST)/.test: pyproject.toml constraints/lowest.txt
