@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import sys
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -23,11 +24,13 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb import problems
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import Substep
+
+sys.path.append(str(Path(__file__).parent / "paper"))
+import problems
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -43,7 +43,7 @@ class Forces(Protocol):
 
 
 class Environment(Protocol):
-    """The environment of substeps: the bodies of a Context, or of an `openmm_exactrb.problems.Problem`.
+    """The environment of substeps: the bodies of a Context, or of a problem without OpenMM.
 
     Attributes
     ----------

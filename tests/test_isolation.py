@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import openmm
+import problems
 import pytest
 
 import openmm_exactrb as rb
 import three_masses
-from openmm_exactrb import problems, quaternions
+from openmm_exactrb import quaternions
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]

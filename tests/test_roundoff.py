@@ -2,6 +2,7 @@
 
 import numpy as np
 import openmm
+import problems
 import pytest
 from mpmath import mp
 from openmm import app
@@ -9,7 +10,7 @@ from openmm import app
 import openmm_exactrb as rb
 import oracle
 import roundoff
-from openmm_exactrb import problems, quaternions
+from openmm_exactrb import quaternions
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums
 

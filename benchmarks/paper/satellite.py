@@ -10,8 +10,8 @@ import common
 import matplotlib.pyplot as plt
 import numpy as np
 from claims import Claim, Criterion
+from problems import Satellite, energy, integrate
 
-from openmm_exactrb.problems import Satellite, energy, integrate
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.schemes import scheme
 

@@ -12,8 +12,8 @@ import common
 import matplotlib.pyplot as plt
 import numpy as np
 from claims import Claim, Criterion
+from problems import HeavyTop, energy, integrate
 
-from openmm_exactrb.problems import HeavyTop, energy, integrate
 from openmm_exactrb.schemes import scheme
 
 NAME = "tops"

@@ -7,9 +7,9 @@ Every scheme of the catalogue on heavy tops, at the same cost. A scheme that is 
 
 import matplotlib.pyplot as plt
 import numpy as np
+from problems import HeavyTop, energy, integrate
 
 import openmm_exactrb as rb
-from openmm_exactrb.problems import HeavyTop, energy, integrate
 
 tops, start = HeavyTop.random(np.random.default_rng(1), epsilon=1.0, T0=1.0, n=20)
 first = energy(tops, start)

@@ -3,6 +3,7 @@
 import numpy as np
 import openmm
 import pytest
+from problems import HeavyTop, Satellite, energy, integrate
 
 import charts
 import openmm_exactrb as rb
@@ -11,7 +12,6 @@ from openmm_exactrb.compensated import exactly
 from openmm_exactrb.context.forces import Memory
 from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.problems import HeavyTop, Satellite, energy, integrate
 from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, gradient_kick, kick
