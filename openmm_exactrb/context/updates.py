@@ -18,7 +18,8 @@ from openmm_exactrb.mechanics.state import State
 
 Array = NDArray[np.float64]
 
-_BAROSTATS = (
+#: Forces that change positions between steps.
+BAROSTATS = (
     "MonteCarloAnisotropicBarostat",
     "MonteCarloBarostat",
     "MonteCarloFlexibleBarostat",
@@ -27,7 +28,7 @@ _BAROSTATS = (
 _OURS = "SoftDipoleForce"  # a PythonForce of this package, which has an energy
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps: without them a System conserves its energy.
-UPDATES = (_THERMOSTAT, _REMOVER, *_BAROSTATS)
+UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class ContextUpdates:
@@ -158,7 +159,7 @@ def conserve_energy(system: openmm.System) -> bool:
 def acting_updates(context: openmm.Context) -> list[Any]:
     """Return the thermostats and barostats that a Context knows: those that joined its System later do nothing."""
     known = set(context.getParameters())
-    names = (_THERMOSTAT, *_BAROSTATS)
+    names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
     return [force for force in found if force.Temperature() in known]
 

@@ -52,14 +52,15 @@ def tune(
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
     (rigid bodies, and particles beside them). Survey runs are as long as `duration`, and their errors are extrapolated
     from the growth of the variance with the length of the run. The recommended setting is run over the whole horizon
-    first, since the energy may wander for picoseconds. If the System has bonds and angles that move, schemes with
+    first, since the energy may wander for picoseconds. Costs are those of `Simulation.step`, which calls the
+    integrator every ten steps. If the System has bonds and angles that move, schemes with
     ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
         A Simulation also provides its state, box, parameters, platform, force groups that act and bodies named by hand.
-        Thermostats, barostats and motion removers are left out of the measurements.
+        Errors are measured without its thermostats, barostats and motion removers, costs with them.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
     target : float, optional
@@ -138,23 +139,19 @@ def _result(
     chosen = None
     if best is not None:
         setting = best.method, best.step, best.error, best.cost
-        chosen = Choice(*setting, True, state.bodies, own.get(best.method), state.groups)
+        evaluations = measured.evaluations[best.method] / best.step
+        chosen = Choice(*setting, True, state.bodies, own.get(best.method), state.groups, evaluations)
     if time == free:
         notes.append(
             "at the start bodies hardly feel each other: what was measured says little about runs in which they meet"
         )
     if floor is not None and best is not None and best.error < 1.5 * floor:
         notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
-    if best is not None and (scheme := measured.methods[best.method].scheme) and scheme.output_forces:
-        notes.append(
-            f"{best.method} evaluates forces {scheme.output_forces} times more for each call of step, and so for each "
-            "report. The cost does not include these: let reports be some hundred forces apart. Simulation.step calls "
-            "it every ten steps"
-        )
     return Tuning(
         points=tuple(measured.points),
         seconds=measured.seconds,
         stages=measured.stages,
+        evaluations=measured.evaluations,
         n_bodies=n_bodies,
         platform=state.platform,
         duration=measured.duration,

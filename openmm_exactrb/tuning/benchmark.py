@@ -47,6 +47,8 @@ NESTED = " nested"
 
 # Energies of a run, and the fewest.
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
+# Steps of a call of the integrator by Simulation.step, and the fewest and most calls in which evaluations are counted.
+_CALL, _FEWEST_CALLS, _MOST_CALLS = 10, 6, 30
 # Rounds of timing through all methods, and force evaluations of each method in a round.
 _ROUNDS, _EVALUATIONS = 7, 28
 
@@ -114,6 +116,10 @@ class IntegratorUnderTest:
         now = self.context.getState(energy=True, groups=self.state.groups)
         return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
 
+    def evaluations_per_step(self, h: float) -> float:
+        """Return the force evaluations of a step of h ps, called as `Simulation.step` does in the whole System."""
+        return 1.0 + sum(2.0 / period for period in self.state.periods)  # a barostat compares two energies
+
     def seconds_per_evaluation(self, steps: int) -> float:
         """Make steps, and return their wall time per force evaluation."""
         begun = time.perf_counter()
@@ -147,6 +153,24 @@ class ExactRigidBody(IntegratorUnderTest):
     def energy(self) -> float:
         """Return the total energy in kJ/mol, with the kinetic energy in float64."""
         return float(self.integrator.totalEnergy()._value)
+
+    def evaluations_per_step(self, h: float) -> float:
+        """Return the force evaluations of a step of h ps, called as `Simulation.step` does in the whole System.
+
+        They are counted over periods of a barostat, unless these are very long.
+        """
+        self.begin(h)
+        integrator = self.integrator
+        if self.state.whole is not None:
+            integrator = copy.copy(integrator)
+            _context = replace(self.state, system=copy.deepcopy(self.state.whole)).context(integrator)
+        period = math.lcm(_CALL, *self.state.periods) // _CALL
+        calls = min(period * math.ceil(_FEWEST_CALLS / period), _MOST_CALLS)
+        integrator.step(_CALL)  # with what a run pays once
+        integrator.timings.reset()
+        for _ in range(calls):
+            integrator.step(_CALL)
+        return float(integrator.timings.evaluations / (calls * _CALL))
 
     def seconds_per_evaluation(self, steps: int) -> float:
         """Make steps, and return their wall time per force evaluation."""

@@ -17,7 +17,7 @@ from openmm import app, unit
 from openmm_exactrb import checks
 from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.context.units import gas_constant_times, stripped
-from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.context.updates import BAROSTATS, UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
@@ -57,6 +57,15 @@ class InitialState:
     bodies: list[list[int]] | None = None
     #: Bits of the force groups that act.
     groups: int = -1
+    #: The System with what acts between steps, which `system` lacks; None if nothing does.
+    whole: openmm.System | None = None
+
+    @property
+    def periods(self) -> list[int]:
+        """Steps between two moves of each barostat of the whole System."""
+        forces = [] if self.whole is None else self.whole.getForces()
+        barostats = [force for force in forces if type(force).__name__ in BAROSTATS]
+        return [period for force in barostats if (period := force.getFrequency())]
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
@@ -133,8 +142,9 @@ def initial_state(
     fastest = platform_of(platform)
     precision = mixed(fastest) if properties is None else dict(properties)
     named = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
-    notes = [f"{', '.join(left_out)} of the System left out of the measurements"] if left_out else []
-    return InitialState(twin, x, v, box, parameters, fastest.getName(), precision, named, groups), notes
+    notes = [f"errors are those without the {', '.join(left_out)} of the System; costs include it"] if left_out else []
+    whole = system if left_out else None
+    return InitialState(twin, x, v, box, parameters, fastest.getName(), precision, named, groups, whole), notes
 
 
 def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: str) -> Array:

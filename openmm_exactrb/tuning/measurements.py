@@ -82,6 +82,8 @@ class Measurements:
         self.stages = {name: method.stages for name, method in self.methods.items()}
         #: Wall time of a force evaluation in s by method, measured by `time`.
         self.seconds: dict[str, float] = {}
+        #: Force evaluations of a step by method, as `Simulation.step` calls it in the whole System; set by `time`.
+        self.evaluations: dict[str, float] = {}
         self.points: list[Point] = []
         self._shares: dict[tuple[str, float], float] = {}  # nested evaluations per other evaluation, at a step
         self._plain_seconds = self._nested_seconds = math.nan  # per force evaluation, and per nested one
@@ -121,6 +123,10 @@ class Measurements:
         self._plain_seconds, self._nested_seconds = least, min(excess, default=0.0)
         for name in nested:
             self.seconds[name] = least + shares[name] * self._nested_seconds
+        self.evaluations = {
+            name: self.benchmark.under_test(method).evaluations_per_step(method.stages * interval)
+            for name, method in self.methods.items()
+        }
         self.points = [self._with_cost(p) for p in self.points]
 
     def _with_cost(self, point: Point) -> Point:
@@ -128,7 +134,7 @@ class Measurements:
         seconds = self.seconds.get(point.method, math.nan)
         if self.methods[point.method].nested:
             seconds = self._plain_seconds + self._shares[point.method, point.step] * self._nested_seconds
-        return replace(point, cost=seconds * self.stages[point.method] / point.step)
+        return replace(point, cost=seconds * self.evaluations.get(point.method, math.nan) / point.step)
 
     def schemes(self) -> list[str]:
         """Return the schemes that were stable at some step."""

@@ -46,6 +46,8 @@ class Choice:
     scheme: Scheme | None = None
     #: Bits of the force groups that act.
     groups: int = -1
+    #: Force evaluations per ps of `Simulation.step` with reports that are no more frequent than every tenth step.
+    evaluations: float = math.nan
 
     def integrator(self) -> openmm.Integrator:
         """Return a new integrator with this scheme and step."""
@@ -64,7 +66,7 @@ class Choice:
     def __str__(self) -> str:
         return (
             f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol per body, "
-            f"{self.cost:.3g} s per ps ({86.4 / self.cost:.3g} ns per day)"
+            f"{self.evaluations:.4g} force evaluations and {self.cost:.3g} s per ps ({86.4 / self.cost:.3g} ns per day)"
         )
 
 
@@ -77,6 +79,8 @@ class Tuning:
     seconds: Mapping[str, float]
     #: Force evaluations per step by method, not counting those of nested forces.
     stages: Mapping[str, int]
+    #: The same as `Simulation.step` has them made in the user's System, with its barostats and for what reports show.
+    evaluations: Mapping[str, float]
     n_bodies: int
     platform: str
     #: Length of a survey run in ps.
@@ -181,7 +185,8 @@ class Tuning:
             return None
         measured = curve[0].error <= target  # already with the largest stable step
         error, step = curve[0].error if measured else target, step_at(curve, cost)
-        return Choice(method, step, error, cost, measured, self.bodies, self.schemes.get(method), self.groups)
+        own, evaluations = self.schemes.get(method), self.evaluations[method] / step
+        return Choice(method, step, error, cost, measured, self.bodies, own, self.groups, evaluations)
 
     def _why_unreachable(self, target: float, method: str | None = None) -> str:
         points = [p for name in self._methods(method) for p in self.curve(name)]
@@ -254,7 +259,7 @@ class Tuning:
         cost = cost_at(self.curve(VERLET), chosen.error)
         if cost is None:  # extrapolate: Verlet is of order 2
             cost, about = last.cost * (last.error / chosen.error) ** 0.5, "about "
-        step = 1e3 * self.seconds[VERLET] / cost
+        step = 1e3 * self.seconds[VERLET] * self.evaluations[VERLET] / cost
         return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"
 
     def draw(self, file: str | os.PathLike[str]) -> None:
