@@ -54,11 +54,11 @@ def test_nested_evaluations_have_their_price(nested):
     result, _ = nested
     extra = {}
     for p in result.curve("S2_2 nested"):
-        extra[p.step] = p.cost * p.step / 2.0 - result.seconds["S2_2"]
+        extra[p.step] = p.cost * p.step / result.evaluations["S2_2 nested"] - result.seconds["S2_2"]
     assert all(e > 0.0 for e in extra.values())
     assert extra[max(extra)] > extra[min(extra)]
     for p in result.curve("S2_2"):
-        assert p.cost * p.step / 2.0 == pytest.approx(result.seconds["S2_2"], rel=1e-12)
+        assert p.cost * p.step / result.evaluations["S2_2"] == pytest.approx(result.seconds["S2_2"], rel=1e-12)
 
 
 def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):
