@@ -6,7 +6,7 @@ import os
 import reprlib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,18 +31,14 @@ class _Lines:
     ) -> None:
         self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
         self._owned = isinstance(file, (str, os.PathLike))
-        head = ",".join(columns)
         if isinstance(file, (str, os.PathLike)):
-            path = Path(file)
-            if append and path.is_file():
-                _cut_to_lines(path, head)
-            self._out: TextIO = path.open("a" if append else "w")
+            self._out: TextIO = Path(file).open("a" if append else "w")
         elif hasattr(file, "write"):
             self._out = file
         else:
             raise ValueError(f"file must be a path or an open text file, not {file!r}")
         if not append or (self._owned and self._out.tell() == 0):
-            self._out.write(f"{head}\n")
+            self._out.write(",".join(columns) + "\n")
 
     def _steps_left(self, simulation: Any) -> int:
         return int(self._interval - simulation.currentStep % self._interval)
@@ -67,8 +63,7 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Append to the lines of an existing file, and write the names of the columns only if it has none. An incomplete
-        last line, left by a script that was killed, is removed from a file that is given by its path.
+        Append to the lines of an existing file, and write the names of the columns only if it is empty.
 
     Notes
     -----
@@ -211,30 +206,3 @@ def _molecules(simulation: Any) -> NDArray[np.integer[Any]]:
     pairs = np.array([(group[0], member) for group in groups for member in group])
     graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1])
-
-
-def _cut_to_lines(file: Path, columns: str) -> None:
-    """Cut a table back to the end of its last whole line; a ValueError if it does not begin with the columns."""
-    with file.open("r+b") as table:
-        end = _end_of_lines(table)
-        if end == table.seek(0, os.SEEK_END):
-            return
-        table.seek(0)
-        if not columns.startswith(table.readline(len(columns)).decode("utf-8", "replace")):
-            raise ValueError(
-                f"{file} ends within a line, and is no table of {columns}: end its last line, or give another file"
-            )
-        table.truncate(end)
-
-
-def _end_of_lines(file: BinaryIO, block: int = 65536) -> int:
-    """Return the offset at which the last complete line of a file ends."""
-    end = file.seek(0, os.SEEK_END)
-    while end > 0:
-        start = max(0, end - block)
-        file.seek(start)
-        newline = file.read(end - start).rfind(b"\n")
-        if newline >= 0:
-            return start + newline + 1
-        end = start
-    return 0

@@ -34,20 +34,18 @@ def energies(
     Parameters
     ----------
     build : callable
-        ``build(**arguments)`` returns (topology, system, positions) or (topology, system, positions, velocities), as
-        `openmm_exactrb.dipole_fluid` does. The seed is passed too if it accepts one.
+        ``build(**arguments)``, with the seed if it accepts one, returns topology, system, positions and perhaps
+        velocities, as `openmm_exactrb.dipole_fluid` does.
     step, duration : float or Quantity
         In ps if without a unit. The duration is rounded to whole steps.
     scheme, rotor
         Of the `ExactRigidBodyIntegrator`.
     temperature : float or Quantity, optional
-        Momenta are drawn at this temperature, in K if without a unit, with the seed.
+        Of the momenta, which are drawn with the seed, in K if without a unit.
     frames : int, optional
         Number of samples after the first one, evenly spread over the steps.
     platform : str, optional
         "CPU" runs in one thread with deterministic forces.
-    **arguments
-        Of `build`.
 
     Returns
     -------

@@ -7,25 +7,18 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from openmm_exactrb.checks import whole
 from openmm_exactrb.ensemble.jobs import Job, Result
 from openmm_exactrb.files import written_whole
 
 
-def run(
-    jobs: Iterable[Job],
-    folder: str | os.PathLike[str],
-    *,
-    scheduler: str | None = None,
-    workers: int | None = None,
-    progress: bool = True,
-) -> list[Result]:
-    """Execute jobs and return their results in the same order; see `as_completed`."""
+def run(jobs: Iterable[Job], folder: str | os.PathLike[str], **options: Any) -> list[Result]:
+    """Execute jobs and return their results in the same order; options are those of `as_completed`."""
     jobs = list(jobs)
-    results = as_completed(jobs, folder, scheduler=scheduler, workers=workers, progress=progress)
-    by_key = {result.job.key: result for result in results}
-    return [by_key[job.key] for job in jobs]
+    results = {result.job: result for result in as_completed(jobs, folder, **options)}
+    return [results[job] for job in jobs]
 
 
 def as_completed(
