@@ -25,7 +25,6 @@ lint: $(VENV)/.lint
 
 docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going --quiet -b html docs docs/_build/html
-	$(BIN)/python -m sphinx -W --keep-going --quiet -D plot_gallery=0 -b doctest docs docs/_build/doctest
 	$(BIN)/python docs/_ext/pages.py
 	@echo "docs/_build/html/index.html"
 

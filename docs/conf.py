@@ -83,8 +83,6 @@ sphinx_gallery_conf = {
 }
 os.environ["TQDM_DISABLE"] = "1"
 
-doctest_global_setup = "from openmm_exactrb import *"
-
 html_theme = "furo"
 html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False

@@ -32,7 +32,8 @@ class _Lines:
         self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
         self._owned = isinstance(file, (str, os.PathLike))
         if isinstance(file, (str, os.PathLike)):
-            self._out: TextIO = Path(file).open("a" if append else "w")
+            path = Path(file)
+            self._out: TextIO = path.open("a" if append else "w")
         elif hasattr(file, "write"):
             self._out = file
         else:

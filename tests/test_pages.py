@@ -1,6 +1,7 @@
 """The Python in the README runs as it is printed; that of the other pages compiles, and `make docs` runs it."""
 
 import ast
+import doctest
 import importlib
 import re
 
@@ -8,8 +9,12 @@ import matplotlib as mpl
 import pytest
 from pages import PAGES, PIECE, ROOT, pieces, run
 
+import openmm_exactrb
+
 PATH = re.compile(r"`((?:tests|benchmarks|examples|docs|openmm_exactrb)/[\w./-]*\w)`")
 WITH_PYTHON = [page for page in PAGES if any(pieces(page))]
+MODULES = sorted((ROOT / "openmm_exactrb").rglob("*.py"))
+WITH_EXAMPLES = [".".join(p.relative_to(ROOT).with_suffix("").parts) for p in MODULES if ">>> " in p.read_text()]
 
 
 def name_of(page):
@@ -27,6 +32,11 @@ def test_pieces_run_as_they_are_printed(page, monkeypatch):
         run(page)
 
 
+@pytest.mark.parametrize("module", WITH_EXAMPLES)
+def test_examples_in_docstrings_print_what_they_show(module):
+    assert doctest.testmod(importlib.import_module(module), extraglobs=vars(openmm_exactrb)).failed == 0
+
+
 def imported(tree):
     """Yield the modules and names that pieces import."""
     for node in ast.walk(tree):
@@ -40,7 +50,8 @@ def test_names_that_pages_take_from_the_package_exist():
     """Imports of every page, and attributes of `rb`, without running anything."""
     rb, missing = importlib.import_module("openmm_exactrb"), []
     for page in WITH_PYTHON:
-        tree = ast.parse("".join(re.sub(r"^:\w+:$", "", code, flags=re.M) for code in PIECE.findall(page.read_text())))
+        code = "".join(code for code, _ in PIECE.findall(page.read_text()))
+        tree = ast.parse(re.sub(r"^:\w+:$", "", code, flags=re.M))
         for module, name in imported(tree):
             if name is not None and not hasattr(importlib.import_module(module), name):
                 missing.append((name_of(page), module, name))

@@ -1,11 +1,13 @@
 """Run every piece of Python of the README and of the documentation as it is printed, page by page.
 
-`make docs` runs them all; the tests run the README and only read the others.
+What a piece prints is compared with the `{testoutput}` behind it. `make docs` runs all pages; the tests run the README
+and only read the others.
 """
 
 from __future__ import annotations
 
 import contextlib
+import doctest
 import gc
 import io
 import os
@@ -25,15 +27,17 @@ DOCS = ROOT / "docs"
 # Built pages, copies of the examples, and recipes that have tests of their own (tests/test_recipes.py).
 ELSEWHERE = {DOCS / "_build", DOCS / "examples", DOCS / "contributing.md"}
 PAGES = [ROOT / "README.md", *sorted(p for p in DOCS.rglob("*.md") if not ELSEWHERE & {p, *p.parents})]
-PIECE = re.compile(r"^```(?:python|\{testcode\})\n(.*?)^```$", flags=re.M | re.S)
+PIECE = re.compile(
+    r"^```(?:python|\{testcode\})\n(?P<code>.*?)^```$(?:\n+^```\{testoutput\}\n(?P<shown>.*?)^```$)?", flags=re.M | re.S
+)
 
 
-def pieces(page: Path) -> Iterator[CodeType]:
-    """Yield the compiled pieces of Python of a page; errors name the lines of the page."""
+def pieces(page: Path) -> Iterator[tuple[CodeType, str | None]]:
+    """Yield the compiled pieces of Python of a page and what it shows that they print; errors name its lines."""
     text = page.read_text(encoding="utf-8")
     for found in PIECE.finditer(text):
-        code = re.sub(r"^:\w+:$", "", found[1], flags=re.M)
-        yield compile("\n" * text.count("\n", 0, found.start(1)) + code, str(page), "exec")
+        code = re.sub(r"^:\w+:$", "", found["code"], flags=re.M)
+        yield compile("\n" * text.count("\n", 0, found.start("code")) + code, str(page), "exec"), found["shown"]
 
 
 def run(page: Path) -> None:
@@ -46,8 +50,12 @@ def run(page: Path) -> None:
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", ResourceWarning)  # a script ends, and reporters with open files with it
         names = {"__name__": "__page__"}
-        for piece in pieces(page):
-            exec(piece, names)
+        for piece, shown in pieces(page):
+            with contextlib.redirect_stdout(io.StringIO()) as out:
+                exec(piece, names)
+            printed = out.getvalue()
+            if shown is not None and not doctest.OutputChecker().check_output(shown, printed, doctest.ELLIPSIS):
+                raise AssertionError(f"the page shows\n{shown}but its piece printed\n{printed}")
         names.clear()
         gc.collect()
 

@@ -48,7 +48,7 @@ class Job:
 
     Examples
     --------
-    >>> from openmm_exactrb import dipole_fluid
+    >>> from openmm_exactrb.ensemble import Job, energies
     >>> job = Job(energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
     >>> job
     Job(openmm_exactrb.ensemble.dynamics.energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
@@ -119,7 +119,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
 
     Examples
     --------
-    >>> from openmm_exactrb import dipole_fluid
+    >>> from openmm_exactrb.ensemble import energies, sweep
     >>> axes = {"seed": range(100), "scheme": ["V2", "SRKN4_6b"]}
     >>> len(sweep(energies, axes, build=dipole_fluid, step=0.05, duration=1.0))
     200

@@ -100,36 +100,15 @@ class Tuning:
     #: Bits of the force groups that act.
     groups: int = -1
 
-    def best(self, target: float | None = None) -> Choice:
+    def best(self, target: float | None = None, method: str | None = None) -> Choice:
         """Return the cheapest scheme and step for an energy error.
 
         Parameters
         ----------
         target : float, optional
             Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`, for
-            which the setting was confirmed by a run over the horizon; for others see `cheapest`.
-
-        Raises
-        ------
-        UnreachableError
-            With the smallest error found.
-        """
-        target = self.target if target is None else positive(target, "target", "kJ/mol per body")
-        if target is None:
-            raise ValueError("give best() a target: tune() was called without one")
-        if target != self.target:
-            return self.cheapest(target)
-        if self.chosen is None:
-            raise UnreachableError(self._why_unreachable(target))
-        return self.chosen
-
-    def cheapest(self, target: float, method: str | None = None) -> Choice:
-        """Return the cheapest setting for an energy error, interpolated between measured ones.
-
-        Parameters
-        ----------
-        target : float
-            As in `best`.
+            which the setting was confirmed by a run over the horizon; for others it is interpolated between measured
+            ones.
         method : str, optional
             A scheme, or "VerletIntegrator"; by default all schemes.
 
@@ -138,10 +117,15 @@ class Tuning:
         UnreachableError
             With the smallest error found.
         ValueError
-            If the method was not measured or the target is not positive.
+            If the method was not measured, or the target is not positive or missing.
         """
-        target = positive(target, "target", "kJ/mol per body")
-        found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
+        target = self.target if target is None else positive(target, "target", "kJ/mol per body")
+        if target is None:
+            raise ValueError("give best() a target: tune() was called without one")
+        if target == self.target and method is None:
+            found = [] if self.chosen is None else [self.chosen]
+        else:
+            found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
         if not found:
             raise UnreachableError(self._why_unreachable(target, method))
         return min(found, key=lambda choice: choice.cost)

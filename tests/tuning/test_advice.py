@@ -99,11 +99,11 @@ def test_a_choice_builds_its_integrator(tuned):
     assert isinstance(integrator, rb.ExactRigidBodyIntegrator)
     assert integrator.getScheme().name == choice.method
     assert integrator.getStepSize()._value == choice.step
-    assert isinstance(tuned.cheapest(1e-2, VERLET).integrator(), openmm.VerletIntegrator)
+    assert isinstance(tuned.best(1e-2, VERLET).integrator(), openmm.VerletIntegrator)
 
 
 def test_smaller_errors_cost_more(tuned):
-    loose, tight = tuned.cheapest(1e-2), tuned.cheapest(1.5e-3)
+    loose, tight = tuned.best(1e-2), tuned.best(1.5e-3)
     assert loose.cost < tight.cost
     assert loose.error <= 1e-2
 
@@ -183,7 +183,7 @@ def test_what_longer_runs_contradict_is_not_promised():
     with pytest.raises(tuning.UnreachableError, match=r"was not held: .* 0.0015"):
         result.best()
     assert "came down to 0.0015" in " ".join(str(result).split())
-    between = result.cheapest(1.2e-3)
+    between = result.best(1.2e-3)
     assert 1.11 < between.cost < 2.0
     assert not between.confirmed
     assert result.largest_stable_step("V2") == 0.008
@@ -194,10 +194,10 @@ def test_what_longer_runs_contradict_is_not_promised():
 def test_a_scheme_of_ones_own_comes_back_as_itself(droplet):
     own = replace(rb.SCHEMES["S2_2"], name="own")
     result = rb.tune(*droplet, schemes=[own, "V2"], duration=0.05, levels=3, platform="Reference", report=None)
-    choice = result.cheapest(result.curve("own")[0].error, "own")
+    choice = result.best(result.curve("own")[0].error, "own")
     assert choice.integrator().getScheme() == own
     assert choice.options() == {"scheme": own, "fast": None}
-    assert result.cheapest(0.5, "V2").options() == {"scheme": "V2", "fast": None}
+    assert result.best(0.5, "V2").options() == {"scheme": "V2", "fast": None}
 
 
 # -- long ones --------------------------------------------------------------------------------------------------

@@ -64,7 +64,7 @@ def test_nested_evaluations_have_their_price(nested):
 def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):
     result, _ = nested
     point = result.curve("S2_2 nested")[0]
-    choice = result.cheapest(point.error, "S2_2 nested")
+    choice = result.best(point.error, "S2_2 nested")
     assert choice.step == pytest.approx(point.step, rel=1e-12)
     integrator = choice.integrator()
     assert integrator.getScheme().name == "S2_2"
