@@ -135,7 +135,7 @@ def test_the_other_examples_leave_their_files(run, tmp_path, example, arguments,
         ("dielectric_constant.py", ["-n", "8"]),
     ],
 )
-def test_a_platform_that_is_not_there_is_told_and_nothing_is_left(run, tmp_path, example, arguments):
+def test_a_platform_that_is_not_there_is_reported_and_nothing_is_left(run, tmp_path, example, arguments):
     """Up to there a script has parsed its command line, made its molecules and its System."""
     done = run(*arguments, "--platform", "Abacus", "--out", str(tmp_path / "out"), example=example)
     assert done.returncode == 1
@@ -149,7 +149,7 @@ def test_an_example_compiles(example):
     compile(example.read_text(encoding="utf-8"), str(example), "exec")
 
 
-def test_the_dielectric_constant_goes_on_where_it_stopped(run, tmp_path):
+def test_the_dielectric_constant_continues_where_it_stopped(run, tmp_path):
     """In the bytes of a run without a break, with momenta drawn at the break and after it."""
     once, twice = tmp_path / "once", tmp_path / "twice"
     common = "-n", "8", "--equilibration", "0.5"

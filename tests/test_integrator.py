@@ -236,7 +236,7 @@ ALL = {
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_step_is_as_long_as_the_interval_of_its_forces_tells(name):
+def test_a_force_interval_sets_the_length_of_a_step(name):
     integrator = ALL[name](forceInterval=2.0 * unit.femtosecond, scheme="S2_2")
     forces = 6 if name == "hybrid" else 2
     assert integrator.getStepSize()._value == pytest.approx(0.002 * forces)

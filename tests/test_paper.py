@@ -179,7 +179,7 @@ def test_every_figure_is_drawn(quick):
 
 @pytest.mark.validate
 @pytest.mark.xdist_group("paper")
-def test_the_page_is_written_anew_from_what_is_stored(quick, tmp_path):
+def test_the_page_is_rewritten_from_what_is_stored(quick, tmp_path):
     page = (quick / "paper.md").read_text(encoding="utf-8")
     copy = tmp_path / "out" / "paper" / "quick"
     shutil.copytree(quick, copy)

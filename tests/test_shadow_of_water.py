@@ -31,6 +31,6 @@ def test_half_a_thermostat_at_either_end_acts_at_the_end_of_a_step(name):
     assert at_thermostat(splitting(name)) == splitting(name)
 
 
-def test_what_is_beyond_stability_is_told():
+def test_what_is_beyond_stability_is_reported():
     assert predicted(splitting("V2"), H, *SPECTRUM)[2] == 0.0
     assert predicted(splitting("V2"), 0.018, *SPECTRUM)[2] == 1.0

@@ -45,7 +45,7 @@ def test_an_entry_is_one_line(entry):
     assert len(line) <= 120
 
 
-def test_an_integrator_tells_what_decides_its_steps():
+def test_an_integrator_shows_what_decides_its_steps():
     integrator = rb.ExactRigidBodyIntegrator(4 * openmm.unit.femtoseconds, scheme="S2_2", rotor="dmv6")
     assert repr(integrator) == "ExactRigidBodyIntegrator(0.004 ps, scheme='S2_2', rotor='dmv6')"
 

@@ -76,7 +76,7 @@ def test_momenta_are_drawn_from_the_canonical_distribution():
     assert stats.kstest(energies, stats.chi2(freedom).cdf).pvalue > 0.01
 
 
-def test_positions_off_the_constraints_are_put_on_them_with_a_word():
+def test_positions_off_the_constraints_are_put_on_them_with_a_warning():
     _, system, x = peptide()
     off = x.copy()
     off[3] += [0.004, -0.003, 0.002]  # a hydrogen of a methyl group
@@ -143,7 +143,7 @@ def test_schemes_keep_their_order_in_water(constraints, scheme, time, steps):
 
 
 @pytest.mark.parametrize("options", [{}, {"fast": "bonded"}])
-def test_a_checkpoint_goes_on_bit_for_bit(options):
+def test_a_checkpoint_continues_bit_for_bit(options):
     topology, system, x = peptide()
     rb.separate_bonded(system)
     ends = []
@@ -251,7 +251,7 @@ def test_the_device_is_refused_for_clusters_and_for_multiple_time_steps():
         rb.ExactRigidBodyIntegrator(0.0005, fast="bonded", engine="device")
 
 
-def test_steps_with_inner_steps_on_the_host_are_not_made_on_the_device_without_a_word():
+def test_steps_with_inner_steps_on_the_host_are_not_made_on_the_device_silently():
     system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
     for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
         system.addParticle(mass)

@@ -89,7 +89,7 @@ def test_the_integrator_is_the_loop_bit_for_bit(pairing):
 
 
 @pytest.mark.parametrize("kernel", ["openmm", "compiled"])
-def test_a_run_goes_on_from_the_full_state_of_another(kernel):
+def test_a_run_continues_from_the_full_state_of_another(kernel):
     """What fullState returns, setBodyState takes: all that is known, rounding nothing."""
     whole, first, second = (simulation_of(4, scheme="V2", kernel=kernel) for _ in range(3))
     whole.integrator.step(6)

@@ -41,7 +41,7 @@ def test_nested_schemes_keep_their_order(constraints, scheme, order):
     assert slope(end, (4, 8)) == pytest.approx(order, abs=0.2)
 
 
-def test_inner_steps_that_nobody_tells_err_no_more_than_the_outer_ones():
+def test_default_inner_steps_err_no_more_than_the_outer_ones():
     """At 2000 evaluations of the other forces per ps, where longer inner steps, four times, err 32 times as far."""
     _, system, x = peptide()
     usual = end_of(system, x, "SRKN4_6b", 0.03, fast="bonded")(10)

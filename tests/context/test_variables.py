@@ -9,7 +9,7 @@ from thermostatted import droplet_of, snapshot
 
 @pytest.mark.parametrize("after", ["S2_2", "W2_1", "V2_C17", "W4_4"])
 @pytest.mark.parametrize("before", ["S2_2", "W2_1", "V2_C17", "W4_4"])
-def test_any_scheme_goes_on_from_the_checkpoint_of_any_other(before, after):
+def test_any_scheme_continues_from_the_checkpoint_of_any_other(before, after):
     """Processed ones remember forces, each as many as it needs, and have inner coordinates of their own."""
     source, target = (droplet_of(rb.ExactRigidBodyIntegrator(0.01, scheme)) for scheme in (before, after))
     source.integrator.step(9)

@@ -356,7 +356,7 @@ def test_a_step_far_too_large_names_the_bodies_and_keeps_the_last_good_state(pla
     assert np.isfinite(positions_of(simulation)).all()
 
 
-def test_reinitialize_goes_on_right():
+def test_reinitialize_continues_right():
     runs = [start(*rb.rigid_water(4)) for _ in range(2)]
     for simulation in runs:
         simulation.step(10)

@@ -187,7 +187,7 @@ def test_a_checkpoint_of_the_host_stays_with_the_host_on_a_gpu(gpu, platform, wa
 
 
 @pytest.mark.opencl
-def test_a_run_in_a_folder_goes_on_with_its_engine_and_its_bits(gpu, platform, water, tmp_path):
+def test_a_run_in_a_folder_continues_with_its_engine_and_its_bits(gpu, platform, water, tmp_path):
     whole = auto(water, platform, True)
     rb.Run(tmp_path / "whole").advance(whole, 8)
     rb.Run(tmp_path / "parts").advance(auto(water, platform, True), 3)

@@ -131,7 +131,7 @@ def test_seed_and_calls():
 
 
 @pytest.mark.parametrize("preserve", [True, False])
-def test_noise_goes_on_or_begins_again_where_a_context_is_made_anew(preserve):
+def test_noise_continues_or_restarts_in_a_recreated_context(preserve):
     system, positions = free_water(2)
     context, twin = (langevin(system, positions, 1e3) for _ in range(2))
     context.getIntegrator().step(2)

@@ -52,7 +52,7 @@ def triclinic(system):
     system.setDefaultPeriodicBoxVectors(a, b + 0.3 * a, c - 0.2 * a + 0.1 * b)
 
 
-def test_molecules_that_openmm_wraps_and_sorts_anew(platform):
+def test_molecules_that_openmm_wraps_and_reorders(platform):
     system, positions = boxed(27)
     triclinic(system)
     context = context_of(system, positions, "device", platform=platform, precision="double", scheme="V2", h=0.002)

@@ -254,7 +254,7 @@ def test_a_lone_particle_may_be_pushed_as_hard_as_on_the_host():
 
 
 @pytest.mark.parametrize("engine", ["host", "device"])
-def test_a_body_in_its_principal_axes_is_found_again_in_a_context_made_anew(engine):
+def test_a_body_in_its_principal_axes_is_found_again_in_a_recreated_context(engine):
     """Numbers of an integrator outlive `reinitialize`, its vectors become zero: they are no attitude."""
     system, positions = pushed(1.0)
     context = context_of(system, positions, engine, scheme="S2_2")
@@ -367,7 +367,7 @@ def test_minimised_and_hot_starts_are_no_false_alarm(thermostat, droplet):
     integrator.step(50)
 
 
-def test_a_look_at_the_energy_leaves_the_run_as_it_was(droplet):
+def test_reading_the_energy_leaves_the_run_as_it_was(droplet):
     system, positions = droplet
     contexts = [
         openmm.Context(copy.deepcopy(system), with_or_without_thermostat(engine, 0.001, False), REFERENCE)
@@ -459,7 +459,7 @@ def test_a_thermostat_pushes_whole_bodies():
     assert pushed > 5
 
 
-def test_checkpoints_and_states_go_on(droplet):
+def test_checkpoints_and_states_continue(droplet):
     device = context_of(*droplet, "device")
     integrator = device.getIntegrator()
     integrator.step(3)

@@ -82,7 +82,7 @@ def test_job_that_kills_its_workers_is_given_up(tmp_path):
     assert [result.value for result in alive] == [9, 16]
 
 
-def test_killed_script_goes_on_where_it_stopped(tmp_path):
+def test_killed_script_continues_where_it_stopped(tmp_path):
     script, kept = tmp_path / "script.py", tmp_path / "kept"
     script.write_text(SCRIPT)
     command = [sys.executable, str(script), str(kept)]

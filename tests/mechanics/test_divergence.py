@@ -7,7 +7,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.mechanics.divergence import gained
 
 
-def test_energy_from_nowhere_is_told_in_numbers():
+def test_energy_from_nowhere_is_reported_in_numbers():
     message = gained(10, (5.0, -100.0), (400.0, 300.0))
     assert "rose from 5 to 400 kJ/mol and the total energy by 400 kJ/mol" in message
 

@@ -48,7 +48,7 @@ def test_the_tests_of_the_recipe_pass(typed, rng):
         test(*([rng] if inspect.signature(test).parameters else []))
 
 
-def test_the_tests_of_the_recipe_would_notice_a_wrong_power(typed, rng, monkeypatch):
+def test_the_tests_of_the_recipe_notice_a_wrong_power(typed, rng, monkeypatch):
     def wrong(centres, **options):
         force = openmm.CustomBondForce("soft_repulsion/r^11")
         force.addGlobalParameter("soft_repulsion", 4.0 * 1.7 * 0.9**12)

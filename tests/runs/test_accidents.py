@@ -81,7 +81,7 @@ def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytest
     check_joined(folder, whole)
 
 
-def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path, whole):
+def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_resume(tmp_path, whole):
     for attempt in range(5):  # on a busy machine a run may be over before the signal is sent
         out = tmp_path / f"out{attempt}"
         process = launch(tmp_path / "errors", *COMMAND, "--out", out)
@@ -101,7 +101,7 @@ def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_go_on(tmp_path,
     check_joined(out, whole)
 
 
-def test_a_full_disk_is_one_line_and_the_run_goes_on_when_there_is_room(tmp_path, whole):
+def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path, whole):
     """On a file system that is really full, in a mount namespace that goes with the shell."""
     if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
         pytest.skip("no rights to mount a small file system")
@@ -129,7 +129,7 @@ def limit_size_of_files():
     resource.setrlimit(resource.RLIMIT_FSIZE, (30_001, 30_001))
 
 
-def test_a_file_size_limit_is_one_line_and_the_run_goes_on(tmp_path, whole):
+def test_a_file_size_limit_is_one_line_and_the_run_continues(tmp_path, whole):
     options = "--out", tmp_path / "out", "--checkpoint", 0.05
     status, errors = finish(tmp_path / "errors", *COMMAND, *options, before=limit_size_of_files)
     assert status == 1

@@ -157,7 +157,7 @@ def test_a_file_with_the_name_of_a_setting_hides_nothing(tmp_path):
                 run.advance(droplet(n=n), 20)
 
 
-def test_own_schemes_of_one_name_are_told_apart(tmp_path):
+def test_own_schemes_of_one_name_are_distinguished(tmp_path):
     for weight in (0.19, 0.3):
         mine = rb.schemes.symmetric("mine", order=2, stages=2, first="drift", a=(weight,))
         if weight == 0.19:

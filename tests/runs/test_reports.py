@@ -148,7 +148,7 @@ def test_the_start_stays_the_start(tmp_path):
     assert (tmp_path / "topology.pdb").read_bytes() == before
 
 
-def test_a_file_in_a_folder_of_the_folder_goes_on(tmp_path):
+def test_a_file_in_a_folder_of_the_folder_continues(tmp_path):
     for until in (10, 20):
         run = rb.Run(tmp_path, resume=True)
         run.add_reporter(rb.EnergyReporter, "tables/energies.csv", 5)

@@ -69,7 +69,7 @@ def test_the_shadow_begins_with_the_commutators_of_two_stages(first, outer):
     assert of_places / step**2 == pytest.approx((6.0 * outer**2 - 6.0 * outer + 1.0) / 6.0, abs=2e-5)
 
 
-def test_the_shadow_goes_on_beyond_half_a_turn():
+def test_the_shadow_continues_beyond_half_a_turn():
     """Steps of S2_3 touch the bound of stability where they turn an oscillator by half a period."""
     scheme = rb.SCHEMES["S2_3"]
     before, after = shadow(scheme, 2.9), shadow(scheme, 3.6)

@@ -48,7 +48,7 @@ def test_reinitialize_takes_up_what_was_changed(change):
     assert swing(simulation, 20) < 1e-3
 
 
-def test_reinitialize_and_new_positions_begin_anew():
+def test_reinitialize_and_new_positions_start_over():
     simulation = water()
     quietly(simulation.step, 2)
     x = coordinates(simulation)

@@ -48,7 +48,7 @@ def test_a_scheme_is_a_name_that_the_integrator_accepts():
     "arguments",
     [(300 * unit.kelvin, 1 / unit.picosecond, 0.004 * unit.picoseconds), (300, 1, 0.004), (300 * unit.kelvin,)],
 )
-def test_the_arguments_of_a_thermostat_are_told_apart(arguments):
+def test_the_arguments_of_a_thermostat_are_distinguished(arguments):
     one_sentence(
         "ExactRigidBodyLangevinIntegrator takes those",
         lambda: rb.ExactRigidBodyIntegrator(*arguments),
@@ -132,7 +132,7 @@ def test_a_run_refused_for_broken_molecules_can_be_mended(tmp_path):
     assert (tmp_path / "checkpoint").exists()
 
 
-def test_a_script_is_told_keywords_and_a_command_line_options(tmp_path):
+def test_errors_name_keywords_to_a_script_and_options_to_a_command_line(tmp_path):
     for _ in range(2):
         run = rb.Run(tmp_path / "out", overwrite=True)
         quietly(run.advance, water(), 1)
@@ -153,7 +153,7 @@ def test_a_script_is_told_keywords_and_a_command_line_options(tmp_path):
 # -- ensembles and tuning ---------------------------------------------------------------------------------------
 
 
-def test_a_worker_killed_while_it_starts_is_told(tmp_path):
+def test_a_worker_killed_while_it_starts_is_reported(tmp_path):
     killer = tmp_path / "killer.py"
     killer.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
     jobs = [ensemble.Job(os.path.basename, p="a/b")]

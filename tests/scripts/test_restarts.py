@@ -32,7 +32,7 @@ def python(*arguments):
     return subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, check=False)
 
 
-def test_a_new_process_goes_on_with_the_same_bits(tmp_path):
+def test_a_new_process_continues_with_the_same_bits(tmp_path):
     """From a checkpoint and from an XML file of the state."""
     simulation = water()
     quietly(simulation.step, 4)
@@ -71,7 +71,7 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-def test_ctrl_c_leaves_a_state_to_go_on_from(tmp_path):
+def test_ctrl_c_leaves_a_state_to_continue_from(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED.format(path=sys.path))
     with subprocess.Popen(

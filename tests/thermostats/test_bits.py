@@ -124,7 +124,7 @@ def load(run, kind, saved):
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "State"])
-def test_a_new_process_goes_on_with_the_same_bits(kind, tmp_path):
+def test_a_new_process_continues_with_the_same_bits(kind, tmp_path):
     """A drawn seed, the heat and the tally travel with checkpoints and States."""
     saved, expected = {}, []
     for name, make in MAKERS.items():
@@ -203,7 +203,7 @@ def test_a_step_takes_the_forces_of_its_sequence():
 
 
 @pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
-def test_a_state_that_is_set_again_goes_on_with_other_noise_and_a_checkpoint_with_the_same(maker):
+def test_a_state_that_is_set_again_continues_with_other_noise_and_a_checkpoint_with_the_same(maker):
     run = droplet_of(seeded(maker))
     run.integrator.step(6)
     state = run.context.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
@@ -254,7 +254,7 @@ def test_runs_with_seeds_of_their_own_differ_though_they_begin_with_one_state():
 
 @pytest.mark.parametrize("kind", ["checkpoint", "State"])
 @pytest.mark.parametrize("before", MAKERS)
-def test_integrators_of_other_kinds_go_on_from_it(before, kind):
+def test_integrators_of_other_kinds_continue_from_it(before, kind):
     """Constant temperature hands over to constant energy, and none takes numbers of another one for its own."""
     run = droplet_of(seeded(MAKERS[before]))
     run.integrator.step(7)
@@ -304,7 +304,7 @@ def test_a_checkpoint_before_the_first_step_has_the_noise_that_follows():
     assert snapshot(run) == ends[0]
 
 
-def test_a_run_that_begins_anew_after_equilibration_is_resumed_with_the_same_bits(tmp_path):
+def test_a_run_that_starts_over_after_equilibration_is_resumed_with_the_same_bits(tmp_path):
     ends = []
     for folder, stops in (("whole", [30]), ("parts", [0, 10, 30])):
         for until in stops:
@@ -319,7 +319,7 @@ def test_a_run_that_begins_anew_after_equilibration_is_resumed_with_the_same_bit
     assert ends[0] == ends[1]
 
 
-def test_a_seed_that_is_set_begins_its_noise_anew():
+def test_setting_a_seed_restarts_its_noise():
     run = droplet_of(langevin())
     state = run.context.getState(positions=True, velocities=True)
     ends = []

@@ -369,7 +369,7 @@ def load(context, kind, what):
 
 
 @pytest.mark.parametrize("kind", ["checkpoint", "State"])
-def test_a_new_context_goes_on_with_the_same_bits(kind, options):
+def test_a_new_context_continues_with_the_same_bits(kind, options):
     run = droplet_of(nose_hoover(**options))
     run.integrator.step(6)
     taken = saved(run.context, kind)

@@ -78,7 +78,7 @@ def test_one_degree_of_freedom_changes_its_sign():
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_directions_stay_and_the_heat_is_told(rng, together):
+def test_directions_stay_and_the_heat_is_reported(rng, together):
     P, m = momenta(rng)
     P1, m1, heat = prepared(together=together)(P, m, 0.3, AT)
     ratios = []

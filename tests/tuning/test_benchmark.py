@@ -139,7 +139,7 @@ def test_bodies_named_by_hand_are_minimised():
     assert np.linalg.norm(warm.positions[1] - warm.positions[0]) == pytest.approx(0.09572, abs=1e-4)
 
 
-def test_a_temperature_that_is_not_reached_is_told():
+def test_a_temperature_that_is_not_reached_is_reported():
     """Bodies that a potential without a minimum drives outwards become ever faster."""
     _, system, positions = rb.rigid_water(2)
     outwards = openmm.CustomExternalForce("-50000*x^2")

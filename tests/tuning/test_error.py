@@ -27,14 +27,14 @@ def test_a_drift_counts():
 
 
 @pytest.mark.parametrize("swing", [0.0, 0.1, 0.5])
-def test_a_drift_goes_on_as_a_line(rng, swing):
+def test_a_drift_is_extrapolated_as_a_line(rng, swing):
     """Also from beneath a swing: the standard deviation of a line is its rise over sqrt(12)."""
     run = np.linspace(0.0, 10.0, 3000) + swing * rng.standard_normal(3000)
     assert expected_error(run[:300], 1.0, 3000.0) == pytest.approx(run.std(), rel=0.15)
 
 
 @pytest.mark.parametrize(("known", "least", "most"), [(1500, 0.01, 0.04), (300, 0.09, 0.18)])
-def test_walks_exceed_twice_the_answer_as_often_as_is_told(rng, known, least, most):
+def test_walks_exceed_twice_the_answer_as_often_as_documented(rng, known, least, most):
     walks = np.cumsum(rng.standard_normal((600, 3000)), axis=1)
     answers = np.array([expected_error(walk[:known], 1.0, 3000.0) for walk in walks])
     assert least < (walks.std(axis=1) > 2.0 * answers).mean() < most

@@ -40,7 +40,7 @@ def test_nested_schemes_are_tried_where_bonded_forces_move_something(nested):
     assert "S2_2 nested" in str(result)
 
 
-def test_what_is_nested_is_told_to_be_stable_with_longer_steps(nested):
+def test_nested_schemes_are_stable_with_longer_steps(nested):
     result, lines = nested
     longest = {name: result.largest_stable_step(name) for name in ("S2_2", "S2_2 nested")}
     assert longest["S2_2 nested"] > 1.3 * longest["S2_2"]

@@ -29,7 +29,7 @@ def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_check
     same_bytes(tmp_path / "parts", tmp_path / "whole")
 
 
-def test_a_flexible_molecule_in_water_goes_on_with_the_same_bits(tmp_path):
+def test_a_flexible_molecule_in_water_continues_with_the_same_bits(tmp_path):
     """With bonded forces nested by default, at 2 fs a force, in a Context of their own that no checkpoint holds."""
     topology, system, positions = in_water()
     for folder, stops in (("whole", [60]), ("parts", [25, 60])):
@@ -71,7 +71,7 @@ def test_half_written_frames_lines_and_checkpoints_are_not_read(half):
     go_on(half)
 
 
-def test_a_checkpoint_before_the_first_file_begins_anew(half, monkeypatch):
+def test_a_checkpoint_before_the_first_file_starts_over(half, monkeypatch):
     """As a kill between the first checkpoint and the first frame leaves it."""
     folder = half.parent / "early"
     monkeypatch.setattr(app.PDBFile, "writeFile", lambda *arguments: signal.default_int_handler(2, None))
@@ -90,7 +90,7 @@ def test_resume_where_there_is_nothing_begins(tmp_path):
     assert len((tmp_path / "new" / "energies.csv").read_text().splitlines()) == 3
 
 
-def test_a_run_may_be_made_longer_and_go_on_in_the_same_process(half):
+def test_a_run_may_be_made_longer_and_continue_in_the_same_process(half):
     run = make(half, resume=True)
     simulation = droplet()
     for until in (40, 41, 60):
