@@ -72,8 +72,8 @@ def tune(
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
-        In K, required if all velocities are zero. Positions without velocities are minimised; then momenta are drawn
-        and exchange energy with the positions in short runs, until the temperature is reached.
+        In K, required if all velocities are zero. Positions without velocities are minimised; Langevin dynamics then
+        brings the start to the temperature.
     platform : str or openmm.Platform, optional
         By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest but for OpenCL on a CPU.
     properties : mapping, optional

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from openmm_exactrb.context.updates import BAROSTATS, UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 Array = NDArray[np.float64]
 
@@ -30,9 +31,9 @@ LOST = 0.1
 # Extent in nm that stands for the shape of a particle, which has none.
 _EXTENT = 0.1
 
-# Draws of momenta, steps after each, the most draws and the most failures before the temperature is out of reach, and
-# the last draws over which the temperature is a mean.
-_DRAWS, _STEPS, _MOST_DRAWS, _FAILURES, _LAST = 20, 150, 60, 40, 10
+# Of the Langevin dynamics that brings a start to a temperature: step and friction over the characteristic time, steps
+# in a part of it, parts, and the last parts over which the temperature is a mean.
+_STEP, _FRICTION, _STEPS, _PARTS, _LAST = 0.05, 0.2, 150, 20, 10
 _MINIMISER_ITERATIONS = 1000  # enough to remove overlaps; it need not converge
 # Accepted deviation of the kinetic energy: a fraction, since a large system takes up heat, and standard deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
@@ -158,7 +159,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     return array
 
 
-@contextmanager
+@contextlib.contextmanager
 def diverging() -> Iterator[None]:
     """Turn OpenMM's exception for coordinates that are NaN into NonFiniteError; other exceptions pass."""
     try:
@@ -211,49 +212,24 @@ def _free_time(bodies: RigidBodies, kinetic: float) -> float:
 
 
 def thermalised(state: InitialState, temperature: float, seed: int, minimise: bool) -> InitialState:
-    """Draw momenta at a temperature in K repeatedly; after each draw they exchange energy with the positions.
-
-    ValueError if the state is too far from equilibrium to reach the temperature.
-    """
-    integrator, context = state.probe()
+    """Bring a state to a temperature in K by Langevin dynamics; ValueError if it does not reach it."""
+    integrator = ExactRigidBodyLangevinIntegrator(temperature, 0.0, 1e-6, bodies=state.bodies, engine="host")
+    integrator.setRandomNumberSeed(seed + 1)
+    context = state.context(integrator)
     if minimise:
         integrator.minimizeEnergy(10.0, _MINIMISER_ITERATIONS)
     integrator.setVelocitiesToTemperature(temperature, seed)
-    good = state.updated(context)
-    h, failures = 0.05 * characteristics(*good.probe()).time, 0
     kinetic: list[float] = []
-    while len(kinetic) < _DRAWS or not _is_at(temperature, kinetic[-_LAST:], integrator):
-        if len(kinetic) == _MOST_DRAWS or failures > _FAILURES:
-            raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
-        integrator.setVelocitiesToTemperature(temperature, seed + len(kinetic))
-        integrator.setStepSize(h)
-        if not _conserves(integrator):
-            failures, h = failures + 1, 0.5 * h
-            context.setPositions(good.positions)
-            continue
-        good, h = state.updated(context), 1.1 * h
-        kinetic.append(_kinetic(integrator))
-    return good
-
-
-def _is_at(temperature: float, kinetic: Sequence[float], integrator: ExactRigidBodyIntegrator) -> bool:
-    """Return whether independent kinetic energies in kJ/mol are compatible with a temperature in K."""
-    freedom = sum(integrator.degreesOfFreedom())
-    ratio = 2.0 * np.mean(kinetic) / (freedom * gas_constant_times(temperature))
-    width = math.sqrt(2.0 / (freedom * len(kinetic)))
-    return bool(abs(ratio - 1.0) < _SLACK + _DEVIATIONS * width)
-
-
-def _conserves(integrator: ExactRigidBodyIntegrator) -> bool:
-    """Make some steps; return whether they conserved the total energy."""
-    before = integrator.totalEnergy()._value
-    try:
-        with diverging():
+    with contextlib.suppress(IntegrationError), diverging():
+        for _ in range(_PARTS):
+            time = characteristics(integrator, context).time
+            integrator.setStepSize(_STEP * time)
+            integrator.setFriction(_FRICTION / time)
             integrator.step(_STEPS)
-    except IntegrationError:
-        return False
-    return bool(abs(integrator.totalEnergy()._value - before) < LOST * _kinetic(integrator))
-
-
-def _kinetic(integrator: ExactRigidBodyIntegrator) -> float:
-    return float(sum(part._value for part in integrator.kineticEnergies()))
+            kinetic.append(sum(part._value for part in integrator.kineticEnergies()))
+    freedom = sum(integrator.degreesOfFreedom())
+    mean = float(np.mean(kinetic[-_LAST:])) if len(kinetic) == _PARTS else math.inf
+    ratio = 2.0 * mean / (freedom * gas_constant_times(temperature))
+    if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * _LAST)):
+        raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
+    return state.updated(context)
