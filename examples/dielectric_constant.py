@@ -108,7 +108,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, float]:
         boundary=BOUNDARIES[args.long_range],
         density=args.density,
         # A GPU computes its own forces, if it can.
-        kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "openmm",
+        kernel="auto" if args.long_range == "ewald" or args.platform in ("Reference", "CPU") else "bonds",
     )
     job = rb.Run.from_options(args, free=("duration",))
     interval = max(1, round(SAMPLE / args.step))

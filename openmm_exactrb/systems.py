@@ -125,7 +125,7 @@ def dipole_fluid(
         With one of the last two the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
     density : float, optional
         Spheres per nm³ in the box; 0.8/sigma³, a liquid.
-    kernel : {"auto", "openmm", "compiled"}
+    kernel : {"auto", "openmm", "bonds", "compiled"}
         Who computes the forces; see `soft_dipole_force`.
 
     Returns

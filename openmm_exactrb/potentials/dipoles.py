@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from openmm_exactrb import checks, kernels
 from openmm_exactrb.context import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, check_cutoff, checked, edges_of
-from openmm_exactrb.potentials.formula import soft_dipole_formula
+from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def soft_dipole_force(
     box: Sequence[float] | None = None,
     boundary: Boundary = OPEN,
     kernel: str = "auto",
-) -> openmm.CustomCompoundBondForce | openmm.PythonForce:
+) -> openmm.CustomHbondForce | openmm.CustomCompoundBondForce | openmm.PythonForce:
     """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
 
     Section 3.4 of the paper; with `attraction` the Stockmayer fluid.
@@ -57,64 +57,83 @@ def soft_dipole_force(
         ``System.setDefaultPeriodicBoxVectors`` has to be told as well.
     boundary : Open, ReactionField or Ewald
         What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
-    kernel : {"auto", "openmm", "compiled"}
-        Who computes it: OpenMM from a formula, or a compiled kernel in double precision on all cores, which needs
-        numba and is some fifty times faster on a CPU. "auto" takes the compiled one where numba is installed; on a
-        GPU platform ask for "openmm", which stays on the device. `Ewald` needs the compiled one.
+    kernel : {"auto", "openmm", "bonds", "compiled"}
+        Which force computes it. "compiled": a kernel in double precision on all cores, which needs numba and is some
+        fifty times faster on a CPU. "openmm", for OpenCL, CUDA and HIP, where it stays on the device: a
+        `CustomHbondForce`, if there is a cutoff. "bonds": a `CustomCompoundBondForce` with a bond for each pair, which
+        is faster on Reference and takes any cutoff. "auto": the compiled kernel if numba is installed, else bonds.
+        The platform is not known here, so none of them depends on it. `Ewald` needs the compiled kernel.
 
     Returns
     -------
-    openmm.CustomCompoundBondForce or openmm.PythonForce
-        Both have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`, (strength/length)²,
+    openmm.CustomHbondForce, openmm.CustomCompoundBondForce or openmm.PythonForce
+        All have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`, (strength/length)²,
         and with an attraction `soft_attraction`, 4 epsilon sigma^6 times it. Energies and forces agree to 1e-13.
 
     Raises
     ------
     ValueError
         If the kernel is unknown, arrows are no pairs of particles, a number is out of its range, box and boundary do
-        not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one.
+        not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one. With "openmm",
+        if cutoff + 2 length reaches half the shortest edge.
     ModuleNotFoundError
         If the compiled kernel is asked for, or an Ewald sum, and numba is not installed.
 
     Notes
     -----
-    The box of OpenMM's formula is the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
-    change; the compiled kernel follows the box of the Context.
+    The box of "bonds" is the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not change. The
+    compiled kernel and the `CustomHbondForce` follow the box of the Context. The latter takes centres and tips to their
+    nearest images one by one, hence its condition on the cutoff, which is not checked again if the box shrinks.
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
     arrows = _pairs(arrows)
     edges = None if box is None else edges_of(box)
     truncation = checked(boundary).truncation(edges)
-    in_kernel = _takes_compiled(kernel, needed=isinstance(boundary, Ewald))
+    kernel = _chosen(kernel, needs_compiled=isinstance(boundary, Ewald))
     parameters = _parameters(strength, length, sigma, epsilon, attraction)
     if wca and not (attraction > 0.0 and epsilon > 0.0):
         raise ValueError(
             "without an attraction there is no minimum: wca needs a positive attraction and a positive epsilon"
         )
-    if in_kernel:
+    if kernel == "compiled":
         force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
+        force.setUsesPeriodicBoundaryConditions(boundary.periodic)
+    elif kernel == "openmm" and truncation is not None and edges is not None:
+        _check_tips(truncation[0], float(length), edges)
+        force = soft_dipole_hbonds(arrows, parameters, truncation, wca=wca)
     else:
         places = {f"box_{axis}": edge for axis, edge in zip("xyz", edges or (), strict=False)}
-        force = soft_dipole_formula(arrows, parameters | places, truncation, wca=wca)
-    force.setUsesPeriodicBoundaryConditions(boundary.periodic)
+        force = soft_dipole_bonds(arrows, parameters | places, truncation, wca=wca)
+        force.setUsesPeriodicBoundaryConditions(boundary.periodic)
     force.setName("SoftDipoleForce")
     return force
 
 
-def _takes_compiled(kernel: str, *, needed: bool) -> bool:
-    """Return whether "auto", "openmm" or "compiled" means the compiled kernel, which an Ewald sum needs."""
-    if needed or kernel == "compiled":
+def _chosen(kernel: str, *, needs_compiled: bool) -> str:
+    """Return which of "openmm", "bonds" and "compiled" computes the force; an Ewald sum needs the last."""
+    if needs_compiled or kernel == "compiled":
         kernels.require()
-    if kernel not in ("auto", "openmm", "compiled"):
-        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, compiled")
-    takes = kernel == "compiled" or (kernel == "auto" and kernels.available())
-    if needed and not takes:
+    if kernel not in ("auto", "openmm", "bonds", "compiled"):
+        raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
+    if kernel == "auto":
+        kernel = "compiled" if kernels.available() else "bonds"
+    if needs_compiled and kernel != "compiled":
         raise ValueError(
             "only the compiled kernel has an Ewald sum: ask for kernel='compiled', or for boundary=ReactionField()"
         )
-    return takes
+    return kernel
+
+
+def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
+    """Raise a ValueError if the tips of two arrows within the cutoff may be nearer to another image (lengths in nm)."""
+    half, reach = 0.5 * min(edges), cutoff + 2.0 * length
+    if not reach < half:
+        raise ValueError(
+            f"kernel='openmm' needs cutoff + 2 length, {reach:g} nm, below half the box, {half:g} nm: take a shorter "
+            "cutoff, a larger box, or kernel='bonds'"
+        )
 
 
 def _pairs(arrows: Any) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Soft dipoles as a formula of OpenMM's own."""
+"""Soft dipoles as formulas of OpenMM's own: a bond for each pair, or donors and acceptors within a cutoff."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import openmm
 from openmm_exactrb.potentials.boundaries import Truncation
 
 
-def soft_dipole_formula(
+def soft_dipole_bonds(
     arrows: Sequence[tuple[int, int]], parameters: Mapping[str, float], truncation: Truncation | None, *, wca: bool
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential of `soft_dipole_force` with all pairs as bonds.
@@ -33,6 +33,42 @@ def soft_dipole_formula(
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
     return force
+
+
+def soft_dipole_hbonds(
+    arrows: Sequence[tuple[int, int]], parameters: Mapping[str, float], truncation: Truncation, *, wca: bool
+) -> openmm.CustomHbondForce:
+    """Return the potential of `soft_dipole_force` with each arrow as donor and as acceptor: no list of pairs.
+
+    Each pair is evaluated twice, with half its energy. What OpenMM knows of a donor and an acceptor are distances of
+    nearest images, from which the products of u, v and r follow by the law of cosines.
+    """
+    force = openmm.CustomHbondForce(
+        f"0.5*E; E = {_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation)}"
+        "uv = 0.5*(p2 + q2 - r2 - t2); ur = 0.5*(q2 - r2 - distance(d1, d2)^2);"
+        "vr = 0.5*(r2 + distance(a1, a2)^2 - p2);"
+        "q2 = distance(d2, a1)^2; p2 = distance(d1, a2)^2; t2 = distance(d2, a2)^2;"
+        "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1)",
+    )
+    add_hbonds(force, arrows, parameters, truncation[0])
+    return force
+
+
+def add_hbonds(
+    force: openmm.CustomHbondForce,
+    pairs: Sequence[tuple[int, int]],
+    parameters: Mapping[str, float],
+    cutoff: float,
+) -> None:
+    """Make each pair of particles a donor and an acceptor, but not for itself, within a cutoff (nm)."""
+    for name, value in parameters.items():
+        force.addGlobalParameter(name, value)
+    for i, (first, second) in enumerate(pairs):
+        force.addDonor(first, second, -1)
+        force.addAcceptor(first, second, -1)
+        force.addExclusion(i, i)
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(cutoff)
 
 
 def _core(*, attracts: bool, wca: bool) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 import openmm
 import pytest
-from devices import STRUCTURES, all_kinds, context_of, opencl, pair, seeded, shown, stepped
+from devices import REFERENCE, STRUCTURES, all_kinds, context_of, opencl, pair, seeded, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -35,6 +35,31 @@ def test_dipoles_in_double_precision(platform):
     np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
     energies = [context.getState(energy=True).getPotentialEnergy()._value for context in both]
     assert abs(energies[1] - energies[0]) < 1e-5
+
+
+def boxed_dipoles(kernel="openmm"):
+    """Return the System and positions of dipoles with a reaction field, in a box wide enough for any kernel."""
+    options = {"boundary": rb.ReactionField(cutoff=1.5), "density": 0.4, "attraction": 1.0, "dipole": (0.0, 0.0, 1.0)}
+    return rb.dipole_fluid(64, seed=3, kernel=kernel, **options)[1:]
+
+
+def test_dipoles_with_a_cutoff_have_the_forces_of_the_compiled_kernel(platform):
+    states = []
+    for kernel, where, properties in (("openmm", platform, {"Precision": "double"}), ("compiled", REFERENCE, {})):
+        system, positions = boxed_dipoles(kernel)
+        context = openmm.Context(system, openmm.VerletIntegrator(0.001), where, properties)
+        context.setPositions(positions)
+        states.append(context.getState(energy=True, forces=True))
+    energies = [state.getPotentialEnergy()._value for state in states]
+    one, other = (state.getForces(asNumpy=True)._value for state in states)
+    assert energies[0] == pytest.approx(energies[1], rel=1e-13)
+    assert np.abs(one - other).max() < 20 * 2.0**-32  # a few times the unit in which OpenMM adds forces up
+
+
+def test_dipoles_with_a_cutoff_in_double_precision(platform):
+    both = pair(*boxed_dipoles(), platform=platform, precision="double", scheme="S2_2", h=0.005, kelvin=100.0)
+    one, other = (stepped(context, 20) for context in both)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("scheme", STRUCTURES)

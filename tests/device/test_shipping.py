@@ -67,6 +67,16 @@ def test_plain_openmm_on_opencl(periodic, tmp_path):
         np.testing.assert_array_equal(there, here)
 
 
+@pytest.mark.opencl
+def test_dipoles_with_a_cutoff_in_plain_openmm(tmp_path):
+    _, system, positions = rb.dipole_fluid(64, kernel="openmm", boundary=rb.ReactionField(cutoff=1.5), density=0.4)
+    context = context_of(system, positions, "device", platform=opencl(), precision="double", scheme="S2_2")
+    context.getIntegrator().step(3)
+    written(context, tmp_path)
+    there, here = continued(tmp_path, "OpenCL", "double", 5), stepped(context, 5)
+    np.testing.assert_allclose(there[0], here[0], rtol=0.0, atol=1e-7)  # virtual sites: OpenMM's constraints
+
+
 def test_a_program_without_bodies_is_loud():
     _, system, positions = rb.rigid_water(2)
     text = openmm.XmlSerializer.serialize(rb.ExactRigidBodyIntegrator(0.001, engine="device"))

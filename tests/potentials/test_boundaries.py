@@ -64,7 +64,7 @@ def test_the_cutoff_is_half_the_shortest_edge_and_the_switch_three_quarters_of_i
 def test_numbers_of_numpy_write_the_same_system():
     plain = rb.ReactionField(cutoff=1.2, switch=0.5, dielectric=7.0)
     of_numpy = rb.ReactionField(**{name: np.float64(value) for name, value in dataclasses.asdict(plain).items()})
-    for kernel in ("openmm", "compiled"):
+    for kernel in ("bonds", "compiled"):
         texts = [
             openmm.XmlSerializer.serialize(rb.dipole_fluid(8, boundary=boundary, kernel=kernel, density=0.3)[1])
             for boundary in (plain, of_numpy)

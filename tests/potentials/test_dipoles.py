@@ -171,7 +171,7 @@ def test_spheres_without_a_repulsion_have_no_minimum():
         context.getState(energy=True)
 
 
-@pytest.mark.parametrize("kernel", ["openmm", "compiled"])
+@pytest.mark.parametrize("kernel", ["bonds", "compiled"])
 @pytest.mark.parametrize("periodic", [False, True])
 def test_the_force_is_lawful(kernel, periodic, rng):
     x, box = arrows(12, rng)

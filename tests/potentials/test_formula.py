@@ -1,15 +1,18 @@
-"""OpenMM's formula and the compiled kernel are the same potential."""
+"""OpenMM's formulas and the compiled kernel are the same potential."""
 
 import numpy as np
+import openmm
 import pytest
 
 import openmm_exactrb as rb
-from force_laws import evaluated, positions_of
-from soft_dipoles import FIELD, assert_same, fluid
+from force_laws import assert_lawful, evaluated, positions_of
+from soft_dipoles import FIELD, arrows, assert_same, fluid
 
 OPEN = {}
 PERIODIC = {"boundary": rb.ReactionField(), "density": 0.5}
-KERNELS = ("openmm", "compiled")
+KERNELS = ("bonds", "compiled")
+# A box of 64 or more dipoles is wide enough for donors and acceptors.
+WIDE = {"boundary": rb.ReactionField(cutoff=1.5, switch=1.0, dielectric=7.0), "density": 0.4}
 
 
 @pytest.mark.parametrize(("n", "options"), [(1, OPEN), (2, OPEN), (32, OPEN), (27, OPEN), (27, PERIODIC), (27, FIELD)])
@@ -49,11 +52,55 @@ def test_both_kernels_agree_in_a_box_whose_edges_are_changed():
         )
         edges = np.array([3.6, 3.7, 3.9])
         context.setPeriodicBoxVectors(*np.diag(edges))
-        if kernel == "openmm":
+        if kernel == "bonds":
             for axis, edge in zip("xyz", edges, strict=True):
                 context.setParameter(f"box_{axis}", edge)
         results.append(evaluated(context))
     assert_same(*results)
+
+
+# -- donors and acceptors -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("own", [{}, {"attraction": 0.8}, {"attraction": 0.8, "wca": True}], ids=["soft", "lj", "wca"])
+def test_donors_and_acceptors_agree_with_the_compiled_kernel(own):
+    own = WIDE | {"sigma": 1.1, "epsilon": 1.7, "dipole": (0.3, -0.8, 0.5)} | own
+    contexts = [fluid(64, kernel=kernel, **own)[0] for kernel in ("openmm", "compiled")]
+    assert isinstance(contexts[0].getSystem().getForce(0), openmm.CustomHbondForce)
+    assert_same(*map(evaluated, contexts), 1e-12)
+
+
+def test_donors_and_acceptors_follow_the_box_and_the_parameters_of_the_context():
+    results = []
+    for kernel in ("openmm", "compiled"):
+        context, _ = fluid(64, kernel=kernel, attraction=0.5, **WIDE)
+        context.setPeriodicBoxVectors(*np.diag([5.3, 5.4, 5.6]))
+        for name, value in (("soft_attraction", 2.7), ("soft_repulsion", 1.3), ("dipole_coupling", 2.1)):
+            context.setParameter(name, value)
+        results.append(evaluated(context))
+    assert_same(*results, 1e-12)
+
+
+def test_donors_and_acceptors_are_lawful(rng):
+    x, box = arrows(64, rng, edge=1.4)  # of random lengths, which OpenMM does not know
+    around = {"boundary": rb.ReactionField(cutoff=1.6, switch=1.0), "box": 3 * [box]}
+    pairs = np.arange(128).reshape(64, 2).tolist()
+    assert_lawful(rb.soft_dipole_force(pairs, strength=1.5, length=0.5, kernel="openmm", **around), x, 3 * [box])
+
+
+def test_without_a_cutoff_openmm_takes_bonds():
+    assert isinstance(fluid(2, kernel="openmm")[0].getSystem().getForce(0), openmm.CustomCompoundBondForce)
+
+
+def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
+    for cutoff, fits in ((1.49, True), (1.51, False), (None, False)):
+        asked = {"strength": 1.0, "length": 0.5, "box": (5.0, 6.0, 7.0), "kernel": "openmm"}
+        asked["boundary"] = rb.ReactionField(cutoff=cutoff)
+        if fits:
+            rb.soft_dipole_force([(0, 1)], **asked)
+        else:
+            with pytest.raises(ValueError, match=r"below half the box, 2.5 nm: .* or kernel='bonds'"):
+                rb.soft_dipole_force([(0, 1)], **asked)
 
 
 def test_the_trajectory_is_the_same_to_roundoff_growth():
