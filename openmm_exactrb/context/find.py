@@ -11,7 +11,13 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.context.shapes import held_rigid, kinds_from_distances, kinds_from_positions, on_constraints
+from openmm_exactrb.context.shapes import (
+    MISFIT,
+    held_rigid,
+    kinds_from_distances,
+    kinds_from_positions,
+    on_constraints,
+)
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.images import joined
@@ -59,7 +65,7 @@ def find_bodies(
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
         particles = np.stack(members)
         if not held_rigid(distances, positions[members[0]]):
-            flexible.append(_flexible(particles, body_masses, distances))
+            flexible.append(_flexible(particles, body_masses, distances, positions, box))
             continue
         whole = positions if box is None else joined(positions, particles, box, distances[None])
         if not np.isnan(distances).any():
@@ -87,10 +93,33 @@ def has_flexible_clusters(system: openmm.System, positions: Array) -> bool:
     return not all(held_rigid(distances, positions[particles]) for particles, distances in clusters)
 
 
-def _flexible(particles: Indices, masses: Array, distances: Array) -> ClusterKind:
-    """Return clusters from those of their distances that are constrained; the others are nan."""
+def _flexible(
+    particles: Indices, masses: Array, distances: Array, positions: Array, box: Array | None = None
+) -> ClusterKind:
+    """Return clusters from those of their distances that are constrained; the others are nan.
+
+    Constraints that follow from others are implied: all lengths then are those of the best fit to all of them.
+    """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
-    return ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
+    kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
+    kept = kind.independent()
+    if kept.all():
+        return kind
+    whole = positions if box is None else joined(positions, particles, box, distances[None])
+    without = distances.copy()
+    without[tuple(pairs[~kept].T)] = without[tuple(pairs[~kept, ::-1].T)] = np.nan
+    x = on_constraints(particles, masses, without, whole)[particles]
+    missed = kind.missed(x).max(axis=0)
+    if missed.max() > MISFIT * kind.lengths.max():
+        worst = int(np.argmax(missed))
+        i, j = particles[0, pairs[worst]]
+        raise ValueError(
+            f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
+            f"{kind.name(0)}, which miss it by {missed[worst]:.2g} nm: correct it or remove it"
+        )
+    x = on_constraints(particles[:1], masses, distances, whole)[particles[:1]]
+    lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
+    return ClusterKind(particles, masses, pairs[kept], lengths[kept], pairs[~kept], lengths[~kept])
 
 
 def _atoms_of(clusters: Clusters) -> Iterable[Kind]:

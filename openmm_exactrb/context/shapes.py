@@ -17,8 +17,10 @@ Indices = NDArray[np.intp]
 
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10
-# How much the distances of a body may be missed by, as a part of the largest: files round them.
-_MISFIT = 1e-5
+#: How much the distances of a body may be missed by, as a part of the largest: files round them.
+MISFIT = 1e-5
+# Particles of a flat body some of whose distances are not constrained, and the least stress that keeps one flat.
+_LARGEST_FLAT, _RESISTING = 64, 1e-3
 # Iterations for positions on constraints, and the move at which they end, as a part of the longest constraint.
 _NEWTON, _AT_REST = 50, 1e-15
 
@@ -67,7 +69,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
         if np.abs(move).max() <= _AT_REST * lengths.max():
             break
     missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1)
-    bad = ~(missed <= _MISFIT * lengths.max())
+    bad = ~(missed <= MISFIT * lengths.max())
     if bad.any():
         names = ", ".join(map(str, particles[np.argmax(bad)]))
         raise ValueError(
@@ -123,14 +125,40 @@ def held_rigid(distances: Array, x: Array) -> bool:
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
-    if not len(i) or every or len(i) < 3 * len(x) - 6:
+    if not len(i) or every or not np.isfinite(x).all():
         return not len(i) or every
-    rows = np.zeros((len(i), len(x), 3))
-    direction = x[i] - x[j]
+    U, extents, axes = np.linalg.svd(x - x.mean(axis=0))
+    dimensions = int((extents > np.sqrt(_FLAT) * extents[0]).sum())
+    freedom = dimensions * len(x) - dimensions * (dimensions + 1) // 2
+    if len(i) < freedom:
+        return False
+    rows = np.zeros((len(i), len(x), dimensions))
+    direction = (x[i] - x[j]) @ axes[:dimensions].T
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
     rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
     rank: int = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
-    return bool(rank >= 3 * len(x) - 6)
+    return bool(rank >= freedom) and (dimensions == 3 or _kept_flat(distances, U[:, :dimensions]))
+
+
+def _kept_flat(distances: Array, places: Array) -> bool:
+    """Tell whether constraints keep a body flat or straight, which its places (k, 1 or 2) along its axes are.
+
+    They do if some stress on them, which balances at each particle, resists all motions out of the plane: a positive
+    definite matrix whose entries vanish where no distance is constrained. R. Connelly, Invent. Math. 66 (1982) 11. The
+    one closest to that of all distances is tried, for bodies of at most `_LARGEST_FLAT` particles.
+    """
+    k = len(places)
+    if k > _LARGEST_FLAT:
+        return False
+    affine = np.linalg.qr(np.column_stack([np.ones(k), places]), mode="complete")[0]
+    out = affine[:, 1 + places.shape[1] :]
+    i, j = np.nonzero(np.triu(np.isnan(distances), 1))
+    entries = np.einsum("ca,cb->cab", out[i], out[j])
+    entries = 0.5 * (entries + entries.transpose(0, 2, 1)).reshape(len(i), -1)
+    identity = np.eye(out.shape[1]).ravel()
+    stress = identity - np.linalg.lstsq(entries, entries @ identity, rcond=1e-10)[0]
+    balanced = np.abs(entries @ stress).max() < 1e-9
+    return bool(balanced and np.linalg.eigvalsh(stress.reshape(2 * out.shape[1:])).min() > _RESISTING)
 
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
@@ -154,7 +182,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     spread[spread < _FLAT * spread[0]] = 0.0
     sites = axes * np.sqrt(spread) / root[:, None]
     misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
-    if misfit > _MISFIT * distances.max() or not spread[0] > 0.0:
+    if misfit > MISFIT * distances.max() or not spread[0] > 0.0:
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
             f"a distance is missed by {misfit:.2g} nm"

@@ -1,15 +1,15 @@
 """Clusters of particles that distance constraints hold together without making them rigid.
 
 They move freely along the geodesics of their constraints: `Clusters.drift` follows these to roundoff, for any time, by
-the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of constraints will do, as
-long as none of them follows from the others; its matrix is factorised along a fixed sparse pattern, so that the cost of
-a tree grows with the number of constraints and not with its cube.
+the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of constraints will do;
+those that follow from others are left out, if they agree with them. The matrix is factorised along a fixed sparse
+pattern, so that the cost of a tree grows with the number of constraints and not with its cube.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -43,12 +43,17 @@ class ClusterKind:
         The two members of each constraint, by their places in `particles`.
     lengths : (m,) array
         In nm.
+    implied : (k, 2) array, optional
+        The members of constraints that follow from the others, and so take no freedom.
+    implied_lengths : (k,) array, optional
     """
 
     particles: Indices
     masses: Array
     pairs: Indices
     lengths: Array
+    implied: Indices = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    implied_lengths: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def freedom(self) -> int:
@@ -99,6 +104,12 @@ class ClusterKind:
         shown = members if len(members) < 9 else [*members[:4], "...", *members[-2:]]
         return f"the cluster of particles {', '.join(shown)}"
 
+    def missed(self, x: Array) -> Array:
+        """Return by how much places (N, n, 3) miss constraints, the implied ones last, in nm (N, m + k)."""
+        i, j = np.concatenate([self.pairs, self.implied]).T
+        apart = np.linalg.norm(x[:, i] - x[:, j], axis=2)
+        return np.asarray(np.abs(apart - np.concatenate([self.lengths, self.implied_lengths])))
+
     def most_dependent(self, x: Array) -> tuple[Array, Indices]:
         """Tell how independent the constraints are at places (N, n, 3), and which one depends on others the most.
 
@@ -113,6 +124,33 @@ class ClusterKind:
             rest = 1.0 / (inverse_roots * inverse_roots * self.graph.weights[diagonal, None])
         rest = np.where(np.isfinite(rest), rest, 0.0)
         return rest.min(axis=0), rest.argmin(axis=0)
+
+    def independent(self) -> NDArray[np.bool_]:
+        """Return which constraints (m,) do not follow from those before them wherever members are, almost.
+
+        Only members with four or more constraints among each other can have too many: one with fewer has always a
+        place, the others may be taken without it.
+        """
+        several = np.ones(len(self.masses), dtype=np.bool_)
+        few = several
+        while few.any():
+            among = several[self.pairs].all(axis=1)
+            few = several & (np.bincount(self.pairs[among].ravel(), minlength=len(several)) < 4)
+            several &= ~few
+        kept, x = np.ones(len(self.pairs), dtype=np.bool_), _anywhere(len(several))[0]
+        found = np.zeros((0, x.size))
+        for c in np.flatnonzero(among):
+            i, j = self.pairs[c]
+            gradient = np.zeros(x.shape)
+            gradient[i] = (x[i] - x[j]) / np.linalg.norm(x[i] - x[j])
+            gradient[j] = -gradient[i]
+            rest = gradient.ravel()
+            for _ in range(2):  # the second time against rounding
+                rest = rest - found.T @ (found @ rest)
+            kept[c] = rest @ rest >= _INDEPENDENT
+            if kept[c]:
+                found = np.vstack([found, rest / np.linalg.norm(rest)])
+        return kept
 
     def refuse_unkept(self) -> None:
         """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
@@ -138,8 +176,7 @@ class ClusterKind:
                 f"{len(self.pairs)} constraints hold {self.name(0)} together, more than {LARGEST}: create the System "
                 "with constraints=HBonds, which constrains hydrogens only"
             )
-        places = np.random.default_rng(0).standard_normal((3, len(self.masses), 3))
-        independence, constraint = self.most_dependent(places)
+        independence, constraint = self.most_dependent(_anywhere(len(self.masses)))
         if independence.max() < _INDEPENDENT:
             i, j = self.particles[0, self.graph.pairs[constraint[np.argmax(independence)]]]
             raise ValueError(
@@ -155,7 +192,8 @@ class ClusterKind:
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
                 f"{self.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and "
-                f"{j} follows from the others, as for three particles of a triangle on a line: move them, or remove it"
+                f"{j} follows from the others, as for three particles of a triangle on a line: move them, or remove "
+                "it; what is flat or straight has to be rigid as a whole, by all its distances or as one of bodies="
             )
 
 
@@ -234,6 +272,11 @@ class Clusters:
         return after
 
 
+def _anywhere(n: int) -> Array:
+    """Return three random places (3, n, 3) of n members."""
+    return np.random.default_rng(0).standard_normal((3, n, 3))
+
+
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
 
@@ -241,7 +284,9 @@ def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):
-        key = b"/".join(a.tobytes() for a in (group.masses, group.pairs, group.lengths))
+        key = b"/".join(
+            a.tobytes() for a in (group.masses, group.pairs, group.lengths, group.implied, group.implied_lengths)
+        )
         kinds.setdefault(key, []).append(group)
     joined = [replace(same[0], particles=_by_number([kind.particles for kind in same])) for same in kinds.values()]
     for kind in joined:
@@ -262,7 +307,13 @@ def _in_canonical_order(group: ClusterKind) -> ClusterKind:
         order = np.lexsort((length, group.masses, order != centre))
     pairs = np.sort(np.argsort(order)[group.pairs], axis=1)
     by_ends = np.lexsort(pairs.T)
-    return ClusterKind(group.particles[:, order], group.masses[order], pairs[by_ends], group.lengths[by_ends])
+    return replace(
+        group,
+        particles=group.particles[:, order],
+        masses=group.masses[order],
+        pairs=pairs[by_ends],
+        lengths=group.lengths[by_ends],
+    )
 
 
 def _by_number(particles: Sequence[Indices]) -> Indices:

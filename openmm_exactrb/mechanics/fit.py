@@ -192,9 +192,7 @@ def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Ar
     """Return the first atoms of the clusters of some bodies, and by how much at most they miss a length, in nm."""
     found = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
     for kind, atoms, touched in _clusters_of(bodies, chosen):
-        x = R.T[atoms[touched]]
-        length = np.linalg.norm(x[:, kind.pairs[:, 0]] - x[:, kind.pairs[:, 1]], axis=2)
-        found.append((atoms[touched, 0], np.abs(length - kind.lengths).max(axis=1)))
+        found.append((atoms[touched, 0], kind.missed(R.T[atoms[touched]]).max(axis=1)))
     first, distance = map(np.concatenate, zip(*found, strict=True))
     return first, distance
 
