@@ -69,7 +69,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "examples",
     "filename_pattern": "",  # executes all of them
-    "ignore_pattern": r"^sphere\.py|[\\/]sphere\.py",
+    "ignore_pattern": r"(^|[\\/])(sphere|dipole_runs)\.py",  # which others import
     "parallel": len(os.sched_getaffinity(0)),
     "run_stale_examples": True,  # the package may have changed since
     "reset_argv": "gallery.arguments",

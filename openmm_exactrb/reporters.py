@@ -33,6 +33,8 @@ class _Lines:
         self._owned = isinstance(file, (str, os.PathLike))
         if isinstance(file, (str, os.PathLike)):
             path = Path(file)
+            if append and path.is_file() and path.read_bytes()[-1:] not in (b"", b"\n"):
+                raise ValueError(f"{file} ends within a line: delete this line, or give another file")
             self._out: TextIO = path.open("a" if append else "w")
         elif hasattr(file, "write"):
             self._out = file
@@ -64,7 +66,8 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Append to the lines of an existing file, and write the names of the columns only if it is empty.
+        Append to the lines of an existing file, and write the names of the columns only if it is empty. A file that
+        ends within a line, left by a script that was killed, is refused.
 
     Notes
     -----

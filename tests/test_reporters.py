@@ -33,3 +33,12 @@ def test_energy_reporter_appends(tmp_path):
         reporter.close()
     lines = (tmp_path / "energies.csv").read_text().splitlines()
     assert [line.split(",")[0] for line in lines] == ["step", "1", "2", "3", "4"]
+
+
+@pytest.mark.parametrize("left", ["3", "3,0.015", "<System>"])
+def test_a_file_that_ends_within_a_line_is_refused_and_left_alone(tmp_path, left):
+    file = tmp_path / "energies.csv"
+    file.write_text(left)
+    with pytest.raises(ValueError, match="ends within a line"):
+        rb.EnergyReporter(file, 1, append=True)
+    assert file.read_text() == left

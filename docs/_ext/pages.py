@@ -23,6 +23,7 @@ from pathlib import Path
 from types import CodeType
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.append(str(ROOT / "examples"))  # what pages import from beside a script
 DOCS = ROOT / "docs"
 # Built pages, copies of the examples, and recipes that have tests of their own (tests/test_recipes.py).
 ELSEWHERE = {DOCS / "_build", DOCS / "examples", DOCS / "contributing.md"}

@@ -2,11 +2,10 @@
 
 A `Job` is a function with its arguments. `run` and `as_completed` send jobs to worker processes, on this machine or on
 a cluster, restart those of a worker that dies, and store every result in a folder, so that the same command continues
-where it stopped. `energies` is a function for jobs: the energies of one simulation.
+where it stopped.
 """
 
-from openmm_exactrb.ensemble.dynamics import energies
 from openmm_exactrb.ensemble.execution import as_completed, run
 from openmm_exactrb.ensemble.jobs import Job, Result, sweep
 
-__all__ = ["Job", "Result", "as_completed", "energies", "run", "sweep"]
+__all__ = ["Job", "Result", "as_completed", "run", "sweep"]

@@ -48,11 +48,11 @@ class Job:
 
     Examples
     --------
-    >>> from openmm_exactrb.ensemble import Job, energies
-    >>> job = Job(energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
+    >>> from openmm_exactrb.ensemble import Job
+    >>> job = Job(free_rotor, inertia=[1, 1, 2], q0=[1, 0, 0, 0], m0=[0.1, 0.2, 0.3], t=5.0)
     >>> job
-    Job(openmm_exactrb.ensemble.dynamics.energies, build=dipole_fluid, n=8, step=0.05, duration=1.0, seed=3)
-    >>> job == Job(energies, seed=3, n=8, step=0.05, duration=1.0, build=dipole_fluid)
+    Job(openmm_exactrb.rotors.front.free_rotor, inertia=[1, 1, 2], q0=[1, 0, 0, 0], m0=[0.1, 0.2, 0.3], t=5.0)
+    >>> job == Job(free_rotor, t=5.0, m0=[0.1, 0.2, 0.3], q0=[1, 0, 0, 0], inertia=[1, 1, 2])
     True
     """
 
@@ -119,9 +119,9 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
 
     Examples
     --------
-    >>> from openmm_exactrb.ensemble import energies, sweep
-    >>> axes = {"seed": range(100), "scheme": ["V2", "SRKN4_6b"]}
-    >>> len(sweep(energies, axes, build=dipole_fluid, step=0.05, duration=1.0))
+    >>> from openmm_exactrb.ensemble import sweep
+    >>> axes = {"t": range(100), "m0": [[0.1, 0.2, 0.3], [0.3, 0.2, 0.1]]}
+    >>> len(sweep(free_rotor, axes, inertia=[1, 1, 2], q0=[1, 0, 0, 0]))
     200
     """
     for name, values in axes.items():

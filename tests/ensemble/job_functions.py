@@ -6,12 +6,27 @@ import time
 from pathlib import Path
 
 import numpy as np
+import openmm
 
 import openmm_exactrb as rb
-from openmm_exactrb import ensemble
 from peptides import in_water
 
 SHORT = {"build": rb.dipole_fluid, "n": 8, "step": 0.02, "duration": 0.2, "temperature": 10.0}
+
+
+def energies(build, *, step, duration, scheme="SRKN4_6b", temperature=None, seed=0, **arguments):
+    """Return the total energies of a run on Reference."""
+    _, system, positions = build(**arguments)
+    integrator = rb.ExactRigidBodyIntegrator(step, scheme=scheme, engine="host")
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    if temperature is not None:
+        integrator.setVelocitiesToTemperature(temperature, seed)
+    totals = []
+    for _ in range(round(duration / step)):
+        integrator.step(1)
+        totals.append(integrator.totalEnergy()._value)
+    return {"energies": totals}
 
 
 def flexible():
@@ -27,7 +42,7 @@ def held_up(folder, seed, **arguments):
         file.write(f"{os.getpid()}\n")
     if seed == 3 and first:
         time.sleep(300.0)
-    return ensemble.energies(seed=seed, **arguments)
+    return energies(seed=seed, **arguments)
 
 
 def deadly():

@@ -12,7 +12,7 @@ import cloudpickle
 import numpy as np
 import pytest
 from distributed import LocalCluster
-from job_functions import SHORT, counted, deadly, flexible, held_up, slow, square, unkeepable
+from job_functions import SHORT, counted, deadly, energies, flexible, held_up, slow, square, unkeepable
 
 from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble import Job, workers
@@ -41,10 +41,10 @@ def scheduler():
 def test_ensembles_run_flexible_molecules(tmp_path):
     """In other processes as in this one, and so that more forces per ps leave less of an error."""
     axes = {"step": [0.004, 0.001], "seed": range(2)}
-    runs = ensemble.sweep(ensemble.energies, axes, build=flexible, scheme="S2_2", duration=0.2, temperature=300.0)
+    runs = ensemble.sweep(energies, axes, build=flexible, scheme="S2_2", duration=0.2, temperature=300.0)
     results = ensemble.run(runs, tmp_path, workers=2, progress=False)
     assert [result.error for result in results] == 4 * [None]
-    np.testing.assert_equal(results[3].value, ensemble.energies(**runs[3].arguments))
+    np.testing.assert_equal(results[3].value, energies(**runs[3].arguments))
     spread = [np.std(result.value["energies"]) for result in results]
     assert max(spread[2:]) < min(spread[:2]) < max(spread[:2]) < 3.0
 
@@ -70,7 +70,7 @@ def test_killed_worker_changes_no_result(tmp_path):
     assert len(processes) == 3  # V2 twice, S6_10 once
     assert processes.count(killed[0]) == 1
     assert [result.error for result in results] == [None] * 16
-    here = [ensemble.energies(**job.arguments) for job in ensemble.sweep(ensemble.energies, axes, **SHORT)]
+    here = [energies(**job.arguments) for job in ensemble.sweep(energies, axes, **SHORT)]
     assert [result.value for result in results] == here  # to the last bit
 
 
@@ -121,7 +121,7 @@ def test_failure_is_reported_and_stops_nothing(tmp_path, scheduler, capfd):
     notes = tmp_path / "notes"
     notes.mkdir()
     close = {**SHORT, "step": 1e200, "duration": 2e200}
-    jobs = [Job(counted, folder=notes, name="bad"), Job(ensemble.energies, **close)]
+    jobs = [Job(counted, folder=notes, name="bad"), Job(energies, **close)]
     jobs += [Job(counted, folder=notes, name="good"), Job(unkeepable)]
     bad, blown_up, good, unkept = ensemble.run(jobs, tmp_path / "kept", scheduler=scheduler)
     assert bad.error == "ArithmeticError: bad cannot be"

@@ -10,7 +10,7 @@ import cloudpickle
 import numpy as np
 import openmm
 import pytest
-from job_functions import SHORT, Multiple, Other, disguised, square
+from job_functions import SHORT, Multiple, Other, disguised, energies, square
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -47,7 +47,7 @@ def test_results_of_another_version_are_not_taken(monkeypatch):
 
 
 def test_a_key_is_the_same_in_another_process(tmp_path):
-    script = "from job_functions import *; from openmm_exactrb.ensemble import Job, energies\n"
+    script = "from job_functions import *; from openmm_exactrb.ensemble import Job\n"
     script += "print(Job(energies, **SHORT, scheme=rb.SCHEMES['V2'], box=rb.dipole_fluid(2)[1]).key)"
     command = [sys.executable, "-c", script]
     there = subprocess.run(
@@ -58,7 +58,7 @@ def test_a_key_is_the_same_in_another_process(tmp_path):
         cwd=Path(__file__).parent,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "PYTHONHASHSEED": "7"},
     )
-    here = Job(ensemble.energies, **SHORT, scheme=rb.SCHEMES["V2"], box=rb.dipole_fluid(2)[1])
+    here = Job(energies, **SHORT, scheme=rb.SCHEMES["V2"], box=rb.dipole_fluid(2)[1])
     assert there.stdout.strip() == here.key
 
 
@@ -143,45 +143,6 @@ def test_a_function_in_a_class_has_a_name():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"frames": 0}, "frames must be a whole number of at least 1, not 0"),
-        ({"frames": -3}, "frames must be a whole number of at least 1, not -3"),
-        ({"frames": 2.5}, "frames must be a whole number of at least 1, not 2.5"),
-        ({"step": 0.0}, "step must be a positive number of ps, not 0.0"),
-        ({"step": -0.1}, "step must be a positive number of ps, not -0.1"),
-        ({"duration": 0.0}, "duration must be a positive number of ps, not 0.0"),
-        ({"duration": -1.0}, "duration must be a positive number of ps, not -1.0"),
-        ({"duration": np.nan}, "duration must be a positive number of ps, not nan"),
-        ({"duration": 1.0 * unit.nanometer}, "duration must be a positive number of ps, not 1.0 nm"),
-        ({"duration": 0.05}, "duration must be at least one step of 0.1 ps, not 0.05 ps"),
-    ],
-)
-def test_energies_of_no_time_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        ensemble.energies(rb.dipole_fluid, **{"n": 2, "step": 0.1, "duration": 1.0} | arguments)
-
-
-def test_energies_of_one_step_are_two():
-    result = ensemble.energies(rb.dipole_fluid, n=2, step=10.0 * unit.femtosecond, duration=0.01, frames=5)
-    assert result["times"] == pytest.approx([0.0, 0.01])
-    assert (result["steps"], len(result["energies"])) == (1, 2)
-
-
-def test_energies_take_velocities_and_samples():
-    def build():
-        topology, system, positions = rb.dipole_fluid(2, spacing=5.0)
-        return topology, system, positions, np.ones((system.getNumParticles(), 3))
-
-    result = ensemble.energies(build, step=0.1, duration=1.0, scheme="V2_drift", frames=4)
-    assert result["times"] == pytest.approx([0.0, 0.2, 0.5, 0.8, 1.0])
-    assert result["steps"] == 10
-    assert result["evaluations"] >= 10  # forces, and energies of the check for divergence
-    assert result["energies"][0] == pytest.approx(3.0, abs=0.1)  # two spheres of mass 1 at (1, 1, 1) nm/ps
-    assert result["energies"] == pytest.approx([result["energies"][0]] * 5, rel=1e-3)
-
-
-@pytest.mark.parametrize(
     ("function", "arguments", "message"),
     [
         (lambda: 1, {}, "found by its name in its module"),
@@ -210,4 +171,4 @@ def test_wrong_axis():
 
 def test_an_argument_is_an_axis_or_fixed():
     with pytest.raises(TypeError, match="seed"):
-        ensemble.sweep(ensemble.energies, {"seed": range(3)}, **SHORT, seed=1)
+        ensemble.sweep(energies, {"seed": range(3)}, **SHORT, seed=1)

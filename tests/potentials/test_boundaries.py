@@ -82,7 +82,7 @@ def test_a_boundary_is_a_value():
 
 def test_jobs_take_boundaries():
     def key(boundary):
-        return ensemble.Job(ensemble.energies, build=rb.dipole_fluid, boundary=boundary, step=0.1, duration=1.0).key
+        return ensemble.Job(rb.dipole_fluid, boundary=boundary).key
 
     assert key(rb.Ewald()) == key(rb.Ewald(tolerance=1e-4)) != key(rb.Ewald(tolerance=1e-3))
     assert key(rb.Ewald()) != key(rb.ReactionField())
