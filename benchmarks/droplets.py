@@ -163,13 +163,21 @@ def _carry_out(R, P, q, m, known, sequence, h, body, molecule, work):
             for row in range(3):
                 R1[row, i] = R[row, i] + e * force[row, i] / mass
         forces(R1, q1[0], sites, charges, sigma, epsilon, force1, torque1, x, f)
-        for i in range(R.shape[1]):
-            v0 = e * torque[0, i] / inertia[0]
-            v1 = e * torque[1, i] / inertia[1]
-            v2 = e * torque[2, i] / inertia[2]
-            m[0, 0, i] += tau[0] * (torque1[0, i] + v1 * torque[2, i] - v2 * torque[1, i])
-            m[0, 1, i] += tau[0] * (torque1[1, i] + v2 * torque[0, i] - v0 * torque[2, i])
-            m[0, 2, i] += tau[0] * (torque1[2, i] + v0 * torque[1, i] - v1 * torque[0, i])
+        for i in range(R.shape[1]):  # torques about the places themselves
+            w, a, b, c = q1[0, 0, i], q1[0, 1, i], q1[0, 2, i], q1[0, 3, i]
+            s0, s1, s2 = torque1[0, i], torque1[1, i], torque1[2, i]
+            t0 = (1 - 2 * (b * b + c * c)) * s0 + 2 * (a * b - w * c) * s1 + 2 * (a * c + w * b) * s2
+            t1 = 2 * (a * b + w * c) * s0 + (1 - 2 * (a * a + c * c)) * s1 + 2 * (b * c - w * a) * s2
+            t2 = 2 * (a * c - w * b) * s0 + 2 * (b * c + w * a) * s1 + (1 - 2 * (a * a + b * b)) * s2
+            d0, d1, d2 = R1[0, i] - R[0, i], R1[1, i] - R[1, i], R1[2, i] - R[2, i]
+            f0, f1, f2 = force1[0, i], force1[1, i], force1[2, i]
+            t0 += d1 * f2 - d2 * f1
+            t1 += d2 * f0 - d0 * f2
+            t2 += d0 * f1 - d1 * f0
+            w, a, b, c = q[0, 0, i], q[0, 1, i], q[0, 2, i], q[0, 3, i]
+            m[0, 0, i] += tau[0] * ((1 - 2 * (b * b + c * c)) * t0 + 2 * (a * b + w * c) * t1 + 2 * (a * c - w * b) * t2)
+            m[0, 1, i] += tau[0] * (2 * (a * b - w * c) * t0 + (1 - 2 * (a * a + c * c)) * t1 + 2 * (b * c + w * a) * t2)
+            m[0, 2, i] += tau[0] * (2 * (a * c + w * b) * t0 + 2 * (b * c - w * a) * t1 + (1 - 2 * (a * a + b * b)) * t2)
         P += force1 * tau[0]
     return known
 

@@ -8,7 +8,9 @@ An output that is judged by energy alone may cheat: it can cancel the energy err
 change of coordinates. So the mean kinetic energies are compared too, in standard deviations of the exact inverse's
 energy.
 
-    python benchmarks/outputs.py --starts 6 --picoseconds 30 --csv out/outputs.csv
+Each run is a job of an ensemble, so that the command continues where it stopped; the table goes to docs/outputs.csv.
+
+    python benchmarks/outputs.py --starts 6 --picoseconds 30
 """
 
 from __future__ import annotations
@@ -25,7 +27,10 @@ from openmm import app
 
 import droplets
 import openmm_exactrb as rb
+from openmm_exactrb import ensemble
+from openmm_exactrb.files import written_whole
 
+TABLE = Path(__file__).resolve().parents[1] / "docs" / "outputs.csv"
 MOLECULES, MODEL = 64, "tip3p"
 RUNS = (("W2_1", 250), ("W2_1", 500), ("W2_1", 1000), ("W4_4", 500), ("W4_4", 1000))
 COLUMNS = ("scheme", "forces per ps", "seed", "asked per step", "Verlet", "inverse", "output", "shift tr", "shift rot")
@@ -63,9 +68,11 @@ def row(name: str, rate: int, seed: int, duration: float) -> dict[str, Any]:
             one.step(steps)
             found[key].append(energies(one))
     asked = run.integrator.timings.evaluations / (10 * calls)
-    deviation = {key: np.std(np.array(values)[:, 0]) for key, values in found.items()}
+    deviation = {key: float(np.std(np.array(values)[:, 0])) for key, values in found.items()}
     shifts = (np.mean(np.array(found["output"]) - found["inverse"], axis=0) / deviation["inverse"])[1:]
-    return dict(zip(COLUMNS, (name, rate, seed, asked, *map(deviation.get, COLUMNS[4:7]), *shifts), strict=True))
+    return dict(
+        zip(COLUMNS, (name, rate, seed, asked, *map(deviation.get, COLUMNS[4:7]), *map(float, shifts)), strict=True)
+    )
 
 
 def main() -> None:
@@ -74,21 +81,28 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=21, help="seed of the first start; 1 to 16 chose the outputs")
     parser.add_argument("--picoseconds", type=float, default=30.0)
     parser.add_argument("--rates", type=int, nargs="+", default=[250, 500, 1000], help="forces per ps")
-    parser.add_argument("--csv", type=Path, default=Path("out/outputs.csv"))
+    parser.add_argument("--out", type=Path, default=Path("out/outputs"), metavar="FOLDER")
     options = parser.parse_args()
-    options.csv.parent.mkdir(parents=True, exist_ok=True)
-    with options.csv.open("w", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS)
-        table.writeheader()
-        for name, rate in (run for run in RUNS if run[1] in options.rates):
-            rows = [row(name, rate, options.first + k, options.picoseconds) for k in range(options.starts)]
-            table.writerows(rows)
-            file.flush()
-            ratios = [found["output"] / found["inverse"] for found in rows]
-            means = [np.mean([found[key] for found in rows]) for key in COLUMNS[3:]]
-            text = "{:.3f} forces per step; Verlet {:.3g}, inverse {:.3g}, output {:.3g} kJ/mol; shifts {:.2f} {:.2f}"
-            print(name, rate, text.format(*means))
-            print("   output over inverse:", " ".join(f"{ratio:.2f}" for ratio in ratios), flush=True)
+    seeds = range(options.first, options.first + options.starts)
+    jobs = [
+        ensemble.Job(row, name=name, rate=rate, seed=seed, duration=options.picoseconds)
+        for name, rate in RUNS
+        if rate in options.rates
+        for seed in seeds
+    ]
+    rows = []
+    for result in ensemble.as_completed(jobs, options.out, workers=1):
+        if result.error is not None:
+            raise SystemExit(result.error)
+        rows.append(result.value)
+        print(
+            ", ".join(f"{name} {value:.4g}" if name != "scheme" else value for name, value in rows[-1].items()),
+            flush=True,
+        )
+        with written_whole(TABLE) as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(COLUMNS)
+            table.writerows([*list(one.values())[:3], *(f"{x:.5g}" for x in list(one.values())[3:])] for one in rows)
 
 
 if __name__ == "__main__":

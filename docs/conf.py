@@ -25,6 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks/paper"))  # for s
 import droplet
 
 import openmm_exactrb
+import tables
 from equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
@@ -105,12 +106,14 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
 
 def scheme_table() -> str:
     """Return the catalogue of schemes as a table, for the guide."""
-    rows = ["| name | orders | forces per step | starts with | kind | stable step per force |", "| --- " * 6 + "|"]
+    head = ("name", "orders", "forces per step", "starts with", "kind", "stable step per force", "change of L")
+    changes, body = tables.angular_momentum(), []
     for name, scheme in CATALOGUE.items():
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
         stable = stability_limit(scheme, 1e-3) / scheme.forces
-        rows.append(f"| `{name}` | {orders} | {scheme.forces} | {scheme.first} | {scheme.kind} | {stable:.2f} |")
-    return "\n".join(rows)
+        numbers = (f"{scheme.forces}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
+        body.append((f"`{name}`", orders, *numbers))
+    return tables.table(head, body)
 
 
 def equipartition_tables() -> dict[str, str]:
@@ -132,7 +135,7 @@ def equipartition_tables() -> dict[str, str]:
     return tables | {"equipartition_models": over_models(record)}
 
 
-myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables()
+myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables() | tables.all_tables()
 
 
 def undocumented(app: Sphinx, env: Any) -> None:

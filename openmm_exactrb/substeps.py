@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.quaternions import exponential, multiply
+from openmm_exactrb.quaternions import exponential, matrix, multiply
 
 Array = NDArray[np.float64]
 #: Force (3, N) and body-frame torque (3, K).
@@ -48,7 +48,7 @@ class Environment(Protocol):
     Attributes
     ----------
     inertia : (3, 1) or (3, K) array
-        Principal moments of the bodies that rotate.
+        Principal moments of the bodies that rotate, infinite about the axis of a linear one.
     kinetic : Kinetic
         Free motion, including fast forces.
     memory : Memory
@@ -186,12 +186,14 @@ class GradientKick(Substep):
     """A kick with a force-gradient term, by forces at displaced positions.
 
     Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at
-    R + e F/M, q exp(e I^-1 N), where e = strength tau², and e (I^-1 N) x N, the commutator of the body axes, is added
-    to the torque. It is time-reversible, symplectic up to those orders, and conserves the linear momentum, and the
-    angular momentum up to those orders. For particles this is the Hessian-free kick of K. Schäfers, J. Finkenrath,
-    M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478 (2025). Constrained atoms are displaced along the
-    geodesic of F, and the force there is projected onto the constraints: to first order this gives the covariant
-    derivative of F along itself.
+    R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is the one about R, that is d x F more
+    than the one about the displaced centre, and in the axes of q: both parts are of second order in e but for the
+    commutator of the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the
+    linear momentum, and the angular momentum where all particles belong to bodies that turn about three axes; single
+    particles and linear bodies, which cannot take up such torques, lose some of it at those orders. For particles this
+    is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
+    109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
+    constraints: to first order this gives the covariant derivative of F along itself.
 
     Parameters
     ----------
@@ -326,13 +328,17 @@ def gradient_kick(
     def flow(state: State, tau: float) -> State:
         e = strength * tau * tau
         force, torque = forces(state)
-        rotation = e * torque / inertia
-        q = multiply(state.q[0], exponential(rotation))
+        turn = exponential(e * torque / inertia)
+        q = multiply(state.q[0], turn)
         displaced = kinetic.displaced(state, e * force)._replace(q=exactly(q))
         check(displaced)
         force_there, torque_there = forces.at(displaced)
         force_there = kinetic.tangent(displaced._replace(P=exactly(force_there))).P[0]
-        torque_there = torque_there + np.cross(rotation, torque, axis=0)
+        turning = slice(torque.shape[1])
+        arm = (displaced.R[0] - state.R[0])[:, turning]
+        about = np.einsum("jin,jn->in", matrix(state.q[0]), np.cross(arm, force_there[:, turning], axis=0))
+        torque_there = np.einsum("ijn,jn->in", matrix(turn), torque_there) + about
+        torque_there = np.where(np.isfinite(inertia), torque_there, 0.0)
         forces.memory.add_difference((force_there - force, torque_there - torque))
         after = state._replace(P=advance(state.P, force_there, tau), m=advance(state.m, torque_there, tau))
         check(after)

@@ -65,7 +65,8 @@ class ContextEnvironment:
     Attributes
     ----------
     bodies : RigidBodies
-    inertia : (3, 1) or (3, K) array
+    inertia : (3, K) array
+        Principal moments, infinite about the axis of a linear body.
     kinetic : Kinetic
     slow : Forces
         Those of kicks.

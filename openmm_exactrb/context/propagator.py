@@ -284,7 +284,7 @@ class Propagator:
         slow.memory = Memory(*scheme.memory)
         self.environment = environment = ContextEnvironment(
             bodies,
-            bodies.inertia.T,
+            np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),
             kinetic,
             slow,
             forces,

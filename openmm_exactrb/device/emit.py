@@ -134,12 +134,12 @@ def _row(program: Program) -> None:
     program.times("c", _PARTS)
     if table.has("before"):
         exchange(program, "before")
-    torque = turned_back("q", "w", "N")
-    program.let("P", "P+_x(c)*F")
-    program.let("L", f"L+_x(c)*{AXES}*{f'({torque}+twist)' if table.displaces else torque}")
     if table.displaces:
         program.let("q", "sq")
         program.let("w", "sw")
+    program.let("P", "P+_x(c)*F")
+    torque = turned_back("q", "w", "(N+cross(move,F))" if table.displaces else "N")
+    program.let("L", f"L+_x(c)*{AXES}*{torque}")
     if table.has("after"):
         exchange(program, "after")
     for name, statements in STAGES.items():
@@ -166,7 +166,6 @@ def _displace(program: Program) -> None:
     program.let("sw", "w")
     program.let("p", turned_back("q", "w", "N"))
     program.let("c", f"_z(a)*{AXES}*{INVERSE_INERTIA}*p")
-    program.let("twist", "cross(c,p)")
     program.let("g", "0.5*sqrt(dot(c,c))")
     program.let("n", "0.5*c*sin(g)/max(g,1e-300)")
     program.let("g", "cos(g)")

@@ -33,7 +33,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
     known = map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
     if names.DISPLACED[0] in known:
         nothing = np.zeros((bodies.n_particles, 3))
-        values |= dict(zip(names.DISPLACED, (values["q"], values["w"], nothing, nothing), strict=True))
+        values |= dict(zip(names.DISPLACED, (values["q"], values["w"], nothing), strict=True))
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
     tell(integrator, {names.KNOWN: 0.0, names.LOADED: names.HELD, names.CHANGED: 1.0})

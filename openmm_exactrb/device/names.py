@@ -21,9 +21,8 @@ FORCES = ("F", "N")
 SPAN = "at"
 #: For what is soon forgotten; velocities are one more, until they are shown.
 TEMPORARY = ("a", "g", "y", "c", "p", "n")
-#: Where forces are taken at displaced places: the attitude that is not, the commutator with the torque, and how far the
-#: centre is displaced.
-DISPLACED = ("sq", "sw", "twist", "move")
+#: Where forces are taken at displaced places: the attitude that is not, and how far the centre is displaced.
+DISPLACED = ("sq", "sw", "move")
 #: Of a thermostat: (friction, that of rotation, kT), and the states of the generators of random numbers.
 THERMOSTAT, STREAMS = "thermostat", ("r1", "r2", "r3", "r4")
 

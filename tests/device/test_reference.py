@@ -204,7 +204,7 @@ def with_or_without_thermostat(engine, h, thermostat):
 @pytest.mark.parametrize(("engine", "thermostat"), [("host", False), ("device", False), ("device", True)])
 def test_energy_from_nowhere_is_noticed(engine, thermostat, droplet):
     system, positions = droplet
-    integrator = with_or_without_thermostat(engine, 0.05, thermostat)
+    integrator = with_or_without_thermostat(engine, 0.045, thermostat)
     integrator.setRandomNumberSeed(1)
     context = openmm.Context(copy.deepcopy(system), integrator, REFERENCE)
     context.setPositions(positions)

@@ -1,0 +1,179 @@
+"""Tables of the documentation, in Markdown, from the measurements that docs/*.csv keep."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from equipartition_record import FRICTION, LFM, RECORD, markdown, read, shown, whole, with_error
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
+Row = dict[str, str]
+
+
+def rows(name: str) -> list[Row]:
+    """Return the lines of a table that a benchmark has written; none if it has not run."""
+    file = DOCS / f"{name}.csv"
+    return list(csv.DictReader(file.read_text().splitlines())) if file.exists() else []
+
+
+def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
+    return markdown([[*head], ["---"] * len(head), *map(list, body)])
+
+
+def distinct(found: Iterable[Row], *names: str) -> list[tuple[str, ...]]:
+    """Return the values of columns, in the order in which they come."""
+    return list(dict.fromkeys(tuple(row[name] for name in names) for row in found))
+
+
+def angular_momentum() -> dict[str, str]:
+    """Return the change of the angular momentum by scheme."""
+    return {row["scheme"]: row["change"] for row in rows("angular_momentum")}
+
+
+# -- the default at constant energy: benchmarks/default_energies.py --------------------------------------------------
+
+
+def default_energies() -> str:
+    """Return the energy errors of the default and of Verlet in a box of water."""
+    found = [row for row in rows("default_energies") if row["system"] == "water"]
+    std = {(row["seed"], row["integrator"]): float(row["std_kJ_mol"]) for row in found}
+    forces = {row["seed"]: row["evaluations_per_ps"] for row in found if row["integrator"] == "default"}
+    body = [
+        (f"{i + 1}", forces[seed], f"{std[seed, 'Verlet']:.3f}", f"{std[seed, 'default']:.3f}", ratio(std, seed))
+        for i, (seed,) in enumerate(distinct(found, "seed"))
+    ]
+    head = ("start", "force evaluations per ps", THEIRS["Verlet"], "the default", "ratio")
+    return table(head, body)
+
+
+def ratio(std: dict, seed: str) -> str:
+    return f"{std[seed, 'default'] / std[seed, 'Verlet']:.2f}"
+
+
+def default_stability() -> str:
+    """Return at which steps the default and Verlet hold, and their energy errors, for solutes with HBonds."""
+    found = [row for row in rows("default_energies") if row["system"] != "water"]
+    kinds, steps = distinct(found, "system", "atoms", "start"), sorted({float(row["fs"]) for row in found})
+    body = []
+    for (system, atoms, start), (method, label) in product(
+        kinds, (("Verlet", THEIRS["Verlet"]), ("default", "the default"))
+    ):
+        cells = []
+        for fs in steps:
+            asked = (system, start, method, fs)
+            stds = [float(r["std_kJ_mol"]) for r in found if _what(r) == asked]
+            held = [std for std in stds if math.isfinite(std)]
+            lost = len(stds) - len(held)
+            cells.append(
+                (f"{np.sqrt(np.mean(np.square(held))):.2g}" if held else "")
+                + (f" ({lost} of {len(stds)} diverge)" if lost and held else "diverges" if lost else "")
+            )
+        where = "from the file" if start == "file" else start
+        body.append((f"{system}, {atoms} atoms, {where}", label, *cells))
+    return table(("", "", *(f"{fs:g} fs" for fs in steps)), body)
+
+
+def _what(row: Row) -> tuple[str, str, str, float]:
+    return row["system"], row["start"], row["integrator"], float(row["fs"])
+
+
+# -- the output of processed schemes: benchmarks/outputs.py ----------------------------------------------------------
+
+
+def outputs() -> str:
+    """Return the energy errors of the output and of the exact inverse, means over starts."""
+    found, body = rows("outputs"), []
+    for scheme, rate in distinct(found, "scheme", "forces per ps"):
+        some = [row for row in found if (row["scheme"], row["forces per ps"]) == (scheme, rate)]
+        asked, verlet, inverse, output = (
+            np.array([float(row[name]) for row in some]) for name in ("asked per step", "Verlet", "inverse", "output")
+        )
+        ratios, shifts = output / inverse, [abs(float(row[name])) for row in some for name in ("shift tr", "shift rot")]
+        body.append(
+            (
+                f"`{scheme}`",
+                rate,
+                f"{asked.mean():.2f}",
+                *(f"{values.mean():.2g}" for values in (verlet, inverse, output)),
+                f"{output.mean() / inverse.mean():.2f} ({ratios.min():.2f} to {ratios.max():.2f})",
+                f"{max(shifts):.2f}",
+            )
+        )
+    head = (
+        *("", "forces per ps", "forces per step", "Verlet", "exact inverse", "output"),
+        *("output over inverse", "largest shift of a kinetic energy"),
+    )
+    return table(head, body)
+
+
+# -- the default at constant temperature: benchmarks/equipartition.py and default_temperatures.py --------------------
+
+
+def default_temperatures() -> str:
+    """Return temperatures and energies of the default and of LangevinMiddleIntegrator."""
+    record, body = whole(read(RECORD)), []
+    for step, (method, label) in product((2.0, 4.0, 6.0), ((LFM, THEIRS[LFM]), ("BAOA", "`BAOA`, the default"))):
+        means = record.get(("spce", "NVT", method, step, FRICTION), {})
+        reported = shown(means, "T_rot - T_tr") if method == LFM else "the same"
+        constrained = shown(means, "other T_rot - T_tr" if method == LFM else "T_rot - T_tr")
+        cells = (shown(means, "T_tr"), constrained, reported, shown(means, "U"))
+        body += [(f"{step:g} fs", label, *cells)] if means else []
+    return table(("SPC/E", "", "T_tr (K)", "T_rot − T_tr (K)", "as reported (K)", "U (kJ/mol)"), body)
+
+
+def default_temperatures_of_a_peptide() -> str:
+    """Return the same of a peptide in water."""
+    found, body = rows("default_temperatures"), []
+    steps = sorted({float(row["fs"]) for row in found})
+    names = ("T_tr", "T_rot", "T_solute", "T_rot reported", "T_solute reported", "U")
+    for step, (method, label) in product(steps, ((LFM, THEIRS[LFM]), ("default", "`BAOA`, the default"))):
+        some = [row for row in found if (row["method"], float(row["fs"])) == (method, step)]
+        body.append((f"{step:g} fs", label, *(_mean(some, name, 2 if name == "U" else 1) for name in names)))
+    units = (*(f"{name} (K)".replace("T_solute", "T_peptide") for name in names[:-1]), "U (kJ/mol)")
+    return table(("peptide", "", *units), body)
+
+
+def _mean(some: list[Row], name: str, digits: int) -> str:
+    values = np.array([float(row[name]) for row in some])
+    held = values[np.isfinite(values)]
+    lost = f" ({len(values) - len(held)} of {len(values)} diverge)" if 0 < len(held) < len(values) else ""
+    if len(held) < 2:
+        return "diverges" if len(values) else ""
+    return with_error(float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held))), digits) + lost
+
+
+# -- physical_validation: benchmarks/validation.py -------------------------------------------------------------------
+
+TESTS = {
+    "kinetic energy, p": "kinetic energy, p",
+    "temperature of the mean": "its mean",
+    "temperature of the width": "its width",
+    "translation, mean": "translation",
+    "rotation, mean": "rotation",
+    "ensemble": "ensemble",
+}
+
+
+def validation() -> str:
+    """Return what physical_validation says: p, and standard errors by which the rest is off."""
+    found, body = rows("physical_validation"), []
+    for integrator, point in distinct((r for r in found if r["integrator"] != "NVE"), "integrator", "point"):
+        values = {r["test"]: r["value"] for r in found if (r["integrator"], r["point"]) == (integrator, point)}
+        body.append((integrator, point, *(values.get(test, "") for test in TESTS)))
+    return table(("integrator", "at", *TESTS.values()), body)
+
+
+def all_tables() -> dict[str, str]:
+    """Return the tables by the names that pages call them by."""
+    makers = (
+        *(default_energies, default_stability, outputs, default_temperatures),
+        *(default_temperatures_of_a_peptide, validation),
+    )
+    return {maker.__name__: maker() for maker in makers}
