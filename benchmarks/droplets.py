@@ -175,9 +175,12 @@ def _carry_out(R, P, q, m, known, sequence, h, body, molecule, work):
             t1 += d2 * f0 - d0 * f2
             t2 += d0 * f1 - d1 * f0
             w, a, b, c = q[0, 0, i], q[0, 1, i], q[0, 2, i], q[0, 3, i]
-            m[0, 0, i] += tau[0] * ((1 - 2 * (b * b + c * c)) * t0 + 2 * (a * b + w * c) * t1 + 2 * (a * c - w * b) * t2)
-            m[0, 1, i] += tau[0] * (2 * (a * b - w * c) * t0 + (1 - 2 * (a * a + c * c)) * t1 + 2 * (b * c + w * a) * t2)
-            m[0, 2, i] += tau[0] * (2 * (a * c + w * b) * t0 + 2 * (b * c - w * a) * t1 + (1 - 2 * (a * a + b * b)) * t2)
+            s0 = (1 - 2 * (b * b + c * c)) * t0 + 2 * (a * b + w * c) * t1 + 2 * (a * c - w * b) * t2
+            s1 = 2 * (a * b - w * c) * t0 + (1 - 2 * (a * a + c * c)) * t1 + 2 * (b * c + w * a) * t2
+            s2 = 2 * (a * c + w * b) * t0 + 2 * (b * c - w * a) * t1 + (1 - 2 * (a * a + b * b)) * t2
+            m[0, 0, i] += tau[0] * s0
+            m[0, 1, i] += tau[0] * s1
+            m[0, 2, i] += tau[0] * s2
         P += force1 * tau[0]
     return known
 
