@@ -71,6 +71,9 @@ class Environment(Protocol):
     def check(self, state: State) -> None:
         """Raise NonFiniteError if a state is not finite."""
 
+    def check_momenta(self, state: State) -> None:
+        """Raise NonFiniteError if momenta are not finite."""
+
     def exchange_of(self, number: int) -> Flow[State]:
         """Return the flow of the n-th heat exchange of a step."""
 
@@ -166,7 +169,7 @@ class Kick(Substep):
 
     def bind(self, environment: Any) -> Flow[State]:
         """Return P + tau F and m + tau N."""
-        return kick(environment.forces(self.group), environment.check)
+        return kick(environment.forces(self.group), environment.check_momenta)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of p' = -q."""
@@ -307,12 +310,12 @@ def _unchecked(state: State) -> None:
 
 
 def kick(forces: Callable[[State], Force], check: Callable[[State], None] = _unchecked) -> Flow[State]:
-    """Return the flow of the potential energy of forces; `check` raises for states that are not finite."""
+    """Return the flow of the potential energy of forces; `check` raises for momenta that are not finite."""
     advance = advancing()
 
     def flow(state: State, tau: float) -> State:
         force, torque = forces(state)
-        after = state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
+        after = State(state.R, advance(state.P, force, tau), state.q, advance(state.m, torque, tau))
         check(after)
         return after
 

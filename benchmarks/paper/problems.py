@@ -111,6 +111,8 @@ class ProblemEnvironment:
     def check(self, state: State) -> None:
         """Accept any state: numbers that are not finite stay so."""
 
+    check_momenta = check
+
 
 def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[Substep, Flow[State]]:
     """Return the flows of the substeps of a scheme for a problem."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,7 +71,6 @@ class ContextEnvironment:
         Those of kicks.
     all_forces : ContextForces
         Those of all force groups that act.
-    check : callable
     divergence : DivergenceCheck
     clock : openmm_exactrb.context.propagator.Clock
     updates : ContextUpdates
@@ -91,7 +89,6 @@ class ContextEnvironment:
     kinetic: Kinetic
     slow: Forces
     all_forces: ContextForces
-    check: Callable[[State], None]
     divergence: DivergenceCheck
     clock: Any
     updates: ContextUpdates
@@ -110,6 +107,14 @@ class ContextEnvironment:
     def forces(self, group: int | None = None) -> Forces:
         """Return the forces of a group, or of all kicks."""
         return self.slow if group is None else self.all_forces.of(1 << group)
+
+    def check(self, state: State) -> None:
+        """Raise NonFiniteError if a state is not finite."""
+        self.divergence.finite(state)
+
+    def check_momenta(self, state: State) -> None:
+        """Raise NonFiniteError if the momenta of a state are not finite."""
+        self.divergence.finite_momenta(state)
 
     def exchange_of(self, number: int) -> Flow[State]:
         """Return the flow of the thermostat at its n-th place in a step."""

@@ -288,7 +288,6 @@ class Propagator:
             kinetic,
             slow,
             forces,
-            divergence.finite,
             divergence,
             self._clock,
             self.updates,
@@ -336,7 +335,7 @@ class Propagator:
         return flow
 
 
-def _checked(flow: Callable[[State, Any], State], check: Callable[[State], None]) -> Callable[[State, Any], State]:
+def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any]) -> Callable[[State, Any], State]:
     """Return a flow that raises NonFiniteError before OpenMM is asked for forces at such positions."""
 
     def checked(state: State, argument: Any) -> State:

@@ -21,8 +21,8 @@ from openmm_exactrb.substeps import Remembered
 
 Array = NDArray[np.float64]
 
-# Positions (nm) and velocities (nm/ps) closer than this to those of the stored bodies are theirs: an integrator that
-# finds its Context changed by less continues from the full float64 state.
+# Positions (nm) and velocities (nm/ps) closer than this to those of a state that was saved are its own: it continues in
+# full precision, whatever the platform has rounded.
 _SAME = 1e-9
 
 
@@ -36,7 +36,7 @@ class Synchronisation:
     context : openmm.Context
         With positions; `pull` reads them.
     integrator : openmm.CustomIntegrator
-        In whose variables the full state is kept.
+        Whose variables take the full state along in checkpoints and States.
     named : sequence of sequences of int, optional
         Particles of bodies beside those that constraints make.
 
@@ -74,9 +74,11 @@ class Synchronisation:
         self._outdated = False
         #: Called when a user has set a State or a step count.
         self.taken_elsewhere: Callable[[], None] = lambda: None
-        _watch(context, "reinitialize", self._outlive)
+        _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
-            _watch(context, name, lambda: self.taken_elsewhere())
+            _watch(context, name, after=lambda: self.taken_elsewhere())
+        _watch(context, "createCheckpoint", self._write, self._unmark)
+        _watch(context, "getState", self._write, self._unmark, _saves)
 
     @property
     def context(self) -> Any:
@@ -104,12 +106,19 @@ class Synchronisation:
         """
         self.refuse_others()
         x, v = self.held()
-        seen = self._seen
-        if seen is not None and np.array_equal(seen[0], x) and np.array_equal(seen[1], v):
+        saved, seen = self.saved(x, v), self._seen
+        if saved is not None:
+            state = self.compared(saved, self._joined(x), v)
+            self._read_inner() if state is saved else self.keep(None)
+            self._unmark()
+        elif seen is None:
+            state = State.of(fit(self.bodies, self._joined(x), v))
+        elif np.array_equal(seen[0], x) and np.array_equal(seen[1], v):
             return False
-        known, whole = self.stored(x), self._joined(x)
-        state = State.of(fit(self.bodies, whole, v)) if known is None else self.compared(known, whole, v)
-        self._read_inner() if state is known else self.keep(None)
+        else:
+            moved, pushed = (_differs(self.bodies, *pair, 0.0) for pair in zip((x, v), seen, strict=True))
+            state = self._refitted(self.state, self._joined(x), v, moved, pushed)
+            self.inner = self.inner if state is self.state else None
         self.state = state
         self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         self._seen = (x, v)
@@ -131,17 +140,20 @@ class Synchronisation:
         rounded = known.rounded
         moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()))
         pushed = _differs(self.bodies, v, self.bodies.velocities(rounded, v.copy()))
+        return self._refitted(known, x, v, moved, pushed)
+
+    def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
+        """Return a known state, but for bodies that were moved or pushed."""
         if not len(moved) and not len(pushed):
             return known
-        return known.renewed(refit(self.bodies, rounded, x, v, moved, pushed))
+        return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
 
     def push(self) -> None:
-        """Write the state into the Context, as particles and in full."""
+        """Write the state into the Context."""
         context = self.context
         context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
         self.write_velocities(self.state)
         context.computeVirtualSites()
-        self.store()
         self._seen = self.held()
 
     def inner_in(self, coordinates: float) -> State | None:
@@ -161,8 +173,8 @@ class Synchronisation:
         """What the first number of the integrator can be: its variables are those that it was made with."""
         return variables.marks(variables.own_numbers(self._integrator()))
 
-    def stored(self, x: Array) -> State | None:
-        """Return the state that the integrator's variables hold, if any; positions x are those of the Context."""
+    def saved(self, x: Array, v: Array) -> State | None:
+        """Return the state that a checkpoint or State brought along, if any; x and v are those of the Context."""
         return variables.read(self._integrator(), self.bodies)
 
     def _read_inner(self) -> None:
@@ -172,15 +184,21 @@ class Synchronisation:
         inner = variables.read(integrator, self.bodies, variables.INNER) if coordinates else None
         self.keep(inner, coordinates, ([], []) if inner is None else variables.read_forces(integrator, self.bodies))
 
-    def store(self) -> None:
+    def _write(self) -> None:
         """Write the state to the integrator's variables."""
+        if self._seen is None:
+            return
         integrator = self._integrator()
         variables.write(integrator, self.bodies, self.state)
         if self.inner is not None:
             variables.write(integrator, self.bodies, self.inner, variables.INNER)
             variables.write_forces(integrator, self.bodies, self.memory)
         variables.put(integrator, variables.COORDINATES, self._coordinates if self.inner is not None else 0.0)
-        variables.mark(integrator, self._marks)
+        variables.mark(integrator, self._marks[1])
+
+    def _unmark(self) -> None:
+        """Take the mark away: variables that have it were loaded."""
+        variables.mark(self._integrator(), self._marks[0])
 
     def write_velocities(self, state: State) -> None:
         """Write the velocities of the particles into the Context."""
@@ -220,25 +238,43 @@ def _box(context: openmm.Context) -> Array | None:
     return np.reshape(arrays.box(context.getState()), (3, 3))
 
 
-def _differs(bodies: RigidBodies, actual: Array, expected: Array) -> Indices:
+def _differs(bodies: RigidBodies, actual: Array, expected: Array, tolerance: float = _SAME) -> Indices:
     """Return the bodies with a particle that is not where it is expected; nan differs."""
     different = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
         offset = np.abs(actual[kind.particles] - expected[kind.particles])
-        different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= _SAME)
+        different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= tolerance)
     return np.flatnonzero(different)
 
 
-def _watch(context: openmm.Context, name: str, notice: Callable[[], None]) -> None:
-    """Have it noticed when a method of the Context was called, since OpenMM does not tell."""
+def _saves(*arguments: Any, **options: Any) -> bool:
+    """Return whether arguments of `Context.getState` ask for the integrator's variables."""
+    return len(arguments) > 6 or bool(options.get("integratorParameters") or options.get("getIntegratorParameters"))
+
+
+def _nothing() -> None:
+    pass
+
+
+def _watch(
+    context: openmm.Context,
+    name: str,
+    before: Callable[[], None] = _nothing,
+    after: Callable[[], None] = _nothing,
+    concerns: Callable[..., bool] = lambda *arguments, **options: True,
+) -> None:
+    """Have it noticed when a method of the Context is called with arguments that concern us: OpenMM does not tell."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 
     @functools.wraps(method)
-    def noticing(*arguments: Any, **options: Any) -> None:
+    def noticing(*arguments: Any, **options: Any) -> Any:
+        if not concerns(*arguments, **options):
+            return method(reference(), *arguments, **options)
+        before()
         try:
-            method(reference(), *arguments, **options)
+            return method(reference(), *arguments, **options)
         finally:
-            notice()
+            after()
 
     setattr(context, name, noticing)

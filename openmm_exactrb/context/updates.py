@@ -10,10 +10,10 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import add
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
 
 Array = NDArray[np.float64]
@@ -63,6 +63,7 @@ class ContextUpdates:
         _refuse_torn_bodies(context, barostats, named)
         self._removals = tuple(force.getFrequency() for force in removers)
         self._barostats = barostats
+        self._advance = advancing()
         self._waiting = 0  # steps since OpenMM last acted
         self._since_trial = [0] * len(barostats)  # updates
         self.moves, self.pushes = bool(barostats), bool(thermostats)
@@ -107,7 +108,7 @@ class ContextUpdates:
         """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
             velocity = state.P.sum(axis=(0, 2)) / mass.sum()
-            return state._replace(P=add(state.P, -np.outer(velocity, mass)))
+            return state._replace(P=self._advance(state.P, velocity[:, None] * mass, -1.0))
         return state
 
     def due(self) -> int:

@@ -176,9 +176,9 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         integrator.setPerDofVariableByName(_PREFIX + which + name, values)
 
 
-def mark(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
-    """Mark the variables of an integrator with these `marks` as those of a state."""
-    put(integrator, _STORED, known[1])
+def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
+    """Mark the variables of an integrator by one of its `marks`."""
+    put(integrator, _STORED, value)
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:

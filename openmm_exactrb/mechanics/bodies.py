@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.quaternions import matrix
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -151,15 +150,11 @@ class RigidBodies:
 
     def velocities(self, state: BodyState, out: Array) -> Array:
         """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
-        Q = matrix(state.q)
-        V = (self.tangent(state).P / self.mass).T
-        omega = state.m.T / self.inertia
-        for kind in self.kinds:
-            velocity = V[kind.bodies, None]
-            if kind.turns:
-                relative = np.cross(omega[kind.bodies, None], kind.sites)
-                velocity = velocity + np.einsum("ijn,nsj->nsi", Q[:, :, kind.bodies], relative)
-            out[kind.particles] = velocity
+        V, omega = self.tangent(state).P / self.mass, state.m / self.inertia.T
+        for kind in self._turning:
+            self._particles_of.move(V, omega, state.q, kind.particles, kind.sites, kind.bodies.start, out)
+        if self._single.size:
+            out[self._single] = V.T[self.n_turning :]
         return out
 
     def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:

@@ -22,6 +22,8 @@ GROWN = 1.5
 _GAINED = 0.5
 # kJ/mol of kinetic energy in the mean of bodies with bonds between them: bonds break with a fifth of it.
 _HOTTEST = 2500.0
+# Of more numbers, BLAS shares a sum among threads, which costs milliseconds where others use the processor.
+_FEW = 10_000
 # Rounding of energies in single precision, and kJ/mol per body that say nothing: a start at rest has less.
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 #: What the Context holds after a step or call that diverged, and what to do.
@@ -69,7 +71,7 @@ class DivergenceCheck:
 
     def begin(self, state: State) -> None:
         """Take a state for good."""
-        self._good = _square(state.P[0]), _square(state.m[0])
+        self._good = _square(state.P), _square(state.m)
 
     def keep_from(self, state: State) -> None:
         """Compare later energies with that of a state."""
@@ -79,16 +81,26 @@ class DivergenceCheck:
         """Note the number of a step, and the time (ps) and the state before it."""
         self._number, self._time, self._before = number, time, state
 
-    def finite(self, state: State) -> None:
-        """Raise NonFiniteError if OpenMM cannot be asked for forces at a state."""
-        P = _square(state.P[0])
-        total = P + _square(state.R[0]) + _square(state.q[0]) + _square(state.m[0])
-        if not (np.isfinite(total) and self._fastest >= P):
-            bad = np.flatnonzero(_lost(self._bodies, state.rounded))
-            if len(bad):
-                names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
-                more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
-                raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
+    def finite(self, state: State) -> tuple[float, float]:
+        """Return the squares of linear and angular momenta; NonFiniteError if OpenMM cannot be asked for forces."""
+        if not _square(state.R) + _square(state.q) < np.inf:  # so that nan is not
+            self._refuse(state)
+        return self.finite_momenta(state)
+
+    def finite_momenta(self, state: State) -> tuple[float, float]:
+        """Return the squares of linear and angular momenta; NonFiniteError if bodies cannot move with them."""
+        P, m = _square(state.P), _square(state.m)
+        if not (self._fastest >= P and m < np.inf):
+            self._refuse(state)
+        return P, m
+
+    def _refuse(self, state: State) -> None:
+        """Raise NonFiniteError if there is a body of which squares are not finite, or that is faster than light."""
+        bad = np.flatnonzero(_lost(self._bodies, state.rounded))
+        if len(bad):
+            names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
+            more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
+            raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
@@ -105,11 +117,8 @@ class DivergenceCheck:
 
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step has diverged from that before it."""
-        self.finite(state)
-        if not self._conserves:
-            return
-        (P, m), (good_P, good_m) = (_square(state.P[0]), _square(state.m[0])), self._good
-        if GROWN * good_P < P or m > GROWN * good_m:
+        (P, m), (good_P, good_m) = self.finite(state), self._good
+        if self._conserves and (GROWN * good_P < P or m > GROWN * good_m):
             assert self._since is not None
             if message := gained(len(self._bodies), self._energies(self._since), self._energies(state)):
                 raise IntegrationError(self._message(message))
@@ -155,5 +164,8 @@ def _lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
 
 
 def _square(x: Array) -> float:
-    """Return the sum of all squares; not by BLAS, whose threads cost milliseconds where others use the processor."""
-    return float(np.einsum("ij,ij", x, x))
+    """Return the sum of the squares of double-doubles, rounded."""
+    high = x[0]
+    if high.size < _FEW:
+        return float(np.vdot(high, high))
+    return float(np.einsum("ij,ij", high, high))

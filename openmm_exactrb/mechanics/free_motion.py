@@ -49,7 +49,7 @@ def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
     advance = advancing()
 
     def drift(state: State, tau: float) -> State:
-        q, m = rotation(state.q, state.m, tau)
+        q, m = rotation(state.q, state.m, tau) if state.m.size else (state.q, state.m)
         return State(advance(state.R, state.P[0] / mass, tau), state.P, q, m)
 
     def displaced(state: State, push: Array) -> State:
@@ -95,6 +95,8 @@ def advancing() -> Callable[[Array, Array, float], Array]:
     kernel = kernels.load("sums").advance
 
     def advance(x: Array, rate: Array, tau: float) -> Array:
+        if not x.size:
+            return x
         total = np.empty(x.shape)
         kernel(np.ascontiguousarray(x), np.ascontiguousarray(rate), tau, total)
         return total

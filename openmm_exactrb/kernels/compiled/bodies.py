@@ -24,6 +24,26 @@ def place(R, q, particles, sites, first, x):
             x[row, 2] = R2 + (g * s0 + h * s1 + j * s2)
 
 
+@compiled("f2 f2 f2 i2 f3 i F2")
+def move(V, omega, q, particles, sites, first, v):
+    """Write V + Q (omega x b) of bodies `first` and on into the rows `particles` of v."""
+    n, k = particles.shape
+    own = sites.shape[0] > 1
+    for i in range(n):
+        body = first + i
+        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
+        V0, V1, V2 = V[0, body], V[1, body], V[2, body]
+        w0, w1, w2 = omega[0, body], omega[1, body], omega[2, body]
+        shape = i if own else 0
+        for s in range(k):
+            s0, s1, s2 = sites[shape, s, 0], sites[shape, s, 1], sites[shape, s, 2]
+            u0, u1, u2 = w1 * s2 - w2 * s1, w2 * s0 - w0 * s2, w0 * s1 - w1 * s0
+            row = particles[i, s]
+            v[row, 0] = V0 + (a * u0 + b * u1 + c * u2)
+            v[row, 1] = V1 + (d * u0 + e * u1 + f * u2)
+            v[row, 2] = V2 + (g * u0 + h * u1 + j * u2)
+
+
 @compiled("f2 i2 f3 i f2 F2 F2")
 def collect(q, particles, sites, first, forces, total, torque):
     """Sum the forces on the particles to those (3, N) and the torques (3, K) of bodies `first` and on."""

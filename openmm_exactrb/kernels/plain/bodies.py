@@ -20,6 +20,16 @@ def place(R: Array, q: Array, particles: Indices, sites: Array, first: int, x: A
     x[particles] = R.T[bodies, None] + turned(matrix(q[:, bodies]).transpose(2, 0, 1), sites)
 
 
+def move(V: Array, omega: Array, q: Array, particles: Indices, sites: Array, first: int, v: Array) -> None:
+    """Write the velocities V + Q (omega x b) of the particles of bodies `first` to `first` + n into rows of v (., 3).
+
+    V is (3, N) in space, omega (3, K) in the bodies; other arguments are those of `place`.
+    """
+    bodies = slice(first, first + len(particles))
+    relative = np.cross(omega.T[bodies, None], sites)
+    v[particles] = V.T[bodies, None] + np.einsum("ijn,nsj->nsi", matrix(q[:, bodies]), relative)
+
+
 def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Array, total: Array, torque: Array) -> None:
     """Sum the forces (., 3) on the particles to the forces (3, N) and body-frame torques (3, K) of some bodies."""
     bodies = slice(first, first + len(particles))
