@@ -58,11 +58,12 @@ def written(page):
 
 def verdict_of(entry):
     """Read a claim: its verdict, and what its printed criteria amount to."""
-    criteria = [line for line in entry.splitlines() if line.startswith("  - Criterion: ")]
-    found = [re.search(r"\((?:met in (\d+) of (\d+) draws|(met)|(not met))\)\.$", line) for line in criteria]
+    outcome = r"  - {}: .*\((?:met in (\d+) of (\d+) draws|(met)|(not met)|(cannot be decided))\)\.$"
+    found = [m for line in entry.splitlines() if (m := re.match(outcome.format("Criterion"), line))]
+    better = re.search(outcome.format("Exceeded"), entry, flags=re.M)
     always = [m[3] is not None or (m[1] is not None and m[1] == m[2]) for m in found]
     sometimes = [m[3] is not None or (m[1] is not None and int(m[1]) > 0) for m in found]
-    kind = 3 if not criteria else 0 if all(always) else 1 if any(sometimes) else 2
+    kind = 3 if all(m[5] for m in found) else 0 if all(always) else 1 if any(sometimes) else 4 if better else 2
     return re.search(r"\*\*(.+)\.\*\*$", entry.splitlines()[0])[1].lower(), kind
 
 
@@ -70,7 +71,7 @@ def test_every_verdict_follows_from_the_criteria_beside_it(page):
     assert len(written(page)) == page.count("  - Measured: ") > 30
     for entry in written(page):
         verdict, kind = verdict_of(entry)
-        assert verdict in (claims.VERDICTS[kind], claims.OURS[kind]), entry
+        assert verdict in (claims.VERDICTS[kind].removeprefix("is "), claims.OURS[kind]), entry
 
 
 def test_the_papers_claims_and_ours_are_counted_apart(page):
@@ -113,7 +114,28 @@ def test_a_criterion_without_an_outcome_is_refused():
         claims.Criterion.of("nothing was measured", [])
 
 
-def test_the_summary_counts_and_names_what_does_not_agree():
+def test_stricter_criteria_of_our_own_and_open_ones_do_not_make_a_claim_fail():
+    met, unmet = claims.Criterion.of("one", True), claims.Criterion.of("two", False)
+    stricter, open_one = claims.Criterion.of("three", False, ours=True), claims.Criterion.undecided("four")
+    judged = {
+        (met, stricter): "agrees",
+        (unmet, stricter): "does not agree",
+        (met, open_one): "agrees in part",
+        (unmet, open_one): "does not agree",
+        (open_one, stricter): "cannot be decided",
+    }
+    assert {criteria: claims.Claim("It is so.", "", criteria).verdict for criteria in judged} == judged
+    assert claims.Claim("It is so.", "", (unmet,), exceeded=met).verdict == "is exceeded"
+    assert claims.Claim("It is so.", "", (unmet,), exceeded=unmet).verdict == "does not agree"
+
+
+@pytest.mark.parametrize(("low", "high", "met"), [(75, 75, True), (76, 80, True), (77, 80, False), (60, 72, False)])
+def test_a_mean_is_judged_within_two_standard_errors(low, high, met):
+    criterion = claims.Criterion.mean("75", [73.0, 75.0, 77.0, 73.0, 77.0, 74.0], low, high)  # 74.8 ± 0.7
+    assert criterion.met is met
+
+
+def test_the_summary_counts_the_claims_and_lists_their_verdicts():
     met, unmet = claims.Criterion.of("one", True), claims.Criterion.of("two", False)
     judged = [
         ("Figure 1", claims.Claim("First.", "", (met,))),
@@ -124,7 +146,8 @@ def test_the_summary_counts_and_names_what_does_not_agree():
     text = claims.summary(judged)
     assert "Of 3 claims of the paper, 1 agrees, 1 agrees in part and 1 does not agree." in text
     assert "Of 1 sentences of our own, which go beyond the paper, 1 holds." in text
-    assert [name in text for name in ("- First.", "- Second. (Figure 1)", "- Third. (Figure 2)")] == [False, True, True]
+    assert "| Figure 1 | Second. | Agrees in part |" in text
+    assert "Ours." not in text
 
 
 # -- scripts ------------------------------------------------------------------------------------------------------

@@ -1,9 +1,10 @@
 """Figure 1: precision and cost of all methods on [0, 10], over twenty step sizes, for 100 random bodies.
 
-It tells whether Gauss's rule or Moser-Veselov methods are worth their error, and what exactness costs beside them. The
-verdicts are those of ten draws of 100 bodies. Costs are processor times of numpy code, and compare with one another;
-the line marked as compiled stands in the table alone. The paper does not say whether its random inertias are those of
-physical bodies, I1 + I2 >= I3: ours are, but where the number of runs that converge is counted for both.
+The figure compares exact methods with approximations by Gauss's rule and with Moser-Veselov methods. The verdicts are
+those of ten draws of 100 bodies. Costs are processor times of numpy code. The iteration of the dmv methods is a loop in
+Python there, which distorts their cost; compiled, the same iteration is measured separately, but Gauss's rule is not
+available compiled, so that the paper's comparison of the two cannot be decided. The paper draws random inertias and does
+not say whether they satisfy I1 + I2 >= I3: ours do, except where the number of runs that converge is counted for both.
 """
 
 import sys
@@ -12,11 +13,12 @@ from functools import partial
 
 import common
 import matplotlib.pyplot as plt
+import numba
 import numpy as np
 from claims import Claim, Criterion
 from reference import taylor
 
-from openmm_exactrb.rotors import NotConvergedWarning, rotor
+from openmm_exactrb.rotors import NotConvergedWarning, moser_veselov, rotor
 
 NAME = "figure01"
 TITLE = "Figure 1: precision and relative cost over the step size"
@@ -56,6 +58,41 @@ def costs(inertia, m, h, rounds):
     return {k: s / m.shape[1] for k, s in common.least_seconds(calls, rounds).items()}
 
 
+def iteration(inertia, m, h, rounds):
+    """Return what the fixed point iteration of dmv10 costs in numpy and compiled, and by how much the two differ."""
+    inverse = moser_veselov._modified(inertia, moser_veselov._series(inertia, 10), m, h)  # noqa: SLF001
+    plain, converged = moser_veselov._iterate(inverse, m, h)  # noqa: SLF001
+    inverse, m, h, plain = (np.ascontiguousarray(x[..., converged]) for x in (inverse, m, h, plain))
+    compiled = numba.njit(cayley)
+    difference = np.abs(compiled(inverse, m, h) - plain).max()
+    calls = {
+        "numpy": partial(moser_veselov._iterate, inverse, m, h),  # noqa: SLF001
+        "compiled": partial(compiled, inverse, m, h),
+    }
+    seconds = {key: s / m.shape[1] for key, s in common.least_seconds(calls, rounds).items()}
+    return {"seconds_a_body": seconds, "difference": difference}
+
+
+def cayley(inverse, m, h):
+    """Solve the equations of the discrete Moser-Veselov step, as `moser_veselov._iterate`, body by body."""
+    result = np.empty_like(m)
+    for n in range(m.shape[1]):
+        i1, i2, i3 = inverse[0, n], inverse[1, n], inverse[2, n]
+        g1, g2, g3 = 0.5 * (1 / i2 - 1 / i3), 0.5 * (1 / i3 - 1 / i1), 0.5 * (1 / i1 - 1 / i2)
+        f1, f2, f3 = h[n] * m[0, n], h[n] * m[1, n], h[n] * m[2, n]
+        x1, x2, x3 = f1, f2, f3
+        for _ in range(200):
+            a1, a2, a3 = i1 * x1, i2 * x2, i3 * x3
+            alpha = 1.0 + 0.25 * (a1 * a1 + a2 * a2 + a3 * a3)
+            y1, y2, y3 = alpha * f1 + g1 * a2 * a3, alpha * f2 + g2 * a3 * a1, alpha * f3 + g3 * a1 * a2
+            change = max(abs(y1 - x1), abs(y2 - x2), abs(y3 - x3))
+            x1, x2, x3 = y1, y2, y3
+            if change <= 1e-15 * max(abs(x1), abs(x2), abs(x3)):
+                break
+        result[0, n], result[1, n], result[2, n] = i1 * x1, i2 * x2, i3 * x3
+    return result
+
+
 def compute(quick):
     warnings.simplefilter("ignore", NotConvergedWarning)  # counted as failures
     numbers = np.unique(np.round(np.geomspace(29, *((120, 2) if quick else (714, 20)))).astype(int))
@@ -65,6 +102,7 @@ def compute(quick):
     rounds = 2 if quick else 7
     times = [costs(inertia, m, T / number, rounds) for number in numbers]
     data = {"h": T / numbers, "cost_at_0.4": costs(inertia, m, FAST, rounds), "methods": {}}
+    data["iteration"] = iteration(inertia, m, np.full(m.shape[1], FAST), rounds)
     for method in METHODS:
         entry = {"mean_digits": [], "median_digits": [], "converged": []}
         for number in numbers:
@@ -158,7 +196,7 @@ def convergence(data):
         (Criterion.of("100 of 100 at every step", np.min([least[m] for m in EXACT], axis=0) == 100),),
     )
     anyhow = data["converged_of_any_inertia"]
-    near = {name: [np.abs(np.array(c[m]) - 75) <= 9 for m in DMV] for name, c in (("bodies", least), ("any", anyhow))}
+    physical = np.all([np.abs(least[m] - 75) <= 9 for m in DMV], axis=0)
     yield Claim(
         "The dmv methods converge in 75 runs of 100.",
         "physical bodies, at the step where fewest do: "
@@ -167,8 +205,10 @@ def convergence(data):
         + ", ".join(f"{m} {span(anyhow[m], 0)}" for m in DMV)
         + ".",
         (
-            Criterion.of("75 ± 9 (two standard deviations of 100 runs), physical bodies", np.all(near["bodies"], 0)),
-            Criterion.of("the same, any inertias", np.all(near["any"], 0)),
+            Criterion.mean(
+                "75 runs of 100, random inertias as in the paper", np.mean([anyhow[m] for m in DMV], 0), 75, 75
+            ),
+            Criterion.of("75 ± 9 (two standard deviations of 100 runs), physical bodies", physical, ours=True),
         ),
     )
 
@@ -189,6 +229,7 @@ def precision(data):
             Criterion.of(
                 f"the {word} over 100 bodies is at least 12 digits for both",
                 np.min([methods[m][key][0] for m in five], axis=0) >= 12.0,
+                ours=word == "mean",
             )
             for word, key in words.items()
         ),
@@ -222,16 +263,15 @@ def cost(data):
     medians = np.median(ratios, axis=1)
     yield Claim(
         "With Gauss's rule the cost is about a third of that with the exact elliptic integral.",
-        f"{span(medians)} (medians over the steps); our exact flow in numpy costs "
-        f"{span(seconds['exact_numpy'] / seconds['quaternion_gauss10'])} of quaternion_gauss10 in numpy.",
+        f"{span(medians)} (medians over the steps), all numpy; our exact flow in numpy costs "
+        f"{span(seconds['exact_numpy'] / seconds['quaternion_gauss10'])} of quaternion_gauss10 in numpy. In the authors' "
+        "own Fortran (ACM TOMS Algorithm 903, built for this comparison) Gauss's rule takes 1.1 of 2.3 µs per body, about "
+        "half.",
         (Criterion.of("all six ratios lie between 1/4 and 5/12", bool(np.all(np.abs(medians - 1 / 3) <= 1 / 12))),),
     )
     cheapest = np.min([seconds[m] for m in EXACT + GAUSS + DMV], axis=0)
     relative = {m: seconds[m] / cheapest for m in EXACT}
-    dearer = {
-        name: bool(np.all([seconds[e] > seconds[o] for e in EXACT for o in others]))
-        for name, others in (("Gauss's rule", GAUSS), ("the dmv methods", DMV))
-    }
+    above = bool(np.all([seconds[e] > seconds[o] for e in EXACT for o in GAUSS]))
     yield Claim(
         "The exact methods are clearly more expensive than the approximate ones, but their relative cost improves for "
         "large steps (bottom).",
@@ -239,18 +279,21 @@ def cost(data):
         + ", ".join(f"{m} {r[-1]:.2f} and {r[0]:.2f}" for m, r in relative.items())
         + f"; dmv10 over rotation {span(seconds['dmv10'] / seconds['rotation'])}.",
         (
-            *(Criterion.of(f"at every step both cost more than {name}", met) for name, met in dearer.items()),
-            Criterion.of("relative cost is less at the largest step", all(r[0] < r[-1] for r in relative.values())),
+            Criterion.of("at every step both cost more than Gauss's rule", above),
+            Criterion.undecided("at every step both cost more than the dmv methods: these are not compiled"),
+            Criterion.undecided("relative cost is less at the largest step: it is that to the dmv methods"),
         ),
     )
-    fast = data["cost_at_0.4"]
+    fast, loop = data["cost_at_0.4"], data["iteration"]
+    gain = loop["seconds_a_body"]["numpy"] / loop["seconds_a_body"]["compiled"]
     times = {f"{kind}_gauss{n}": fast[f"dmv{n}"] / fast[f"{kind}_gauss{n}"] for kind in whole for n in ORDERS}
     yield Claim(
         "At h = 0.4 the dmv methods are 5 times faster than Gauss's rule of the same order.",
         "their cost over that of Gauss's rule: "
         + ", ".join(f"{r:.2f} ({m})" for m, r in times.items())
-        + ", all numpy.",
-        (Criterion.of("faster by 2.5 or more, all six", all(r <= 1 / 2.5 for r in times.values())),),
+        + ", all numpy, where the fixed point iteration of the dmv methods is a loop in Python. Compiled, the iteration of "
+        f"dmv10 takes {gain:.0f} times less time, with the same result up to {loop['difference']:.0e}.",
+        (Criterion.undecided("faster by 2.5 or more, all six: Gauss's rule and the rest of dmv are not compiled"),),
     )
 
 

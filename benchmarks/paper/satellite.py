@@ -1,6 +1,6 @@
 """Figures 14 and 15: a satellite on a circular orbit, by the exact flow and by McLachlan-Reich.
 
-They tell whether 7 and 10 digits of the energy are kept at steps of 0.1 and 0.05. Schemes for a small potential at the
+The paper reports 7 and 10 conserved digits of the energy at steps of 0.1 and 0.05. Schemes for a small potential at the
 same number of torque evaluations are added.
 """
 
@@ -113,20 +113,20 @@ def claims(data):
     ours = [data[f"SRKN6_14a exact {h}"]["largest"] for h in STEPS]
     printed = dict(zip(STEPS, (-7, -10), strict=True))
     yield Claim(
-        "SRKN6_14a with the exact rotor has relative energy errors of the order 1e-7 at h = 0.1 and 1e-10 at h = 0.05.",
-        f"{ours[0]:.1e} and {ours[1]:.1e}.",
-        tuple(
-            Criterion.of(f"h = {h}: the power of ten is {power}", int(np.floor(np.log10(e))) == power)
-            for (h, power), e in zip(printed.items(), ours, strict=True)
-        ),
-    )
-    digits = -np.log10(ours)
-    yield Claim(
-        "H0 is preserved to 7 and 10 digits.",
-        f"{digits[0]:.1f} and {digits[1]:.1f} digits (-log10 of the largest error).",
-        tuple(
-            Criterion.of(f"h = {h}: at least {-power} when rounded", round(d) >= -power)
-            for (h, power), d in zip(printed.items(), digits, strict=True)
+        "SRKN6_14a with the exact rotor has relative energy errors of the order 1e-7 at h = 0.1 and 1e-10 at h = 0.05: H0 is "
+        "preserved to 7 and 10 digits.",
+        f"{ours[0]:.1e} and {ours[1]:.1e}: {-np.log10(ours[0]):.1f} and {-np.log10(ours[1]):.1f} digits.",
+        (
+            *(
+                Criterion.of(f"h = {h}: the power of ten is {power}", int(np.floor(np.log10(e))) == power)
+                for (h, power), e in zip(printed.items(), ours, strict=True)
+            ),
+            *(
+                Criterion.of(
+                    f"h = {h}: at least {-power} digits when rounded", round(-np.log10(e)) >= -power, ours=True
+                )
+                for (h, power), e in zip(printed.items(), ours, strict=True)
+            ),
         ),
     )
     other = [data[f"V2 mclachlan_reich {h}"]["largest"] for h in STEPS]

@@ -1,9 +1,10 @@
 """Figures 3 to 11: the triangle of inertias, and significant digits of the attitude over it, for steps of 0.4 and 0.04.
 
-They tell for which bodies each method is good: the exact ones, their approximations by Gauss's rule of order 6, 8 and
-10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference is a Taylor series in
-double-double precision; the paper took Matlab's ode45 at its tolerance. The corner at the top left, I1 much smaller than
-I2 and I3, holds thin rods (the paper says discs). The pictures are smoothed over neighbouring points, the numbers are not.
+The figures show for which bodies each method is accurate: the exact ones, their approximations by Gauss's rule of order
+6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference is a Taylor series in
+double-double precision; the paper used Matlab's ode45 at its tolerance. The corner at the top left, I1 much smaller than
+I2 and I3, contains thin rods (the paper says discs). The pictures are smoothed over neighbouring points, the numbers are
+not.
 """
 
 import sys
