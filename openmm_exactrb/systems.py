@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from openmm import app, unit
 
 from openmm_exactrb import checks, quaternions
 from openmm_exactrb.context.units import stripped
-from openmm_exactrb.potentials import dipole_strength, soft_dipole_force
+from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength, rod_length, soft_dipole_force
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 
 Array = NDArray[np.float64]
@@ -126,13 +127,14 @@ def dipole_fluid(
     density : float, optional
         Spheres per nm³ in the box; 0.8/sigma³, a liquid.
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Who computes the forces; see `soft_dipole_force`.
+        Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" takes the two forces of
+        `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
 
     Returns
     -------
     topology : openmm.app.Topology
         One residue a sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole) with a
-        bond between them.
+        bond between them. With an Ewald sum by kernel="openmm" the charged ends of a rod, P and N, come before C.
     system : openmm.System
         Constraints hold the sites together, the potential acts on the virtual sites.
     positions : Quantity
@@ -161,35 +163,34 @@ def dipole_fluid(
     strength = float(np.linalg.norm(vector))
     arrow = 0.5 * sigma * (vector / strength)
 
-    system, topology, arrows = openmm.System(), app.Topology(), []
+    system, topology = openmm.System(), app.Topology()
     chain = topology.addChain()
-    for _ in range(n):
-        arrows.append(_add_molecule(system, topology, chain, mass, sites, arrow))
-    force = soft_dipole_force(
-        arrows,
-        strength=strength,
-        length=0.5 * sigma,
-        sigma=sigma,
-        epsilon=epsilon,
-        attraction=attraction,
-        wca=wca,
-        box=None if box is None else (box, box, box),
-        boundary=boundary,
-        kernel=kernel,
-    )
-    system.addForce(force)
+    spheres: dict[str, Any] = {"strength": strength, "sigma": sigma, "epsilon": epsilon, "boundary": boundary}
+    spheres |= {"attraction": attraction, "wca": wca, "box": None if box is None else (box, box, box)}
+    places = {"C": np.zeros(3), "D": arrow}
+    if isinstance(boundary, Ewald) and kernel == "openmm":
+        rod = rod_length(n, spheres["box"], boundary)
+        places = {"P": 0.5 * rod * (vector / strength), "N": -0.5 * rod * (vector / strength)} | places
+        added = [_add_molecule(system, topology, chain, mass, sites, places) for _ in range(n)]
+        ends = [(plus, minus) for plus, minus, *_ in added]
+        for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, **spheres):
+            system.addForce(part)
+    else:
+        added = [_add_molecule(system, topology, chain, mass, sites, places) for _ in range(n)]
+        arrows = [(centre, tip) for centre, tip in added]
+        system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
     if box is not None:
         spacing = box / _places_a_side(n)
         vectors = box * np.eye(3)
         system.setDefaultPeriodicBoxVectors(*vectors)
         topology.setPeriodicBoxVectors(vectors * unit.nanometer)
     if trap > 0.0:
-        system.addForce(_harmonic_trap([centre for centre, _ in arrows], trap))
+        system.addForce(_harmonic_trap([centre for *_, centre, _ in added], trap))
 
     rng = np.random.default_rng(seed)
     lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
-    return topology, system, _turned(rng, centres, np.vstack([sites, np.zeros(3), arrow]))
+    return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
 
 
 def _places_a_side(n: int) -> int:
@@ -231,9 +232,14 @@ def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternal
 
 
 def _add_molecule(
-    system: openmm.System, topology: app.Topology, chain: app.topology.Chain, mass: float, sites: Array, arrow: Array
-) -> tuple[int, int]:
-    """Add a rigid molecule with the virtual sites C and D; return their particles."""
+    system: openmm.System,
+    topology: app.Topology,
+    chain: app.topology.Chain,
+    mass: float,
+    sites: Array,
+    places: Mapping[str, Array],
+) -> tuple[int, ...]:
+    """Add a rigid molecule with virtual sites at places; return their particles. The last two are bound."""
     first, k = system.getNumParticles(), len(sites)
     particles = list(range(first, first + k))
     residue = topology.addResidue("DIP", chain)
@@ -242,13 +248,12 @@ def _add_molecule(
         topology.addAtom(f"M{i + 1}", None, residue)
         for j in range(i):
             system.addConstraint(first + j, particle, float(np.linalg.norm(sites[i] - sites[j])))
-    atoms = []
-    for name, place in (("C", np.zeros(3)), ("D", arrow)):
+    for name, place in places.items():
         site = system.addParticle(0.0)
         system.setVirtualSite(site, _body_fixed_site(particles, sites, place))
-        atoms.append(topology.addAtom(name, None, residue))
-    topology.addBond(*atoms)
-    return first + k, first + k + 1
+        topology.addAtom(name, None, residue)
+    topology.addBond(*list(residue.atoms())[-2:])
+    return tuple(range(first + k, first + k + len(places)))
 
 
 def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:

@@ -87,15 +87,11 @@ def soft_dipole_force(
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
-    arrows = _pairs(arrows)
+    arrows = checked_pairs(arrows)
     edges = None if box is None else edges_of(box)
     truncation = checked(boundary).truncation(edges)
     kernel = _chosen(kernel, needs_compiled=isinstance(boundary, Ewald))
-    parameters = _parameters(strength, length, sigma, epsilon, attraction)
-    if wca and not (attraction > 0.0 and epsilon > 0.0):
-        raise ValueError(
-            "without an attraction there is no minimum: wca needs a positive attraction and a positive epsilon"
-        )
+    parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
     if kernel == "compiled":
         force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
         force.setParticles(list(itertools.chain(*arrows)))
@@ -121,7 +117,8 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
         kernel = "compiled" if kernels.available() else "bonds"
     if needs_compiled and kernel != "compiled":
         raise ValueError(
-            "only the compiled kernel has an Ewald sum: ask for kernel='compiled', or for boundary=ReactionField()"
+            "only the compiled kernel has an Ewald sum in one force: ask for kernel='compiled', for two forces by "
+            "dipole_rod_forces, or for boundary=ReactionField()"
         )
     return kernel
 
@@ -136,28 +133,34 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
         )
 
 
-def _pairs(arrows: Any) -> list[tuple[int, int]]:
+def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") -> list[tuple[int, int]]:
     """Return arrows as pairs of particles, each particle in one of them."""
-    rows = checks.lists_of_indices(arrows, "arrows")
+    rows = checks.lists_of_indices(pairs, f"{name}s")
     if not rows:
-        raise ValueError("soft dipoles need at least one arrow (centre, tip)")
+        raise ValueError(f"soft dipoles need at least one {name} ({ends})")
     for row in rows:
         if len(row) != 2 or min(row) < 0:
-            raise ValueError(f"an arrow is a pair of particles, centre and tip, such as (0, 1), not {tuple(row)}")
+            raise ValueError(f"each {name} is a pair of particles, {ends}, such as (0, 1), not {tuple(row)}")
     particles = list(itertools.chain(*rows))
     if len({*particles}) < len(particles):
         twice = next(i for i in particles if particles.count(i) > 1)
-        raise ValueError(f"particle {twice} is in two arrows or twice in one: give each arrow its own")
-    return [(centre, tip) for centre, tip in rows]
+        raise ValueError(f"particle {twice} is in two {name}s or twice in one: give each {name} its own")
+    return [(first, second) for first, second in rows]
 
 
-def _parameters(strength: float, length: float, sigma: float, epsilon: float, attraction: float) -> dict[str, float]:
+def context_parameters(
+    strength: float, length: float, sigma: float, epsilon: float, attraction: float, *, wca: bool
+) -> dict[str, float]:
     """Return the parameters of a Context, which both kernels read."""
     strength, length = checks.number(strength, "strength"), checks.positive(length, "length", "nm")
     sigma, epsilon = checks.positive(sigma, "sigma", "nm"), checks.not_negative(epsilon, "epsilon")
     parameters = {"soft_repulsion": 4.0 * epsilon * sigma**12, "dipole_coupling": (strength / length) ** 2}
     if checks.number(attraction, "attraction"):
         parameters["soft_attraction"] = 4.0 * epsilon * sigma**6 * attraction
+    if wca and not (attraction > 0.0 and epsilon > 0.0):
+        raise ValueError(
+            "without an attraction there is no minimum: wca needs a positive attraction and a positive epsilon"
+        )
     return parameters
 
 

@@ -54,6 +54,21 @@ def soft_dipole_hbonds(
     return force
 
 
+def soft_rod_energy(truncation: Truncation, coupling: float, *, attracts: bool, wca: bool) -> str:
+    """Return the energy of two spheres less the Coulomb energy of their rods; donor and acceptor are (plus, minus).
+
+    u and v are the rods, r is the distance of their middles: r² = (pp² + mm² + pm² + mp² - u² - v²)/4.
+    """
+    core = f"{_core(attracts=attracts, wca=wca)} - dipole_coupling*(1/pp + 1/mm - 1/pm - 1/mp)"
+    return (
+        f"0.5*E; E = {_energy(core, truncation)} dipole_coupling = {coupling!r};"
+        "uv = 0.5*(PM + MP - PP - MM); ur = 0.25*(PP + PM - MP - MM); vr = 0.25*(PM - MP - PP + MM);"
+        "i3 = i*sqrt(i); i = 1/r2; r2 = 0.25*(PP + MM + PM + MP - distance(d1, d2)^2 - distance(a1, a2)^2);"
+        "PP = pp^2; MM = mm^2; PM = pm^2; MP = mp^2;"
+        "pp = distance(d1, a1); mm = distance(d2, a2); pm = distance(d1, a2); mp = distance(d2, a1)"
+    )
+
+
 def add_hbonds(
     force: openmm.CustomHbondForce,
     pairs: Sequence[tuple[int, int]],

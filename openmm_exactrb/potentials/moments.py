@@ -8,8 +8,8 @@ from openmm import unit
 
 from openmm_exactrb import checks
 
-# Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
-_COULOMB = 138.93545764438198
+#: Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
+COULOMB = 138.93545764438198
 # 1 D = 1e-21/c C m, over the elementary charge.
 _DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
 
@@ -40,7 +40,7 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
         # OpenMM's own factor, 0.0208227 e nm, is off by 1.6e-4.
         quantity = quantity.value_in_unit(unit.debye) * _DEBYE_IN_E_NM * unit.elementary_charge * unit.nanometer
     try:
-        return float(quantity.value_in_unit(unit.elementary_charge * unit.nanometer) * _COULOMB**0.5)
+        return float(quantity.value_in_unit(unit.elementary_charge * unit.nanometer) * COULOMB**0.5)
     except TypeError:
         raise ValueError(
             f"{dipole} is not a dipole moment: give it in e nm or debye, or as a number in sqrt(kJ/mol nm^3)"

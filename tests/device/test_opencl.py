@@ -62,6 +62,13 @@ def test_dipoles_with_a_cutoff_in_double_precision(platform):
     np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
 
 
+def test_dipoles_with_all_their_images_in_double_precision(platform):
+    _, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=rb.Ewald(tolerance=1e-3), density=0.3)
+    both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", h=0.005, kelvin=100.0)
+    one, other = (stepped(context, 10) for context in both)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("scheme", STRUCTURES)
 def test_virtual_sites_in_every_structure_of_rows(scheme, platform):
     _, system, positions = rb.rigid_water(4, model="tip4pew")

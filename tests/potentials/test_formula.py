@@ -82,9 +82,9 @@ def test_donors_and_acceptors_follow_the_box_and_the_parameters_of_the_context()
 
 
 def test_donors_and_acceptors_are_lawful(rng):
-    x, box = arrows(64, rng, edge=1.4)  # of random lengths, which OpenMM does not know
+    x, box = arrows(8, rng)[0], 5.6  # of random lengths, which OpenMM does not know
     around = {"boundary": rb.ReactionField(cutoff=1.6, switch=1.0), "box": 3 * [box]}
-    pairs = np.arange(128).reshape(64, 2).tolist()
+    pairs = np.arange(16).reshape(8, 2).tolist()
     assert_lawful(rb.soft_dipole_force(pairs, strength=1.5, length=0.5, kernel="openmm", **around), x, 3 * [box])
 
 

@@ -1,0 +1,137 @@
+"""Dipoles as rods of two charges: an Ewald sum that stays on a device."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import openmm
+
+from openmm_exactrb import checks
+from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
+from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters
+from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
+from openmm_exactrb.potentials.moments import COULOMB
+
+#: The least tolerance: for less, OpenMM's mesh of order 5 needs more than ten points for each dipole along an edge.
+LEAST_TOLERANCE = 1e-4
+
+
+def dipole_rod_forces(
+    rods: Sequence[tuple[int, int]],
+    particles: int,
+    *,
+    strength: float,
+    length: float,
+    sigma: float = 1.0,
+    epsilon: float = 1.0,
+    attraction: float = 0.0,
+    wca: bool = False,
+    box: Sequence[float],
+    boundary: Ewald,
+) -> tuple[openmm.NonbondedForce, openmm.CustomHbondForce]:
+    """Soft spheres with a point dipole and all periodic images, from OpenMM's own forces.
+
+    Two charges at the ends of a rod stand for each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
+    the cutoff a `CustomHbondForce` adds the spheres, and the difference between point dipoles and the Coulomb energy of
+    the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the rods' octupoles are left: an error of the
+    torques of 0.2 to 0.4 (length/cutoff)².
+
+    Parameters
+    ----------
+    rods : sequence of (plus, minus)
+        Particles or virtual sites of each body: the ends of its rod, `length` apart and centred about its dipole.
+    particles : int
+        Number of particles of the System.
+    strength : float
+        Dipole moment in sqrt(kJ/mol nm³).
+    length : float
+        Distance between the ends in nm; `rod_length` has a good one.
+    sigma, epsilon, attraction, wca
+        Of the spheres; see `soft_dipole_force`.
+    box : sequence of three float
+        Edges in nm of the rectangular periodic box of the System.
+    boundary : Ewald
+        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision.
+        The default cutoff is three times the mean distance of the dipoles.
+
+    Returns
+    -------
+    openmm.NonbondedForce, openmm.CustomHbondForce
+        The latter has the Context parameters `soft_repulsion` and `soft_attraction` of `soft_dipole_force`. The dipole
+        moment is fixed.
+
+    Raises
+    ------
+    ValueError
+        If rods are no pairs of particles, a number is out of its range, or the boundary is one that rods cannot have.
+
+    Notes
+    -----
+    Splitting and mesh are chosen by errors that were measured in liquids of 125 and 1000 dipoles. The real-space sum
+    of the `NonbondedForce` ends at the cutoff without a switch. Unlike with the compiled kernel, the energy has small
+    steps there, below which no scheme reduces the energy error.
+    """
+    rods, edges = checked_pairs(rods, "rod", "plus, minus"), edges_of(box)
+    cutoff, switch = _distances(len(rods), edges, boundary)
+    parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
+    if not cutoff + length < 0.5 * min(edges):
+        raise ValueError(
+            f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: take a "
+            "shorter cutoff or shorter rods"
+        )
+    coupling = parameters.pop("dipole_coupling")
+    alpha, spacing = _mesh(len(rods), edges, cutoff, length, boundary.tolerance)
+    charges = openmm.NonbondedForce()
+    charges.setName("DipoleRods")
+    charges.setNonbondedMethod(charges.PME)
+    charges.setCutoffDistance(cutoff)
+    charges.setUseDispersionCorrection(False)
+    charges.setPMEParameters(alpha, *(math.ceil(edge / spacing) for edge in edges))
+    charge = (coupling / COULOMB) ** 0.5
+    of_particle = {end: sign * charge for rod in rods for end, sign in zip(rod, (1.0, -1.0), strict=True)}
+    for i in range(checks.whole(particles, "particles", least=1 + max(of_particle))):
+        charges.addParticle(of_particle.get(i, 0.0), 1.0, 0.0)
+    for plus, minus in rods:
+        charges.addException(plus, minus, 0.0, 1.0, 0.0)
+    attracts = "soft_attraction" in parameters
+    near = openmm.CustomHbondForce(soft_rod_energy((cutoff, switch, 0.0), coupling, attracts=attracts, wca=wca))
+    add_hbonds(near, rods, parameters, cutoff + length)
+    near.setName("SoftDipoleForce")
+    return charges, near
+
+
+def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
+    """Return the length (nm) of the rods of n dipoles whose octupoles are worth the tolerance of the boundary."""
+    cutoff, _ = _distances(n, edges_of(box), boundary)
+    return cutoff * min(0.1, math.sqrt(2.0 * boundary.tolerance))
+
+
+def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
+    """Return cutoff and begin of the switch (nm); a ValueError if rods cannot have the boundary."""
+    if not isinstance(boundary, Ewald) or not math.isinf(boundary.dielectric):
+        raise ValueError(f"rods of charges are for boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
+    if boundary.tolerance < LEAST_TOLERANCE:
+        raise ValueError(
+            f"rods of charges reach a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: take a larger one, "
+            "or kernel='compiled'"
+        )
+    if boundary.cutoff is None:
+        boundary = replace(boundary, cutoff=min(3.0 * _mean_distance(n, edges), 0.45 * min(edges)))
+    return boundary.distances(edges)
+
+
+def _mean_distance(n: int, edges: Edges) -> float:
+    return math.pow(math.prod(edges) / n, 1.0 / 3.0)
+
+
+def _mesh(n: int, edges: Edges, cutoff: float, length: float, tolerance: float) -> tuple[float, float]:
+    """Return OpenMM's alpha (1/nm) and the largest spacing of its mesh (nm) for an error of the forces.
+
+    With a, the mean distance, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 of the real-space sum, as
+    charges on either side of the cutoff are split, and 0.01 (alpha spacing)³ (alpha a)^4 of the mesh.
+    """
+    a = _mean_distance(n, edges)
+    alpha = math.sqrt(math.log(max(2.0 / tolerance * (a / length) ** 1.5, math.e))) / cutoff
+    return alpha, min(0.4, math.pow(70.0 * tolerance / (alpha * a) ** 4, 1.0 / 3.0)) / alpha

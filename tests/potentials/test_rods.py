@@ -1,0 +1,95 @@
+"""Dipoles as rods of charges: what the two forces of OpenMM's add up to, and what they refuse."""
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from force_laws import assert_lawful, context_of, evaluated
+from openmm_exactrb.potentials import dipole_rod_forces, rod_length
+
+STATE = {"seed": 3, "perturbation": 0.08, "density": 0.6, "dipole": (0.0, 0.6, 0.8), "epsilon": 1e-9}
+
+
+def energy_forces_torques(n, kernel, tolerance, **options):
+    """Return the energy, and forces and torques (n, 3) on the bodies."""
+    _, system, positions = rb.dipole_fluid(
+        n, kernel=kernel, boundary=rb.Ewald(cutoff=1.5, tolerance=tolerance), **STATE | options
+    )
+    energy, forces = evaluated(context_of(system, positions))
+    x = positions._value.reshape(n, -1, 3)
+    on_masses = forces.reshape(x.shape)[:, :3]
+    return energy, on_masses.sum(axis=1), np.cross(x[:, :3] - x[:, -2:-1], on_masses).sum(axis=1)
+
+
+def apart(one, other):
+    """Return the root mean square difference, as a part of the other's root mean square."""
+    return np.linalg.norm(one - other) / np.linalg.norm(other)
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_rods_have_the_forces_and_torques_of_point_dipoles_to_the_tolerance(tolerance):
+    _, force, torque = energy_forces_torques(27, "openmm", tolerance)
+    _, exact_force, exact_torque = energy_forces_torques(27, "compiled", 1e-10)
+    errors = apart(force, exact_force), apart(torque, exact_torque)
+    assert max(errors) < tolerance, errors
+
+
+@pytest.mark.parametrize("own", [{"attraction": 0.8}, {"attraction": 0.8, "wca": True}], ids=["lj", "wca"])
+def test_the_spheres_are_those_of_the_compiled_kernel(own):
+    own |= {"epsilon": 50.0, "dipole": (0.0, 1e-3, 0.0)}
+    energy, force, _ = energy_forces_torques(27, "openmm", 1e-2, **own)
+    exact, exact_force, _ = energy_forces_torques(27, "compiled", 1e-2, **own)
+    assert energy == pytest.approx(exact, rel=1e-7)
+    assert apart(force, exact_force) < 1e-7
+
+
+def test_what_is_added_within_the_cutoff_is_lawful(rng):
+    edge, length = 5.2, 0.1
+    centres = 1.3 * np.argwhere(np.ones((2, 2, 2))) + 0.05 * rng.standard_normal((8, 3))
+    half = rng.standard_normal((8, 3))
+    half *= 0.5 * length / np.linalg.norm(half, axis=1, keepdims=True)
+    x = np.stack([centres + half, centres - half], axis=1).reshape(-1, 3)
+    rods = np.arange(16).reshape(8, 2).tolist()
+    settings = {"strength": 1.5, "length": length, "box": 3 * [edge], "boundary": rb.Ewald(cutoff=2.0, tolerance=1e-2)}
+    charges, near = dipole_rod_forces(rods, 16, **settings)
+    assert_lawful(near, x, 3 * [edge])
+    moments = sum(charges.getParticleParameters(i)[0]._value * x[i] for i in (0, 1))
+    assert np.linalg.norm(moments) * 138.93545764438198**0.5 == pytest.approx(1.5, rel=1e-12)
+
+
+def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
+    topology, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=rb.Ewald(tolerance=1e-3), density=0.3)
+    names = [atom.name for atom in next(topology.residues()).atoms()]
+    assert names == ["M1", "M2", "M3", "P", "N", "C", "D"]
+    assert [type(force) for force in system.getForces()] == [openmm.NonbondedForce, openmm.CustomHbondForce]
+    x = positions._value.reshape(27, 7, 3)
+    np.testing.assert_allclose(x[:, 3] + x[:, 4], 2.0 * x[:, 5], atol=1e-14)
+    boundary = rb.Ewald(tolerance=1e-3)
+    length = rod_length(27, 3 * [(27 / 0.3) ** (1 / 3)], boundary)
+    np.testing.assert_allclose(np.linalg.norm(x[:, 3] - x[:, 4], axis=1), length, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"boundary": rb.Ewald(tolerance=9e-5)}, r"reach a tolerance of 0.0001, not 9e-05: .* kernel='compiled'"),
+        ({"boundary": rb.Ewald(dielectric=4.0)}, "a dielectric of infinity"),
+        ({"boundary": rb.ReactionField()}, "are for boundary=Ewald"),
+        (
+            {"boundary": rb.Ewald(cutoff=2.0), "length": 0.6},
+            "must be below half the box, 2.5 nm: take a shorter cutoff",
+        ),
+        ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the box"),
+        ({"length": 0.0}, "length must be a positive"),
+        ({"strength": np.nan}, "strength must be a finite number"),
+        ({"wca": True}, "without an attraction there is no minimum"),
+        ({"rods": [(0, 1, 2)]}, r"each rod is a pair of particles, plus, minus"),
+        ({"rods": []}, "at least one rod"),
+        ({"particles": 3}, "particles must be"),
+    ],
+)
+def test_wrong_options_get_one_sentence(options, message):
+    settings = {"rods": [(0, 1), (2, 3)], "particles": 4, "strength": 1.0, "length": 0.1, "box": 3 * [5.0]}
+    with pytest.raises(ValueError, match=message):
+        dipole_rod_forces(**settings | {"boundary": rb.Ewald(tolerance=1e-3)} | options)
