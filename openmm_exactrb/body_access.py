@@ -1,4 +1,4 @@
-"""What an integrator tells of its bodies, and how they are given a state."""
+"""Access to the bodies of an integrator: energies, temperatures, states."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If the temperature is negative, not finite or has a unit that does not fit, or the seed is no whole number.
+            If the temperature is negative, not finite or has another unit, or the seed is not a whole number.
         """
         seed = None if randomSeed is None else checks.whole(randomSeed, "randomSeed", least=0)
         propagator, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(seed)
@@ -98,7 +98,7 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If the tolerance is no positive force, or the number of iterations not whole.
+            If the tolerance is not a positive force, or the number of iterations is not whole.
         NonFiniteError
             If the energy or a force at the start is not finite.
         ArithmeticError

@@ -1,4 +1,4 @@
-"""Checks of numbers that a user hands over, each with a message of one sentence."""
+"""Checks of numbers from a user, each with a message of one sentence."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def array(
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         given = np.asarray(value)
         if given.dtype.kind == "O":
-            given = np.frompyfunc(float, 1, 1)(given)  # not None, of which numpy makes nan
+            given = np.frompyfunc(float, 1, 1)(given)  # not None, which numpy converts to nan
         if given.dtype.kind in "biufO" and not _has_unit(value):  # which numpy would drop
             return given.astype(np.float64, copy=False)
     raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")

@@ -48,7 +48,7 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     Raises
     ------
     ValueError
-        If no body has these moments, or it is linear or all but linear.
+        If no body has these moments, or it is linear or nearly so.
     """
     each = stripped(inertia, _MOMENT)
     each = [stripped(moment, _MOMENT) for moment in each] if np.iterable(each) else each
@@ -60,7 +60,7 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
     if moments.min() < _THINNEST * moments.max():
         raise ValueError(
-            f"a body with the moments of inertia {moments.tolist()} is all but linear: the smallest must be at least "
+            f"a body with the moments of inertia {moments.tolist()} is nearly linear: the smallest must be at least "
             f"{_THINNEST:g} of the largest"
         )
     spread = 0.5 * moments.sum() - moments
@@ -123,7 +123,7 @@ def dipole_fluid(
         Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles
         alone bind to chains, and the chains drift apart: nothing but a trap holds a droplet together.
     boundary : Open, ReactionField or Ewald
-        With one of the last two the spheres fill a cubic box, on a lattice that `density` gives in place of `spacing`.
+        With one of the last two the spheres fill a cubic box, on a lattice given by `density` instead of `spacing`.
     density : float, optional
         Spheres per nm³ in the box; 0.8/sigma³, a liquid.
     kernel : {"auto", "openmm", "bonds", "compiled"}

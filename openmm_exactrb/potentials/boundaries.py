@@ -160,7 +160,7 @@ def checked(boundary: Boundary) -> Boundary:
 
 
 def edges_of(box: Sequence[float]) -> Edges:
-    """Return the edges of a rectangular box (nm) as floats; a ValueError if these are no three positive numbers."""
+    """Return the edges of a rectangular box (nm) as floats; a ValueError if these are not three positive numbers."""
     if unit.is_quantity(box) or np.shape(box) != (3,):
         raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {box!r}")
     a, b, c = (checks.positive(edge, "each edge of the box", "nm") for edge in box)

@@ -53,8 +53,8 @@ def soft_dipole_force(
         Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. The second
         derivative has a step there: take a scheme of order 2, none keeps a higher one.
     box : sequence of three float, optional
-        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; those of the System, of which
-        ``System.setDefaultPeriodicBoxVectors`` has to be told as well.
+        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; set the same ones with
+        ``System.setDefaultPeriodicBoxVectors``.
     boundary : Open, ReactionField or Ewald
         What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
     kernel : {"auto", "openmm", "bonds", "compiled"}
@@ -73,7 +73,7 @@ def soft_dipole_force(
     Raises
     ------
     ValueError
-        If the kernel is unknown, arrows are no pairs of particles, a number is out of its range, box and boundary do
+        If the kernel is unknown, arrows are not pairs of particles, a number is out of its range, box and boundary do
         not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one. With "openmm",
         if cutoff + 2 length reaches half the shortest edge.
     ModuleNotFoundError
@@ -172,7 +172,7 @@ class SoftDipoles:
     truncation : (cutoff, switch, reaction), optional
         Distances in nm and the strength of the reaction field in 1/nm³; with it the boundaries are periodic.
     ewald : (alpha, k_max, dielectric), optional
-        An Ewald sum in place of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
+        An Ewald sum instead of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
         relative permittivity around all images.
     wca : bool
         Whether the spheres' energy ends at its minimum.

@@ -1,4 +1,4 @@
-"""How an Ewald sum of dipoles is split in two for a given tolerance."""
+"""The splitting of an Ewald sum of dipoles for a given tolerance."""
 
 from __future__ import annotations
 

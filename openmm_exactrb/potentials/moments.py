@@ -25,7 +25,7 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
     Raises
     ------
     ValueError
-        If the unit is not one of a dipole moment, or it is no finite number.
+        If the unit is not that of a dipole moment, or the number is not finite.
 
     Examples
     --------
