@@ -43,7 +43,7 @@ class Forces(Protocol):
 
 
 class Environment(Protocol):
-    """The environment of substeps: the bodies of a Context, or of a problem without OpenMM.
+    """The environment of substeps: the bodies of a Context.
 
     Attributes
     ----------
@@ -53,13 +53,10 @@ class Environment(Protocol):
         Free motion, including fast forces.
     memory : Memory
         The forces of the last kicks.
-    gradient : callable or None
-        The force of the potential f . M^-1 f, if a problem defines it.
     """
 
     inertia: Array
     kinetic: Kinetic
-    gradient: Callable[[State], Force] | None
 
     @property
     def memory(self) -> Any:
@@ -211,11 +208,9 @@ class GradientKick(Substep):
     displaced_forces: ClassVar[int] = 1
 
     def bind(self, environment: Any) -> Flow[State]:
-        """Return the kick by displaced forces, or by the gradient if the environment has it."""
-        forces = environment.forces()
-        if environment.gradient is not None:
-            return exact_gradient_kick(forces, environment.gradient, self.strength)
-        return gradient_kick(forces, environment.kinetic, environment.inertia, self.strength, environment.check)
+        """Return the kick by displaced forces."""
+        kinetic, inertia = environment.kinetic, environment.inertia
+        return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.check)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of the exact gradient: f . M^-1 f is q²."""
@@ -346,17 +341,5 @@ def gradient_kick(
         after = state._replace(P=advance(state.P, force_there, tau), m=advance(state.m, torque_there, tau))
         check(after)
         return after
-
-    return flow
-
-
-def exact_gradient_kick(
-    forces: Callable[[State], Force], gradient: Callable[[State], Force], strength: float
-) -> Flow[State]:
-    """Return the flow of `GradientKick` by the force of the potential f . M^-1 f."""
-    plain, correction = kick(forces), kick(gradient)
-
-    def flow(state: State, tau: float) -> State:
-        return correction(plain(state, tau), -0.5 * strength * tau**3)
 
     return flow

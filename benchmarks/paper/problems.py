@@ -5,7 +5,6 @@ All arrays are component-first, for many copies of a problem: attitudes q (4, N)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -14,13 +13,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import checks
 from openmm_exactrb.compensated import exactly
-from openmm_exactrb.mechanics.free_motion import Kinetic, rigid
+from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import repeated, run
-from openmm_exactrb.substeps import Force, Substep
+from openmm_exactrb.substeps import GradientKick, Substep, kick
 
 Array = NDArray[np.float64]
 #: Attitudes (4, N) and body-frame angular momenta (3, N), or double-doubles of them.
@@ -92,33 +91,18 @@ def integrate(
     return (end.q, end.m) if np.ndim(state[0]) == 3 else (end.q[0], end.m[0])
 
 
-@dataclass(frozen=True)
-class ProblemEnvironment:
-    """The `openmm_exactrb.substeps.Environment` of a problem."""
-
-    problem: Problem
-    kinetic: Kinetic
-    inertia: Array
-
-    def forces(self, group: int | None = None) -> Callable[[State], Force]:
-        """Return the torque of the potential, and no force."""
-        return lambda state: (_NOWHERE, self.problem.torque(state.q[0]))
-
-    def gradient(self, state: State) -> Force:
-        """Return the torque of the force-gradient potential."""
-        return _NOWHERE, self.problem.gradient_torque(state.q[0])
-
-    def check(self, state: State) -> None:
-        """Accept any state: numbers that are not finite stay so."""
-
-    check_momenta = check
-
-
 def flows(problem: Problem, scheme: Scheme, method: str | Rotor = "exact") -> dict[Substep, Flow[State]]:
-    """Return the flows of the substeps of a scheme for a problem."""
-    kinetic = rigid(np.zeros(0), rotor_of_sums(method, problem.inertia.T))
-    environment = ProblemEnvironment(problem, kinetic, problem.inertia)
-    return {substep: substep.bind(environment) for substep, _ in scheme.sequence + scheme.processor}
+    """Return the flows of the substeps of a scheme for a problem; kicks with a gradient have the exact one."""
+    drift = rigid(np.zeros(0), rotor_of_sums(method, problem.inertia.T)).drift
+    plain = kick(lambda state: (_NOWHERE, problem.torque(state.q[0])))
+    correction = kick(lambda state: (_NOWHERE, problem.gradient_torque(state.q[0])))
+
+    def flow_of(substep: Substep) -> Flow[State]:
+        if isinstance(substep, GradientKick):
+            return lambda state, tau: correction(plain(state, tau), -0.5 * substep.strength * tau**3)
+        return plain if substep.kicks else drift
+
+    return {substep: flow_of(substep) for substep, _ in scheme.sequence + scheme.processor}
 
 
 _NOWHERE = np.zeros((3, 0))

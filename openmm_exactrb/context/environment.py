@@ -97,7 +97,6 @@ class ContextEnvironment:
     positions: Positions
     key: int = 0
     around: tuple[State, State] | None = None
-    gradient: None = None
 
     @property
     def memory(self) -> Memory:
