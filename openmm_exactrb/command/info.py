@@ -1,4 +1,4 @@
-"""The subcommand ``exactrb info``: versions, platforms, kernels, schemes and rotors."""
+"""The subcommand ``exactrb info``: what is in a user's files, or what is installed."""
 
 from __future__ import annotations
 
@@ -13,23 +13,36 @@ import openmm
 
 import openmm_exactrb
 from openmm_exactrb import kernels
+from openmm_exactrb.command import inputs
+from openmm_exactrb.command.description import described
 from openmm_exactrb.context.platforms import platforms, refused_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE
+from openmm_exactrb.states import read_xml
 
 #: The purpose, in one sentence.
-PURPOSE = "Print what is installed: versions, platforms, compiled kernels, schemes and rotors."
+PURPOSE = "Print how the molecules of a file move, what step they take and what is refused; without a file, what is installed."
 
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add no options to a command line."""
+    """Add the files and how their forces are made."""
+    inputs.add_options(parser)
 
 
 def carry_out(args: argparse.Namespace) -> int:
     """Print the lines; return the exit status 0."""
-    print("\n".join(_lines()))
+    if not args.files and not args.solvate:
+        print("\n".join(_lines()))
+        return 0
+    if [file.suffix.lower() for file in args.files] == [".xml"]:
+        system = read_xml(args.files[0], openmm.System)
+        print("\n".join(described(system)))
+        return 0
+    named = {name: value for name, value in vars(args).items() if value is not None}
+    box = inputs.load(argparse.Namespace(**vars(args) | {"seed": 1} | inputs.DEFAULTS | named))
+    print("\n".join(described(box.system, box.positions, box.topology)))
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+from openmm_exactrb.command import arguments
 from openmm_exactrb.states import loadState, read_xml
 from openmm_exactrb.systems import rigid_water
 
@@ -20,7 +22,11 @@ WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
 #: Constraints of ForceField.createSystem beside rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
+#: Defaults of options that only some files have.
+DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
+
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
+_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, beside a topology
 _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
 
 
@@ -41,14 +47,31 @@ class Box:
         return bool(np.any(self.state.getVelocities(asNumpy=True)._value))
 
 
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the files and the options of molecules, with None for those that are not given."""
+    positive, shown = arguments.positive, {name: f"({of})" for name, of in DEFAULTS.items()}
+    add = parser.add_argument_group("molecules").add_argument
+    files = "PDB or PDBx; system.xml and state.xml of OpenMM; prmtop and inpcrd of Amber; top and gro of GROMACS"
+    add("files", nargs="*", type=Path, metavar="FILE", help=files)
+    add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
+    add("--solvate", type=arguments.count, metavar="N", help="add N molecules of water; water alone without a file")
+    add("--water", choices=WATERS, help="water model of --solvate (the one that a force field is named after)")
+    add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
+    add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
+    add("--constraints", choices=CONSTRAINTS, help=f"beside rigid water {shown['constraints']}")
+
+
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)
+    if len(kinds) == 2 and set(kinds) & (_AMBER | _GROMACS):
+        return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _AMBER | _GROMACS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
         raise ValueError(
-            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, or none with --solvate, "
+            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, a prmtop and an inpcrd, or a "
+            "top and a gro, or none with --solvate, "
             f"not {' '.join(map(str, args.files))}"
         )
     if not args.forcefield:
@@ -56,7 +79,8 @@ def load(args: argparse.Namespace) -> Box:
     force_field = _understood("the force field", app.ForceField, *args.forcefield)
     modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
-    return Box(modeller.topology, _system(args, force_field, modeller.topology), modeller.positions)
+    create = partial(force_field.createSystem, modeller.topology)
+    return Box(modeller.topology, _system(args, create, modeller.topology.getPeriodicBoxVectors()), modeller.positions)
 
 
 def _serialised(args: argparse.Namespace) -> Box:
@@ -69,6 +93,27 @@ def _serialised(args: argparse.Namespace) -> Box:
     if len(positions) != system.getNumParticles():
         raise ValueError(f"the State has {len(positions)} particles, but the System {system.getNumParticles()}")
     return Box(topology_of(system, state), system, positions, state)
+
+
+def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Box:
+    """Return the molecules of a topology of Amber or GROMACS, which has its forces."""
+    if args.forcefield or args.solvate:
+        raise ValueError(f"--forcefield and --solvate go with a PDB or PDBx file: {topology} has its forces already")
+    content: Any
+    if places.suffix.lower() in _AMBER:
+        start = _understood(str(places), app.AmberInpcrdFile, str(places))
+        vectors = start.boxVectors
+        content = _understood(str(topology), app.AmberPrmtopFile, str(topology), periodicBoxVectors=vectors)
+    else:
+        start = _understood(str(places), app.GromacsGroFile, str(places))
+        vectors = start.getPeriodicBoxVectors()
+        content = _understood(str(topology), app.GromacsTopFile, str(topology), periodicBoxVectors=vectors)
+    if len(start.positions) != content.topology.getNumAtoms():
+        raise ValueError(
+            f"{places} has {len(start.positions)} particles, but {topology} {content.topology.getNumAtoms()}: they do not "
+            "belong together"
+        )
+    return Box(content.topology, _system(args, content.createSystem, vectors), start.positions)
 
 
 def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
@@ -105,8 +150,7 @@ def _water(args: argparse.Namespace) -> str:
     return named[0]
 
 
-def _system(args: argparse.Namespace, force_field: app.ForceField, topology: app.Topology) -> openmm.System:
-    vectors = topology.getPeriodicBoxVectors()
+def _system(args: argparse.Namespace, create: Callable[..., openmm.System], vectors: Any) -> openmm.System:
     options: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if vectors is not None:
         width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
@@ -123,8 +167,7 @@ def _system(args: argparse.Namespace, force_field: app.ForceField, topology: app
         }
     return _understood(
         "the force field",
-        force_field.createSystem,
-        topology,
+        create,
         constraints=CONSTRAINTS[args.constraints],
         rigidWater=True,
         removeCMMotion=False,

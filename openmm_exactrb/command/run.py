@@ -32,9 +32,7 @@ _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
 # Options that have no effect on some runs, which refuse them.
 _DEFAULTS: dict[str, Any] = {
-    "cutoff": 0.9,
-    "ewald_tolerance": 1e-5,
-    "constraints": "none",
+    **inputs.DEFAULTS,
     "temperature": 300.0,
     "friction": 1.0,
     "pressure": 1.0,
@@ -45,16 +43,8 @@ _DEFAULTS: dict[str, Any] = {
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments and options of the command."""
+    inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
-    add = parser.add_argument_group("molecules").add_argument
-    add("files", nargs="*", type=Path, metavar="FILE", help="a PDB or PDBx file, or system.xml and state.xml of OpenMM")
-    add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
-    add("--solvate", type=arguments.count, metavar="N", help="add N molecules of water; water alone without a file")
-    add("--water", choices=inputs.WATERS, help="water model of --solvate (the one that a force field is named after)")
-    add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
-    add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
-    add("--constraints", choices=inputs.CONSTRAINTS, help=f"beside rigid water {shown['constraints']}")
-
     add = parser.add_argument_group("dynamics").add_argument
     add("--ensemble", choices=setup.ENSEMBLES, default="nve", help="constant energy, temperature, pressure (nve)")
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")

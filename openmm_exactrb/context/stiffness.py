@@ -20,15 +20,22 @@ _LENGTHS = np.linspace(0.05, 0.3, 251)
 
 
 def fastest(system: openmm.System, groups: Sequence[int] = range(32)) -> float:
-    """Estimate the highest frequency of harmonic bonds and angles, and bonds of formulas, in some force groups, or all.
+    """Return the highest of the `frequencies` in 1/ps; 0 where there are none."""
+    return max((frequency for frequency, _ in frequencies(system, groups)), default=0.0)
+
+
+def frequencies(system: openmm.System, groups: Sequence[int] = range(32)) -> Iterable[tuple[float, tuple[int, ...]]]:
+    """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in some force groups, or all.
 
     Each bond and angle is taken by itself, without those that constraints hold. A bond of a formula counts where it has
     a minimum at the length of a chemical bond.
 
-    Returns
-    -------
-    float
-        In 1/ps; 0 where there are none.
+    Yields
+    ------
+    frequency : float
+        In 1/ps.
+    particles : tuple of int
+        Two of a bond, three of an angle.
     """
     mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
     held = {
@@ -38,16 +45,16 @@ def fastest(system: openmm.System, groups: Sequence[int] = range(32)) -> float:
     forces = [force for force in system.getForces() if force.getForceGroup() in groups]
     bonds = [parameters for force in forces for parameters in _bonds(force)]
     length = held | {frozenset((i, j)): r for i, j, r, _ in bonds}
-    squares = [k * (_inverse(mass[i]) + _inverse(mass[j])) for i, j, _, k in bonds if frozenset((i, j)) not in held]
+    for i, j, _, k in bonds:
+        if frozenset((i, j)) not in held:
+            yield float(np.sqrt(max(k * (_inverse(mass[i]) + _inverse(mass[j])), 0.0))), (i, j)
     for force in forces:
         for i, j, k, angle, strength in _angles(force):
             a, b = length.get(frozenset((i, j))), length.get(frozenset((k, j)))
             if a and b and frozenset((i, k)) not in held:
                 middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
-                squares.append(
-                    strength * (_inverse(mass[i]) / a**2 + _inverse(mass[k]) / b**2 + _inverse(mass[j]) * middle)
-                )
-    return float(np.sqrt(max(squares, default=0.0)))
+                square = strength * (_inverse(mass[i]) / a**2 + _inverse(mass[k]) / b**2 + _inverse(mass[j]) * middle)
+                yield float(np.sqrt(max(square, 0.0))), (i, j, k)
 
 
 def _bonds(force: Any) -> Iterable[tuple[int, int, float, float]]:

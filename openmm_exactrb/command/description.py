@@ -1,0 +1,210 @@
+"""What is in a System, how it moves, and the steps that suit it: the lines of ``exactrb info FILE``."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import app, unit
+
+from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.context.multiple_time_steps import FastForces, MultipleTimeSteps, fast_forces
+from openmm_exactrb.context.stiffness import frequencies
+from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.schemes import Scheme, splitting
+from openmm_exactrb.schemes import scheme as look_up
+
+_WATER = 18.015  # amu
+# The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
+_WATER_NVE, _WATER_NVT, _PROTEIN = 0.002, 0.004, 0.004
+_SHOWN = 3  # periods
+
+
+def described(
+    system: openmm.System, positions: unit.Quantity | None = None, topology: app.Topology | None = None
+) -> Iterator[str]:
+    """Yield what is in a System, line by line.
+
+    Parameters
+    ----------
+    system : openmm.System
+    positions : Quantity, optional
+        (n_particles, 3). Without them only constraints tell shapes.
+    topology : openmm.app.Topology, optional
+        For the names of atoms.
+    """
+    names = _Names(system, topology)
+    yield from _particles(system)
+    x = _anywhere(system) if positions is None else np.array(positions.value_in_unit(unit.nanometer))
+    try:
+        bodies = find_bodies(system, x)
+    except ValueError as error:
+        hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
+        yield f"refused: {' '.join(str(error).split())}{hint}"
+        return
+    yield from _bodies(bodies, names)
+    yield from _periods(system, names)
+    yield from _advice(system, bodies)
+    yield from _refusals(system, positions)
+
+
+class _Names:
+    """The names of particles and of their residues."""
+
+    def __init__(self, system: openmm.System, topology: app.Topology | None) -> None:
+        n = system.getNumParticles()
+        atoms = [] if topology is None else list(topology.atoms())
+        self._atoms = [f"{atom.name} {atom.index}" for atom in atoms] or [str(i) for i in range(n)]
+        self._residues = [atom.residue.name for atom in atoms] or n * [""]
+
+    def joined(self, particles: Iterable[int]) -> str:
+        """Return the names of some particles."""
+        return ", ".join(self._atoms[i] for i in particles)
+
+    def residues(self, particles: NDArray[np.integer[Any]]) -> str:
+        """Return the residues of the first particles of bodies, each once, at most three."""
+        found = dict.fromkeys(self._residues[i] for i in particles[:, 0].tolist())
+        shown = [name for name in islice(found, 3) if name]
+        return f" ({', '.join(shown)}{', ...' if len(found) > 3 else ''})" if shown else ""
+
+
+def _particles(system: openmm.System) -> Iterator[str]:
+    n = system.getNumParticles()
+    sites = sum(system.isVirtualSite(i) for i in range(n))
+    massless = sum(system.getParticleMass(i)._value == 0.0 for i in range(n)) - sites
+    parts = [f"{n} particles", *([f"{sites} virtual sites"] if sites else [])]
+    if massless:
+        parts.append(f"{massless} without mass, which stay where they are")
+    parts.append(f"{system.getNumConstraints()} constraints")
+    yield ", ".join(parts)
+    if system.usesPeriodicBoundaryConditions():
+        edges = (vector[k]._value for k, vector in enumerate(system.getDefaultPeriodicBoxVectors()))
+        yield f"periodic box, {' x '.join(f'{edge:.4g}' for edge in edges)} nm"
+
+
+def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
+    """Yield a line for each number of particles in rigid bodies and clusters, and one for single particles."""
+    turning: dict[tuple[int, bool], list[Kind]] = {}
+    for kind in bodies.kinds:
+        if kind.turns:
+            turning.setdefault((len(kind.masses), kind.linear), []).append(kind)
+    for (k, linear), kinds in sorted(turning.items()):
+        inertia = np.concatenate([kind.inertia for kind in kinds])
+        moments = " ".join(f"{moment:.4g}" for moment in inertia[0])
+        if np.ptp(inertia, axis=0).max() > 1e-6 * inertia.max():
+            moments += " and others"
+        count = sum(len(kind.particles) for kind in kinds)
+        particles = np.concatenate([kind.particles for kind in kinds])
+        yield (
+            f"{count} {'straight ' if linear else ''}rigid {'body' if count == 1 else 'bodies'} of {k} particles{names.residues(particles)}: "
+            f"{5 if linear else 6} degrees of freedom, moments {moments} amu nm²"
+        )
+    for cluster in sorted(bodies.clusters.kinds, key=lambda kind: len(kind.masses)):
+        line = (
+            f"{len(cluster.particles)} cluster{'s' if len(cluster.particles) > 1 else ''} of {len(cluster.masses)} particles{names.residues(cluster.particles)}: "
+            f"{cluster.freedom} degrees of freedom beside {len(cluster.pairs)} constraints"
+        )
+        if len(cluster.implied):
+            i, j = cluster.particles[0, cluster.implied[0]]
+            line += f"; {len(cluster.implied)} more follow from them, as that of particles {names.joined((i, j))}"
+        yield line
+    single = np.concatenate(
+        [np.zeros((0, 1), dtype=int), *(kind.particles for kind in bodies.kinds if not kind.turns)]
+    )[len(bodies.clusters.mass) :]
+    if len(single):
+        yield f"{len(single)} single particles{names.residues(single)}"
+    freedom = bodies.translational_freedom, bodies.rotational_freedom
+    yield f"degrees of freedom: {freedom[0]} of translation and vibration, {freedom[1]} of rotation"
+
+
+def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
+    """Yield the shortest periods of bonds and angles, those of equal frequencies once."""
+    distinct: dict[float, tuple[int, ...]] = {}
+    for frequency, particles in frequencies(system):
+        distinct.setdefault(float(f"{frequency:.4g}"), particles)
+    fastest = [frequency for frequency in sorted(distinct, reverse=True) if frequency > 0.0][:_SHOWN]
+    if fastest:
+        what = {2: "bond", 3: "angle"}
+        periods = (
+            f"{2000.0 * math.pi / f:.3g} fs ({what[len(distinct[f])]} of {names.joined(distinct[f])})" for f in fastest
+        )
+        yield f"shortest periods: {', '.join(periods)}"
+
+
+def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
+    """Yield a line for constant energy and one for constant temperature, and why."""
+    fast = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None))
+    water = any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds)
+    if not water:
+        yield (
+            "step: no recommendation is measured for molecules like these: exactrb tune finds one"
+            + ("" if fast is None else f"; bonded forces get inner steps above {_longest(fast):.2g} fs per evaluation")
+        )
+        return
+    flexible = fast is not None
+    nve, interval = (look_up(DEFAULT), _PROTEIN) if flexible else (look_up("W4_4"), _WATER_NVE)
+    nvt = "ExactRigidBodyLangevinIntegrator(300*kelvin, 1/picosecond, "
+    yield f"constant energy: rb.ExactRigidBodyIntegrator({_step(fast, nve, interval)}"
+    yield f"constant temperature: rb.{nvt}{_step(fast, splitting('W2_3m'), _WATER_NVT)}"
+    yield (
+        "why: measured on proteins in water, where the other forces bear this interval and bonds do not"
+        if flexible
+        else "why: measured on rigid water, whose rotation limits the interval"
+    )
+
+
+def _longest(fast: FastForces) -> float:
+    """Return the longest interval of the forces (fs) without inner steps, by bisection of `FastForces.acts`."""
+    scheme, low, high = look_up("S2_2"), 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if fast.acts(scheme, middle * scheme.stages) else (middle, high)
+    return 1000.0 * high
+
+
+def _step(fast: FastForces | None, scheme: Scheme, interval: float) -> str:
+    """Return the arguments for an interval of the forces (ps), and how bonded ones are nested in it."""
+    step, arguments = (
+        interval * scheme.forces,
+        f'forceInterval={1000.0 * interval:g}*femtoseconds, scheme="{scheme.name}")',
+    )
+    if fast is None or not fast.acts(scheme, step):
+        return arguments
+    inner, repetitions = fast.inner(scheme), fast.repetitions(scheme, step)
+    drifts = [abs(part) for substep, part in scheme.sequence if substep.moves]
+    count = sum(repetitions(part * step) for part in drifts) * inner.stages
+    return f"{arguments}, bonded forces nested with {inner.name}, {count} evaluations a step of {1000.0 * step:g} fs"
+
+
+def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
+    """Yield what the first step would refuse, or that it refuses nothing, and what acts between steps."""
+    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
+    if others:
+        yield f"between steps act: {', '.join(others)}"
+    if positions is None:
+        yield "positions were not given: their distances are not compared with the constraints"
+        return
+    integrator = ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        try:
+            integrator.bodyState()
+        except ValueError as error:
+            yield f"refused: {' '.join(str(error).split())}"
+        else:
+            yield "nothing is refused"
+    yield from (str(note.message) for note in noted)
+
+
+def _anywhere(system: openmm.System) -> NDArray[np.float64]:
+    return np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))

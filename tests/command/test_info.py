@@ -1,0 +1,124 @@
+"""``exactrb info FILE``: what is found in files of each format, the steps that suit it, and what is refused."""
+
+import itertools
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb.command.description import described
+from openmm_exactrb.command.main import main
+from peptides import in_water
+
+TOP = """[ defaults ]
+1 2 no 1.0 1.0
+[ atomtypes ]
+OW 8 15.9994 0.0 A 0.3166 0.65017
+HW 1 1.00794 0.0 A 0.0 0.0
+[ moleculetype ]
+SOL 2
+[ atoms ]
+1 OW 1 SOL OW 1 -0.8476
+2 HW 1 SOL HW1 1 0.4238
+3 HW 1 SOL HW2 1 0.4238
+[ settles ]
+1 1 0.1 0.16330
+[ exclusions ]
+1 2 3
+2 1 3
+3 1 2
+[ system ]
+two
+[ molecules ]
+SOL 2
+"""
+GRO = """two waters
+    6
+    1SOL     OW    1   0.000   0.000   0.000
+    1SOL    HW1    2   0.100   0.000   0.000
+    1SOL    HW2    3  -0.033   0.094   0.000
+    2SOL     OW    4   0.500   0.000   0.000
+    2SOL    HW1    5   0.600   0.000   0.000
+    2SOL    HW2    6   0.467   0.094   0.000
+   2.50000   2.50000   2.50000
+"""
+
+
+def said(capsys, *arguments):
+    assert main(["info", *map(str, arguments)]) == 0
+    return capsys.readouterr().out
+
+
+def test_water_in_a_pdb_file_is_bodies_with_virtual_sites_and_has_a_step(droplet, capsys):
+    lines = said(capsys, droplet, "--forcefield", "tip4pew.xml")
+    assert "32 particles, 8 virtual sites, 24 constraints" in lines
+    assert "8 rigid bodies of 3 particles (HOH): 6 degrees of freedom, moments 0.006145 0.01155 0.0177 amu nm²" in lines
+    assert "degrees of freedom: 24 of translation and vibration, 24 of rotation" in lines
+    assert 'ExactRigidBodyIntegrator(forceInterval=2*femtoseconds, scheme="W4_4")' in lines
+    assert "nested" not in lines
+    assert "nothing is refused" in lines
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves the file open
+def test_a_topology_of_gromacs_is_read_with_its_positions_in_either_order(tmp_path, capsys):
+    files = tmp_path / "two.gro", tmp_path / "two.top"
+    for file, text in zip(files, (GRO, TOP), strict=True):
+        file.write_text(text)
+    for order in (files, files[::-1]):
+        lines = said(capsys, *order)
+        assert "periodic box, 2.5 x 2.5 x 2.5 nm" in lines
+        assert "2 rigid bodies of 3 particles (HOH)" in lines
+        assert "positions of 2 bodies were not quite those of their shapes" in lines
+    files[1].write_text(TOP.removesuffix("2\n") + "3\n")
+    assert main(["info", *map(str, files)]) == 2
+    assert "has 6 particles, but" in capsys.readouterr().err
+
+
+def test_a_system_alone_is_described_by_its_constraints(serialised, capsys):
+    lines = said(capsys, serialised[0])
+    assert "8 rigid bodies of 3 particles: 6 degrees of freedom" in lines
+    assert "positions were not given" in lines
+    assert "nothing is refused" in said(capsys, *serialised)
+
+
+def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named():
+    """The carbonyl bond of amber14 has 570 kcal/mol/Å²."""
+    topology, system, positions = in_water("HBonds")[:3]
+    lines = list(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
+    k, reduced = 2 * 570 * 418.4, 12.01 * 16.0 / (12.01 + 16.0)
+    (periods,) = (line for line in lines if line.startswith("shortest periods"))
+    assert f"{2000 * np.pi * np.sqrt(reduced / k):.3g} fs (bond of C 4, O 5)" in periods
+    assert any("3 clusters of 4 particles (ACE, ALA, NME): 9 degrees of freedom" in line for line in lines)
+    (energy,) = (line for line in lines if line.startswith("constant energy"))
+    assert 'scheme="W2_1"), bonded forces nested with S2_2' in energy
+
+
+def pairs_of(n, longer):
+    system, x = openmm.System(), 0.3 * np.random.default_rng(1).random((n, 3))
+    for _ in range(n):
+        system.addParticle(12.0)
+    for i, j in itertools.combinations(range(5), 2):
+        system.addConstraint(i, j, np.linalg.norm(x[i] - x[j]) + (longer if i == 0 else 0.0))
+    system.addConstraint(n - 2, n - 1, np.linalg.norm(x[n - 2] - x[n - 1]))
+    return system, openmm.unit.Quantity(x, openmm.unit.nanometer)
+
+
+def test_what_is_redundant_and_what_is_refused_is_said_in_a_sentence():
+    lines = list(described(*pairs_of(6, 0.0)))
+    assert "beside 10 constraints; 1 more follow from them, as that of particles 3, 4" in " ".join(lines)
+    assert lines[-1] == "nothing is refused"
+    assert list(described(*pairs_of(6, 0.003)))[-1].startswith("refused: the constraint of particles 3 and 4")
+
+
+def test_what_acts_between_steps_is_named():
+    _, system, x = rb.rigid_water(8, nonbondedMethod=app.NoCutoff)
+    system.addForce(openmm.AndersenThermostat(300.0, 1.0))
+    assert "between steps act: AndersenThermostat" in list(described(system, x))
+
+
+@pytest.mark.parametrize("files", [["a.top"], ["a.gro", "b.pdb", "c.xml"], ["a.txt"]])
+def test_files_that_say_nothing_together_are_refused(files, capsys):
+    assert main(["info", *files]) == 2
+    assert "give one file, of PDB" in capsys.readouterr().err
