@@ -103,13 +103,16 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
             moments += " and others"
         count = sum(len(kind.particles) for kind in kinds)
         particles = np.concatenate([kind.particles for kind in kinds])
+        what = f"{'straight ' if linear else ''}rigid {'body' if count == 1 else 'bodies'}"
         yield (
-            f"{count} {'straight ' if linear else ''}rigid {'body' if count == 1 else 'bodies'} of {k} particles{names.residues(particles)}: "
+            f"{count} {what} of {k} particles{names.residues(particles)}: "
             f"{5 if linear else 6} degrees of freedom, moments {moments} amu nm²"
         )
     for cluster in sorted(bodies.clusters.kinds, key=lambda kind: len(kind.masses)):
+        count = len(cluster.particles)
         line = (
-            f"{len(cluster.particles)} cluster{'s' if len(cluster.particles) > 1 else ''} of {len(cluster.masses)} particles{names.residues(cluster.particles)}: "
+            f"{count} cluster{'s' if count > 1 else ''} of {len(cluster.masses)} particles"
+            f"{names.residues(cluster.particles)}: "
             f"{cluster.freedom} degrees of freedom beside {len(cluster.pairs)} constraints"
         )
         if len(cluster.implied):

@@ -70,8 +70,8 @@ def load(args: argparse.Namespace) -> Box:
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _AMBER | _GROMACS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
         raise ValueError(
-            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, a prmtop and an inpcrd, or a "
-            "top and a gro, or none with --solvate, "
+            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, a prmtop and an inpcrd, or "
+            "a top and a gro, or none with --solvate, "
             f"not {' '.join(map(str, args.files))}"
         )
     if not args.forcefield:
@@ -110,8 +110,8 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
         content = _understood(str(topology), app.GromacsTopFile, str(topology), periodicBoxVectors=vectors)
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
-            f"{places} has {len(start.positions)} particles, but {topology} {content.topology.getNumAtoms()}: they do not "
-            "belong together"
+            f"{places} has {len(start.positions)} particles, but {topology} {content.topology.getNumAtoms()}: they do "
+            "not belong together"
         )
     return Box(content.topology, _system(args, content.createSystem, vectors), start.positions)
 
