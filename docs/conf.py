@@ -6,6 +6,7 @@ import inspect
 import os
 import pkgutil
 import sys
+from collections.abc import Iterator
 from importlib.metadata import version as version_of
 from itertools import accumulate
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 from docutils import nodes
 from numpydoc.numpydoc import mangle_signature
 from sphinx.application import Sphinx
+from sphinx.domains.python import PythonDomain
 from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
@@ -84,6 +86,8 @@ sphinx_gallery_conf = {
 }
 os.environ["TQDM_DISABLE"] = "1"
 
+pygments_dark_style = "github-dark"  # names of modules do not look like links
+
 html_theme = "furo"
 html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
@@ -102,6 +106,15 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
         return None
     name, entry = found[0]
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, shown, name)
+
+
+class Python(PythonDomain):
+    """Names of the modules for contributors, which the search does not find."""
+
+    def get_objects(self) -> Iterator[tuple[str, str, str, str, str, int]]:
+        """Yield all names with their pages and priorities; below zero is left out."""
+        for *entry, page, anchor, priority in super().get_objects():
+            yield *entry, page, anchor, -1 if page.startswith("internals/") else priority
 
 
 def scheme_table() -> str:
@@ -144,11 +157,11 @@ def undocumented(app: Sphinx, env: Any) -> None:
     for info in pkgutil.walk_packages(openmm_exactrb.__path__, "openmm_exactrb."):
         module = importlib.import_module(info.name)
         if info.name not in shown:
-            log.warning("%s is on no page of docs/api", info.name)
+            log.warning("%s is on no page of docs/internals", info.name)
         packages = list(accumulate(info.name.split("."), "{}.{}".format))  # one of them may show its names
         for name in public_names(module):
             if not any(f"{package}.{name}" in shown for package in packages):
-                log.warning("%s.%s is on no page of docs/api", info.name, name)
+                log.warning("%s.%s is on no page of docs/internals", info.name, name)
 
 
 def public_names(module: ModuleType) -> list[str]:
@@ -178,6 +191,7 @@ def moving_droplet(app: Sphinx) -> None:
 
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
+    app.add_domain(Python, override=True)
     app.connect("builder-inited", moving_droplet)
     for listener in tuple(app.events.listeners["autodoc-process-signature"]):
         if listener.handler is mangle_signature:
