@@ -1,7 +1,7 @@
 """Run every piece of Python of the README and of the documentation as it is printed, page by page.
 
-What a piece prints is compared with the `{testoutput}` behind it. `make docs` runs all pages; the tests run the README
-and only read the others.
+What a piece prints is compared with the `{testoutput}` behind it. `make docs` runs the documentation; the tests run
+the README and only read the other pages.
 """
 
 from __future__ import annotations
@@ -72,14 +72,14 @@ def failure(page: Path) -> str:
 
 
 def main() -> None:
-    """Run all pages, several at once."""
+    """Run all pages of the documentation, several at once."""
     # Without a screen, on whatever device a machine has: some drivers fail.
     os.environ |= {"MPLBACKEND": "agg", "OPENMM_DEFAULT_PLATFORM": "CPU"}
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     os.environ.setdefault("OPENMM_CPU_THREADS", "1")
     failed = 0
     with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
-        runs = {pool.submit(failure, page): page for page in PAGES if any(pieces(page))}
+        runs = {pool.submit(failure, page): page for page in PAGES if DOCS in page.parents and any(pieces(page))}
         for done in as_completed(runs):
             if told := done.result():
                 failed += 1
