@@ -252,6 +252,11 @@ class LastForcesKick(Substep):
 
         return flow
 
+    def padded(self, part: float, memory: tuple[int, int]) -> tuple[float, ...]:
+        """Return the weights of so many forces and differences, times a part of the step."""
+        pairs = zip((self.weights, self.differences), memory, strict=True)
+        return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
+
 
 @dataclass(frozen=True)
 class HeatExchange(Substep):

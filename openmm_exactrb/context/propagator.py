@@ -280,7 +280,7 @@ class Propagator:
         divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves and settings.check)
         kinetic, slow = self._split(settings, forces, divergence)
         scheme, bodies = settings.scheme, sync.bodies
-        self._h, self._processed, self._coordinates = h, bool(scheme.processor), _mark(scheme, h)
+        self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
         slow.memory = Memory(*scheme.memory)
         self.environment = environment = ContextEnvironment(
             bodies,
@@ -303,7 +303,7 @@ class Propagator:
     def _leave_coordinates(self, settings: Settings) -> None:
         """Bring the state out of inner coordinates that are not those of the settings."""
         inner = self.sync.inner_in(self._coordinates)
-        if inner is not None and _mark(settings.scheme, settings.h) != self._coordinates:
+        if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
             self.sync.state = self._true(inner)
             self.sync.keep(None)
 
@@ -346,6 +346,6 @@ def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any])
     return checked
 
 
-def _mark(scheme: Scheme, h: float) -> float:
+def inner_mark(scheme: Scheme, h: float) -> float:
     """Return a number that marks the inner coordinates of a scheme at a step size; 0 if there are none."""
     return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

@@ -53,6 +53,8 @@ def declare(integrator: openmm.CustomIntegrator, table: Table, group: int) -> No
         program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
         if table.has_thermostat:
             program.let(names.THERMOSTAT, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
+        if table.continues:
+            _keep_or_return(program)
         program.number(names.CHANGED, "0.0")
     program.number(names.INDEX, names.FIRST)
     with program.loop(f"{names.INDEX} < {names.LAST}+1"):
@@ -67,16 +69,34 @@ def _declare_variables(program: Program) -> None:
     program.vectors(*names.STATE, *names.CONSTANTS, names.SPAN, *names.FORCES, *names.TEMPORARY)
     program.numbers(0.0, names.SITES, names.BAROSTAT, names.PUSHED, names.ASKED)
     program.numbers(0.0, names.INDEX, names.ROW, names.NEEDED, names.KNOWN, names.MOVED, names.FASTEST, names.FIRST)
+    program.numbers(0.0, names.EVALUATED, names.KEEP, names.RETURN)
     program.numbers(1.0, names.TURNS, names.PACE, names.CHANGED)
-    program.numbers(table.span(1, False, True, True)[1], names.LAST)
+    program.numbers(table.span(1, False, "step", "step")[1], names.LAST)
     if table.displaces:
         program.vectors(*names.DISPLACED)
         program.numbers(0.0, names.SHIFTED, names.WAS)
+    if table.continues:
+        program.vectors(*names.INNER, names.LAG, *(name for k in range(sum(table.memory)) for name in names.last(k)))
     if table.has_thermostat:
         program.vectors(names.THERMOSTAT, *names.STREAMS)
         program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
     for name, column in zip(names.TABLES, table.columns(), strict=True):
         program.integrator.addTabulatedFunction(name, openmm.Discrete1DFunction(column))
+
+
+def _keep_or_return(program: Program) -> None:
+    """Write that the inner state is kept, or returned to from the output that was shown; x stays what it is."""
+    state = [name for name in names.STATE if name != "image"]
+    for name, inner in zip(state, names.INNER, strict=True):
+        program.let(inner, f"{names.KEEP}*{name}+(1-{names.KEEP})*{inner}")
+    program.let(names.LAG, f"{names.RETURN}*(R+d-iR-id)")
+    for name, inner in zip(state, names.INNER, strict=True):
+        program.let(name, f"{names.RETURN}*{inner}+(1-{names.RETURN})*{name}")
+    if program.table.displaces:
+        program.let("sq", "q")
+        program.let("sw", "w")
+    program.number(names.KEEP, "0.0")
+    program.number(names.RETURN, "0.0")
 
 
 def _turn(program: Program) -> None:
@@ -89,12 +109,14 @@ def _turn(program: Program) -> None:
         program.integrator.addConstrainPositions()
         # OpenMM's constraints have lengths in single precision.
         program.let("x", _DISPLACED_PLACE if displaces else _PLACE)
+        _placed(program)
     with program.when(f"{names.NEEDED} > 0"):
         _gather_forces(program)
-        _row(program)
+        _row(program, evaluated=True)
     with program.when(f"{names.NEEDED} < 1"):
         _take_up_images(program)
-        _row(program)
+        _row(program, evaluated=False)
+    program.number(names.EVALUATED, f"{names.EVALUATED}+{names.NEEDED}")
     known = f"max({names.KNOWN},{names.NEEDED})*{_is_zero(program, 'drift')}"
     program.number(names.KNOWN, f"{known}*(1-max({names.SHIFTED},{names.WAS}))" if displaces else known)
     if displaces:
@@ -128,8 +150,8 @@ def _gather_forces(program: Program) -> None:
     program.let("F", f"F+{ALONE}*v")
 
 
-def _row(program: Program) -> None:
-    """Write the stages of a row and the new positions."""
+def _row(program: Program, evaluated: bool) -> None:
+    """Write the stages of a row and the new positions; forces may have been `evaluated` for it."""
     table = program.table
     program.times("c", _PARTS)
     if table.has("before"):
@@ -140,6 +162,10 @@ def _row(program: Program) -> None:
     program.let("P", "P+_x(c)*F")
     torque = turned_back("q", "w", "(N+cross(move,F))" if table.displaces else "N")
     program.let("L", f"L+_x(c)*{AXES}*{torque}")
+    if evaluated and any(table.memory):
+        _remember(program, torque)
+    if any(table.memory):
+        _kick_by_last_forces(program)
     if table.has("after"):
         exchange(program, "after")
     for name, statements in STAGES.items():
@@ -157,6 +183,39 @@ def _row(program: Program) -> None:
         _displace(program)
     else:
         program.let("x", _PLACE)
+    _placed(program)
+
+
+def _placed(program: Program) -> None:
+    """Write that x is where the body is."""
+    if program.table.continues:
+        program.let(names.LAG, "0.0")
+
+
+def _remember(program: Program, torque: str) -> None:
+    """Remember the force and the torque in the body, or what displaced ones differ by, if the row says so."""
+    forces, differences = program.table.memory
+    program.times("n", (("remember", "1"), ("differ", "1"), ("differ", "1")))
+    program.let("p", torque)
+    first = ("F", "p"), tuple(f"{value}-{known}" for value, known in zip(("F", "p"), names.last(0), strict=True))
+    parts = (("_x(n)", 0, forces, first[0]), ("_y(n)", forces, differences, first[1]))
+    for flag, begin, count, newest in parts:
+        for k in reversed(range(begin, begin + count)):
+            values = newest if k == begin else names.last(k - 1)
+            for name, value in zip(names.last(k), values, strict=True):
+                program.let(name, f"(1-delta({flag}))*({value})+delta({flag})*{name}")
+
+
+def _kick_by_last_forces(program: Program) -> None:
+    """Write `openmm_exactrb.substeps.LastForcesKick`."""
+    count = sum(program.table.memory)
+    for begin in range(0, count, 3):
+        some = [min(k, count - 1) for k in range(begin, begin + 3)]
+        program.times("n", tuple((f"last{k}", "begins") for k in some))
+        terms = [(f"_{axis}(n)", *names.last(k)) for axis, k in zip("xyz", dict.fromkeys(some), strict=False)]
+        program.let("P", "+".join(["P", *(f"{weight}*{force}" for weight, force, _ in terms)]))
+        torque = "+".join(f"{weight}*{torque}" for weight, _, torque in terms)
+        program.let("L", f"L+{AXES}*({torque})")
 
 
 def _displace(program: Program) -> None:
@@ -199,7 +258,7 @@ def _take_up_images(program: Program) -> None:
 
     The particles of a body may be in several molecules, so each has its own. Before bodies are loaded, 1/M is zero.
     """
-    program.let("p", "x-R-d-image")
+    program.let("p", f"x-R-d-image-{names.LAG}" if program.table.continues else "x-R-d-image")
     program.let("image", f"image+p*step(abs(p)-{_STILL})+(1-loaded)/loaded;loaded=min(1,1e30*_y(inverse))")
 
 

@@ -12,7 +12,9 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
+from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.environment import Settings
+from openmm_exactrb.context.propagator import inner_mark
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
@@ -59,6 +61,9 @@ class DevicePropagator:
         self.sync, self.updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
         self._integrator, self._timings = weakref.ref(integrator), timings
         self._table, self._scheme = selection.table, selection.scheme
+        # A barostat or thermostat of the System acts on the true state, and OpenMM does not tell when.
+        self._continues = self._table.continues and not (self.updates.moves or self.updates.pushes)
+        self._surroundings: object = None  # box and parameters at the end of the last call
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         pushed = 2 if self.updates.pushes else self.updates.removes_motion
         load.tell(integrator, {names.SITES: self._sites, names.BAROSTAT: self.updates.moves, names.PUSHED: pushed})
@@ -70,6 +75,7 @@ class DevicePropagator:
         self._masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
         self._conserves, self._checks = conserve_energy(system), True
         self._largest = 0.0  # kinetic energy before a call
+        self._kept = False  # whether the program still holds the inner state of the begin of the call
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
@@ -89,6 +95,8 @@ class DevicePropagator:
         before = context.getState()
         step = before.getStepCount()
         load.tell(integrator, self._numbers)
+        if self._surroundings not in (None, self._present_surroundings()):
+            variables.put(integrator, variables.COORDINATES, 0.0)  # inner coordinates are those of other forces
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
@@ -102,7 +110,7 @@ class DevicePropagator:
                 self._go_back(before, x, v)
                 raise
             if finite and not gain:
-                self._noise = key, step + n
+                self._noise, self._surroundings = (key, step + n), self._present_surroundings()
                 return
             self._go_back(before, x, v)
             if gain:
@@ -114,6 +122,9 @@ class DevicePropagator:
             "or minimise the energy first"
         )
 
+    def _present_surroundings(self) -> object:
+        return arrays.surroundings(self.sync.context.getState(parameters=True)) if self._continues else None
+
     def _seed(self, integrator: openmm.CustomIntegrator, seed: int, step: int) -> None:
         """Set the random number generators for a seed and a step count, unless they are."""
         if self._noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
@@ -121,10 +132,18 @@ class DevicePropagator:
 
     def _attempt(self, integrator: openmm.CustomIntegrator, n: int, turns: int) -> bool:
         """Make n steps, and return whether all positions and velocities are finite."""
+        integrator.setGlobalVariableByName(names.EVALUATED, 0.0)
+        mark = inner_mark(self._scheme, self._step_size(integrator))
+        known = self._known(integrator) if self._has_inner(integrator, mark) else None
+        self._kept = known is not None
         try:
-            for call in _calls(n, self._table.enter > 0 and not self.updates.act):
-                self._configure(integrator, turns, call)
-                openmm.CustomIntegrator.step(integrator, call.steps)
+            for part in self._passes(n, known):
+                self._configure(integrator, turns, part)
+                if part.keeps:
+                    self._kept = False
+                    self._aside(integrator)
+                else:
+                    openmm.CustomIntegrator.step(integrator, part.steps)
             x, v = self.sync.moved_on()
             finite = bool(np.isfinite(x).all() and np.isfinite(v).all())
         except openmm.OpenMMException as error:
@@ -132,20 +151,75 @@ class DevicePropagator:
                 raise
             return False
         finally:
-            self._configure(integrator, turns, _Call(0))
+            self._configure(integrator, turns, _Pass(0, *self._whole))
             integrator.setGlobalVariableByName(names.KNOWN, 0.0)
+            self._timings.evaluations += round(integrator.getGlobalVariableByName(names.EVALUATED))
         if finite and n:
             fastest = integrator.getGlobalVariableByName(names.FASTEST)
             self._rate = fastest ** (1.0 / names.POWER) if math.isfinite(fastest) else None  # a power may be too large
-            asked = n * self._scheme.forces + self._scheme.processing
-            self._timings.evaluations += asked + self.updates.trial_energies(n)
+            self._timings.evaluations += self.updates.trial_energies(n)
+            if self._continues:
+                variables.put(integrator, variables.COORDINATES, mark)
+                self._know(integrator, n, known or (0, 0))
         return finite
 
-    def _configure(self, integrator: openmm.CustomIntegrator, turns: int, call: _Call) -> None:
-        """Set which turns of the program's loop a step has; in plain OpenMM, a whole step."""
-        first, last = self._table.span(turns, self._sites, call.enters, call.leaves)
-        news = {names.TURNS: turns, names.FIRST: first, names.LAST: last, names.ASKED: call.asks, names.CHANGED: 1}
-        load.tell(integrator, news)
+    def _step_size(self, integrator: openmm.CustomIntegrator) -> float:
+        return float(integrator.getStepSize().value_in_unit(unit.picosecond))
+
+    # -- the inner state of a processed scheme ----------------------------------------------------------------------
+
+    def _has_inner(self, integrator: openmm.CustomIntegrator, mark: float) -> bool:
+        """Return whether the program holds an inner state in the coordinates with this mark."""
+        return self._continues and variables.get(integrator, variables.COORDINATES) == mark
+
+    def _known(self, integrator: openmm.CustomIntegrator) -> tuple[int, int]:
+        """Return how many forces and differences are remembered with it."""
+        forces, differences = (int(variables.get(integrator, n)) for n in (variables.REMEMBERED, variables.DIFFERENCES))
+        return forces, differences
+
+    def _know(self, integrator: openmm.CustomIntegrator, n: int, known: tuple[int, int]) -> None:
+        """Note how many are behind n steps."""
+        some = zip((variables.REMEMBERED, variables.DIFFERENCES), known, self._table.remembered(), strict=True)
+        for (name, before, more), most in zip(some, self._table.memory, strict=True):
+            variables.put(integrator, name, min(most, before + n * more))
+
+    @property
+    def _whole(self) -> tuple[str, str]:
+        """The parts of a step by itself."""
+        return ("enter", "leave") if self._table.enter else ("step", "step")
+
+    def _passes(self, n: int, known: tuple[int, int] | None) -> list[_Pass]:
+        """Return the passes of n steps, given how many forces are remembered with the inner state, if there is one."""
+        if not n:
+            return []
+        if not self._continues:
+            return _Pass.steps_of(n, _Pass(1, *self._whole))
+        first = _Pass(1, "enter", "step") if known is None else _Pass(1, "step", "step", returns=True)
+        steps = [first, *_Pass.steps_of(n - 1, _Pass(1, "step", "step"))]
+        steps[-1] = steps[-1]._replace(asks=True)
+        then = (before + n * more for before, more in zip(known or (0, 0), self._table.remembered(), strict=True))
+        cheap = self._table.output and all(map(int.__ge__, then, self._table.memory))
+        part = "output" if cheap else "leave"
+        return [*steps, _Pass(1, part, part, keeps=True)]
+
+    def _aside(self, integrator: openmm.CustomIntegrator) -> None:
+        """Make a pass that is no step: time and step count stay, and the remover of motion acts as in the last one."""
+        context = self.sync.context
+        count, time = context.getStepCount(), context.getTime()
+        openmm.Context.setStepCount(context, count - 1)  # not the method that is watched
+        try:
+            openmm.CustomIntegrator.step(integrator, 1)
+        finally:
+            openmm.Context.setStepCount(context, count)
+            context.setTime(time)
+
+    # -- what the program is told -----------------------------------------------------------------------------------
+
+    def _configure(self, integrator: openmm.CustomIntegrator, turns: int, part: _Pass) -> None:
+        """Set which turns of the program's loop a pass has; in plain OpenMM, a whole step."""
+        first, last = self._table.span(turns, self._sites, part.begin, part.end)
+        news = {names.TURNS: turns, names.FIRST: first, names.LAST: last, names.ASKED: part.asks, names.CHANGED: 1}
+        load.tell(integrator, news | {names.KEEP: part.keeps, names.RETURN: part.returns})
 
     def _turns(self, integrator: openmm.CustomIntegrator, haste: float) -> int:
         """Return the number of rotations that a drift needs, if bodies come to turn `haste` times as fast as now.
@@ -158,8 +232,7 @@ class DevicePropagator:
             if behind:
                 sync.pull()
             self._rate = load.fastest(sync.bodies, sync.state.rounded)
-        h = float(integrator.getStepSize().value_in_unit(unit.picosecond))
-        needed = haste * self._rate * abs(h) * self._table.longest_drift / RANGE
+        needed = haste * self._rate * abs(self._step_size(integrator)) * self._table.longest_drift / RANGE
         if not needed <= _NEVER:
             raise NonFiniteError(
                 f"the fastest body would need {needed:.2g} rotations in a drift: take a smaller step size, or set "
@@ -194,32 +267,37 @@ class DevicePropagator:
 
     def _go_back(self, before: Any, x: Array, v: Array) -> None:
         """Bring the Context back to what it held: a State with box, time and step count, positions and velocities."""
-        context = self.sync.context
-        load.tell(self._integrator(), {names.LOADED: 0.0})
+        context, integrator = self.sync.context, self._integrator()
+        kept = variables.get(integrator, variables.COORDINATES) if self._kept else 0.0
+        load.tell(integrator, {names.LOADED: 0.0})
         openmm.Context.setState(context, before)  # not the method that is watched
         context.setPositions(x)
         context.setVelocities(v)
         self._noise = None
         self.sync.lose()
         self.sync.pull()
+        variables.put(integrator, variables.COORDINATES, kept)  # steps leave it alone, but not what is remembered
+        self._know(integrator, 0, (0, 0))
 
 
-class _Call(NamedTuple):
-    """A call of OpenMM: whether each step enters and leaves inner coordinates, and measures how fast bodies turn."""
+class _Pass(NamedTuple):
+    """A call of OpenMM: so many steps, from the begin of a part of the table to the end of one.
+
+    It measures how fast bodies turn if it `asks`; it begins by returning to the inner state, or by keeping it.
+    """
 
     steps: int
-    enters: bool = True
-    leaves: bool = True
+    begin: str
+    end: str
     asks: bool = False
+    returns: bool = False
+    keeps: bool = False
 
-
-def _calls(n: int, processed: bool) -> list[_Call]:
-    """Return into which calls of OpenMM n steps fall."""
-    if processed and n > 1:
-        calls = [_Call(1, True, False), _Call(n - 2, False, False), _Call(1, False, True, asks=True)]
-    else:
-        calls = [_Call(n - 1), _Call(min(n, 1), asks=True)]
-    return [call for call in calls if call.steps > 0]
+    @staticmethod
+    def steps_of(n: int, step: _Pass) -> list[_Pass]:
+        """Return n passes like a step, the last of which asks."""
+        passes = [step._replace(steps=n - 1), step._replace(steps=min(n, 1), asks=True)]
+        return [some for some in passes if some.steps > 0]
 
 
 def _potential(context: Any, groups: int) -> float:

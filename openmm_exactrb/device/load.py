@@ -37,6 +37,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
     tell(integrator, {names.KNOWN: 0.0, names.LOADED: names.HELD, names.CHANGED: 1.0})
+    variables.put(integrator, variables.COORDINATES, 0.0)  # an inner state that was kept is another one's
 
 
 def tell(integrator: openmm.CustomIntegrator, numbers: Mapping[str, float]) -> None:

@@ -23,10 +23,13 @@ SPAN = "at"
 TEMPORARY = ("a", "g", "y", "c", "p", "n")
 #: Where forces are taken at displaced places: the attitude that is not, and how far the centre is displaced.
 DISPLACED = ("sq", "sw", "move")
+#: The inner state of a processed scheme while the output is shown: R, P, L, q, w and d; and how far x is then from
+#: R + d + image, until a row has placed it.
+INNER, LAG = ("iR", "iP", "iL", "iq", "iw", "id"), "lag"
 #: Of a thermostat: (friction, that of rotation, kT), and the states of the generators of random numbers.
 THERMOSTAT, STREAMS = "thermostat", ("r1", "r2", "r3", "r4")
 
-_PREFIX = "exactrb_"
+_PREFIX, _LAST = "exactrb_", "last_"
 #: `HELD` once bodies are loaded: before that, steps make positions nan. It is the first variable, as that of
 #: `openmm_exactrb.context.variables` is: a checkpoint of the other engine has a value there that this one never writes.
 LOADED, HELD = f"{_PREFIX}loaded", variables.FROM_DEVICE
@@ -39,8 +42,10 @@ TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "p
 KT, FRICTION, TURNING_FRICTION, SEEDED = (
     f"{_PREFIX}{name}" for name in ("kT", "friction", "rotational_friction", "seeded")
 )
-#: Whether the forces of the present places are known.
-KNOWN = f"{_PREFIX}known"
+#: Whether the forces of the present places are known, and how often they were evaluated.
+KNOWN, EVALUATED = f"{_PREFIX}known", f"{_PREFIX}evaluated"
+#: 1 where a pass begins with keeping the inner state, or with returning to it.
+KEEP, RETURN = f"{_PREFIX}keep", f"{_PREFIX}return"
 #: Whether the step is to measure how fast bodies turn, and the answer.
 ASKED, FASTEST = f"{_PREFIX}asked", f"{_PREFIX}fastest"
 #: The turn of the loop and its row in the table; whether forces are needed; whether places are displaced behind this
@@ -58,7 +63,12 @@ POWER = 64
 OPENMM = ("x", "v", "f", "m", "dt", *(f"f{group}" for group in range(32)))
 
 
+def last(k: int) -> tuple[str, str]:
+    """Return the names of the k-th force and torque, in the body, that are remembered."""
+    return f"{_LAST}F{k}", f"{_LAST}N{k}"
+
+
 def has(name: str) -> bool:
     """Return whether the program of some scheme has a variable of this name."""
-    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, THERMOSTAT, *STREAMS)
-    return name in vectors or name.startswith(_PREFIX)
+    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, *INNER, LAG, THERMOSTAT, *STREAMS)
+    return name in vectors or name.startswith((_PREFIX, _LAST))

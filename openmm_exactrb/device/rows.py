@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence
+from openmm_exactrb.substeps import LastForcesKick
 
 
 def stage(**statements: str) -> float:
@@ -30,18 +32,25 @@ class Row:
     before : float
         A thermostat.
     kick : float
+    last : tuple of float
+        A kick by what is remembered: weights of the forces, then of the differences.
     after : float
         A thermostat.
     drift : float
     shift : float
         Displacement along the forces over the square of the step, at which the next row evaluates its forces.
+    remember, differ : float
+        1 if forces that the row evaluates are remembered, or what displaced ones differ by, else 0.
     """
 
     before: float = 0.0
     kick: float = 0.0
+    last: tuple[float, ...] = ()
     after: float = 0.0
     drift: float = 0.0
     shift: float = 0.0
+    remember: float = 0.0
+    differ: float = 0.0
 
 
 #: A row that only computes virtual sites.
@@ -53,20 +62,24 @@ STAGES = {entry.name: entry.metadata["statements"] for entry in fields(Row) if "
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of a scheme: its processor, a step, and its postprocessor.
+    """The rows of a scheme: its processor, a step, its postprocessor and its output.
 
     Attributes
     ----------
     rows : tuple of Row
-        With a `REST` after the step and after the postprocessor.
-    enter, step, leave : int
-        Numbers of rows of processor, step and postprocessor, without rests.
+        With a `REST` after the step, after the postprocessor and after the output.
+    enter, step, leave, output : int
+        Numbers of rows of processor, step, postprocessor and output, without rests.
+    memory : (int, int)
+        How many forces of kicks are remembered for the output, and how many differences of displaced ones.
     """
 
     rows: tuple[Row, ...]
     enter: int
     step: int
     leave: int
+    output: int = 0
+    memory: tuple[int, int] = (0, 0)
 
     @classmethod
     def of(cls, scheme: Scheme, thermostat: bool = True) -> Table:
@@ -74,18 +87,35 @@ class Table:
 
         That of a thermostat fits only if the integrator has a `thermostat`.
         """
-        sequences = scheme.processor, scheme.sequence, scheme.postprocessor
-        enter, step, leave = (_rows(sequence, thermostat) for sequence in sequences)
-        last = (*leave, REST) if leave else ()
-        return cls((*enter, *step, REST, *last), len(enter), len(step), len(leave))
+        sequences = scheme.processor, scheme.sequence, scheme.postprocessor, scheme.output
+        enter, step, leave, output = (_rows(sequence, thermostat, scheme.memory) for sequence in sequences)
+        if output and not step[0].kick:
+            memory, step = scheme.memory, _remembering(step)
+        else:
+            memory, output = (0, 0), []
+        rest = [REST]
+        rows = [*enter, *step, *rest, *leave, *rest * bool(leave), *output, *rest * bool(output)]
+        return cls(tuple(rows), len(enter), len(step), len(leave), len(output), memory)
 
-    def span(self, turns: int, sites: bool, enters: bool, leaves: bool) -> tuple[int, int]:
-        """Return the first and the last turn of a step, with so many turns per row; virtual sites need one more turn.
+    def span(self, turns: int, sites: bool, begin: str, end: str) -> tuple[int, int]:
+        """Return the first and the last turn of a pass from the begin of a part to the end of one.
 
-        The processor precedes it if it enters, and the postprocessor follows it if it leaves inner coordinates.
+        Parts are "enter", "step", "leave" and "output". There are so many turns per row, and virtual sites need one
+        more at the end.
         """
-        end = len(self.rows) - 1 if leaves and self.leave else self.enter + self.step
-        return (0 if enters else self.enter) * turns, end * turns - (not sites)
+        first = {"enter": 0, "step": self.enter, "leave": self.enter + self.step + 1}
+        first["output"] = first["leave"] + self.leave + bool(self.leave)
+        return first[begin] * turns, (first[end] + getattr(self, end)) * turns - (not sites)
+
+    @property
+    def continues(self) -> bool:
+        """Whether the inner state of a processed scheme can last from call to call: if a step begins with a drift."""
+        return bool(self.enter) and not (self.rows[self.enter].kick or self.rows[self.enter].shift)
+
+    def remembered(self) -> tuple[int, int]:
+        """Return how many forces and differences a step adds to what is remembered."""
+        step = self.rows[self.enter : self.enter + self.step]
+        return sum(bool(row.remember) for row in step), sum(bool(row.differ) for row in step)
 
     @cached_property
     def longest_drift(self) -> float:
@@ -106,13 +136,19 @@ class Table:
         """Whether a row has a part of a thermostat."""
         return self.has("before") or self.has("after")
 
+    @cached_property
+    def parts(self) -> tuple[str, ...]:
+        """The names of the columns."""
+        last = tuple(f"last{k}" for k in range(sum(self.memory)))
+        return tuple(part for name in _ORDER for part in (last if name == "last" else (name,)))
+
     def column(self, part: str) -> int:
-        """Return the column of a part."""
-        return _ORDER.index(part)
+        """Return the column of a part; those of `Row.last` have numbers, such as "last0"."""
+        return self.parts.index(part)
 
     def columns(self) -> list[list[float]]:
         """Return three tables whose sum is the numbers of the rows, column by column; each number fits into 24 bits."""
-        exact = np.array([getattr(row, name) for name in _ORDER for row in self.rows])
+        exact = np.array([_entry(row, name) for name in self.parts for row in self.rows])
         tables = []
         for _ in range(3):
             rounded = exact.astype(np.float32).astype(np.float64)
@@ -121,10 +157,30 @@ class Table:
         return tables
 
 
-def _rows(sequence: Sequence, thermostat: bool) -> list[Row]:
+def _entry(row: Row, part: str) -> float:
+    """Return a number of a row."""
+    if not part.startswith("last"):
+        return float(getattr(row, part))
+    k = int(part.removeprefix("last"))
+    return row.last[k] if row.last else 0.0
+
+
+def _remembering(rows: list[Row]) -> list[Row]:
+    """Return rows in which forces at true places are remembered, and what those at displaced ones differ by."""
+    displaced = (False, *(bool(row.shift) for row in rows))
+    return [
+        replace(row, remember=float(bool(row.kick or row.shift) and not there), differ=float(there))
+        for row, there in zip(rows, displaced, strict=False)
+    ]
+
+
+def _rows(sequence: Sequence, thermostat: bool, memory: tuple[int, int]) -> list[Row]:
     """Return the rows of a sequence."""
     rows: list[Row] = []
     for substep, part in sequence:
+        if isinstance(substep, LastForcesKick):
+            _append(rows, "last", substep.padded(part, memory))
+            continue
         entries = substep.device_rows(part)
         for name, number in entries or (("", 0.0),):
             if name == "shift":
@@ -139,9 +195,10 @@ def _rows(sequence: Sequence, thermostat: bool) -> list[Row]:
     return rows
 
 
-def _append(rows: list[Row], name: str, part: float, unless: tuple[str, ...] | None = None) -> None:
+def _append(rows: list[Row], name: str, part: float | tuple[float, ...], unless: tuple[str, ...] | None = None) -> None:
     """Add a part to the last row, or to a new one if the last row has parts that come later."""
     later = _ORDER[_ORDER.index(name) :] if unless is None else unless
     if not rows or any(getattr(rows[-1], other) for other in later):
         rows.append(REST)
-    rows[-1] = replace(rows[-1], **{name: part})
+    news: dict[str, Any] = {name: part}
+    rows[-1] = replace(rows[-1], **news)

@@ -27,9 +27,9 @@ def carried_out(rows):
 def test_rows_carry_out_the_sequence(name):
     scheme = SCHEMES[name]
     table = Table.of(scheme)
-    sizes = (table.enter, table.step, 1, table.leave, bool(table.leave))
-    enter, step, rest, leave, last = np.split(np.array(table.rows, dtype=object), np.cumsum(sizes)[:-1])
-    assert all(row == REST for row in (*rest, *last))
+    sizes = (table.enter, table.step, 1, table.leave, bool(table.leave), table.output, bool(table.output))
+    enter, step, rest, leave, last, _, end = np.split(np.array(table.rows, dtype=object), np.cumsum(sizes)[:-1])
+    assert all(row == REST for row in (*rest, *last, *end))
     for rows, sequence in ((enter, scheme.processor), (step, scheme.sequence), (leave, scheme.postprocessor)):
         expected = [(substep, part) for substep, part in sequence if part]
         for (substep, part), (expected_substep, expected_part) in zip(carried_out(rows), expected, strict=True):
