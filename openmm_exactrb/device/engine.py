@@ -60,10 +60,13 @@ class DevicePropagator:
         selection.install_device(context, integrator, Synchronisation(context, integrator, named).bodies)
         self.sync, self.updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
         self._integrator, self._timings = weakref.ref(integrator), timings
+        timings.evaluations += 1  # OpenMM makes its kernels where it evaluates an energy
         self._table, self._scheme = selection.table, selection.scheme
         # A barostat or thermostat of the System acts on the true state, and OpenMM does not tell when.
         self._continues = self._table.continues and not (self.updates.moves or self.updates.pushes)
-        self._surroundings: object = None  # box and parameters at the end of the last call
+        # Box, parameters and step size at the end of the last call: inner coordinates are theirs.
+        self._surroundings: object = None
+        self._inner_step = 0.0
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         pushed = 2 if self.updates.pushes else self.updates.removes_motion
         load.tell(integrator, {names.SITES: self._sites, names.BAROSTAT: self.updates.moves, names.PUSHED: pushed})
@@ -92,11 +95,11 @@ class DevicePropagator:
             self._numbers = {} if present.thermostat is None else present.thermostat.device_numbers()
         integrator, context = self._integrator(), self.sync.context
         x, v = self.sync.settle()
+        if self._continues and self._leave(integrator):
+            x, v = self.sync.moved_on()
         before = context.getState()
         step = before.getStepCount()
         load.tell(integrator, self._numbers)
-        if self._surroundings not in (None, self._present_surroundings()):
-            variables.put(integrator, variables.COORDINATES, 0.0)  # inner coordinates are those of other forces
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
@@ -111,6 +114,7 @@ class DevicePropagator:
                 raise
             if finite and not gain:
                 self._noise, self._surroundings = (key, step + n), self._present_surroundings()
+                self._inner_step = self._step_size(integrator)
                 return
             self._go_back(before, x, v)
             if gain:
@@ -171,6 +175,29 @@ class DevicePropagator:
     def _has_inner(self, integrator: openmm.CustomIntegrator, mark: float) -> bool:
         """Return whether the program holds an inner state in the coordinates with this mark."""
         return self._continues and variables.get(integrator, variables.COORDINATES) == mark
+
+    def _leave(self, integrator: openmm.CustomIntegrator) -> bool:
+        """Leave inner coordinates that are not those of the present settings; return whether particles moved.
+
+        The inverse of the processor is exact. Under other forces than those of the inner state what was shown is kept.
+        """
+        h, mark = self._step_size(integrator), variables.get(integrator, variables.COORDINATES)
+        same = self._surroundings in (None, self._present_surroundings())
+        if not mark or (same and mark == inner_mark(self._scheme, h)):
+            return False
+        variables.put(integrator, variables.COORDINATES, 0.0)
+        if not same or mark != inner_mark(self._scheme, self._inner_step):
+            return False
+        openmm.CustomIntegrator.setStepSize(integrator, self._inner_step)
+        integrator.setGlobalVariableByName(names.EVALUATED, 0.0)
+        try:
+            self._configure(integrator, self._turns(integrator, _HASTE[0][0]), _Pass(1, "rest", "leave", returns=True))
+            self._aside(integrator)
+        finally:
+            openmm.CustomIntegrator.setStepSize(integrator, h)
+            integrator.setGlobalVariableByName(names.KNOWN, 0.0)
+            self._timings.evaluations += round(integrator.getGlobalVariableByName(names.EVALUATED))
+        return True
 
     def _known(self, integrator: openmm.CustomIntegrator) -> tuple[int, int]:
         """Return how many forces and differences are remembered with it."""

@@ -70,6 +70,9 @@ class Replicas(Synchronisation):
         self._replicated = known
         return known
 
+    def _read_inner(self) -> None:
+        """Leave an inner state where it is: in the program."""
+
     def push(self) -> None:
         """Write the state into the Context, and to the replicas."""
         load.write(self._integrator(), self.bodies, self.state)

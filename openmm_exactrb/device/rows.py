@@ -100,10 +100,11 @@ class Table:
     def span(self, turns: int, sites: bool, begin: str, end: str) -> tuple[int, int]:
         """Return the first and the last turn of a pass from the begin of a part to the end of one.
 
-        Parts are "enter", "step", "leave" and "output". There are so many turns per row, and virtual sites need one
-        more at the end.
+        Parts are "enter", "step", "leave" and "output", and "rest" before "leave", which only places the bodies. There
+        are so many turns per row, and virtual sites need one more at the end.
         """
-        first = {"enter": 0, "step": self.enter, "leave": self.enter + self.step + 1}
+        rest = self.enter + self.step
+        first = {"enter": 0, "step": self.enter, "rest": rest, "leave": rest + 1}
         first["output"] = first["leave"] + self.leave + bool(self.leave)
         return first[begin] * turns, (first[end] + getattr(self, end)) * turns - (not sites)
 

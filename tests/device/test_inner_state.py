@@ -1,0 +1,140 @@
+"""Between calls the device keeps the inner state of a processed scheme, and shows an output that costs little."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from devices import REFERENCE, context_of, opencl, pair, shown, stepped
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb.device import names
+
+INTERVAL = 0.001  # ps between forces
+
+
+@pytest.fixture(scope="module")
+def water():
+    topology, system, positions = rb.rigid_water(2)
+    return topology, system, positions
+
+
+def step_of(scheme):
+    return INTERVAL * rb.SCHEMES[scheme].forces
+
+
+def inner_of(context):
+    values = map(context.getIntegrator().getPerDofVariableByName, names.INNER)
+    return np.array([np.array(value) for value in values])
+
+
+def simulation_of(topology, system, positions, scheme, platform=REFERENCE, properties=None):
+    integrator = rb.ExactRigidBodyIntegrator(step_of(scheme), scheme=scheme, engine="device")
+    simulation = app.Simulation(topology, copy.deepcopy(system), integrator, platform, properties)
+    simulation.context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    return simulation
+
+
+def forces_per_step(simulation):
+    simulation.step(10)  # which enters the inner coordinates
+    simulation.integrator.timings.reset()
+    simulation.step(50)
+    return simulation.integrator.timings.evaluations / 50
+
+
+@pytest.mark.parametrize(("scheme", "most"), [("W2_1", 1.02), ("W4_4", 4.25)])
+@pytest.mark.parametrize("remover", [False, True])
+def test_a_simulation_costs_what_the_name_of_the_scheme_says(scheme, most, remover):
+    topology, system, positions = rb.rigid_water(2, removeCMMotion=remover)
+    assert forces_per_step(simulation_of(topology, system, positions, scheme)) <= most
+
+
+@pytest.mark.opencl
+@pytest.mark.parametrize(("scheme", "most"), [("W2_1", 1.02), ("W4_4", 4.25)])
+def test_opencl_costs_the_same_and_shows_what_the_host_shows(water, scheme, most):
+    platform, (_, system, positions) = opencl(), water
+    simulation = simulation_of(*water, scheme, platform, {"Precision": "double"})
+    host = context_of(system, positions, "host", scheme=scheme, h=step_of(scheme))
+    assert forces_per_step(simulation) <= most
+    for _ in range(6):
+        host.getIntegrator().step(10)
+    np.testing.assert_allclose(shown(simulation.context), shown(host), rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
+def test_ten_calls_of_ten_steps_are_a_hundred_steps_of_the_inner_state(water, scheme):
+    """Bit by bit where a drift is one rotation at all times: how many it is depends on where a call begins."""
+    _, system, positions = water
+    h = min(step_of(scheme), 0.004)
+    one, ten = (context_of(system, positions, "device", scheme=scheme, h=h) for _ in range(2))
+    stepped(one, 100)
+    for _ in range(10):
+        stepped(ten, 10)
+    np.testing.assert_array_equal(inner_of(one), inner_of(ten))
+    assert (one.getStepCount(), one.getTime()) == (ten.getStepCount(), ten.getTime())
+
+
+@pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
+def test_the_host_shows_the_same_however_long_calls_are(water, scheme):
+    _, system, positions = water
+    host, device = pair(system, positions, scheme=scheme, h=step_of(scheme))
+    for n in (1, 1, 1, 2, 10, 3):
+        np.testing.assert_allclose(stepped(device, n), stepped(host, n), rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("change", ["velocities", "positions", "step", "state"])
+def test_what_a_user_sets_is_seen(water, change):
+    """The host and the device then continue from what was shown."""
+    _, system, positions = water
+    contexts = pair(system, positions, scheme="W2_1", h=0.002)
+    begin = contexts[0].getState(positions=True, velocities=True)
+    seen = []
+    for context in contexts:
+        stepped(context, 12)
+        x, v = shown(context)
+        if change == "velocities":
+            context.setVelocities(1.1 * v)
+        elif change == "positions":
+            context.setPositions(x + 1e-3)
+        elif change == "step":
+            context.getIntegrator().setStepSize(0.001)
+        else:
+            context.setState(begin)
+        seen.append(stepped(context, 12))
+    np.testing.assert_allclose(seen[1], seen[0], rtol=0.0, atol=1e-11)
+
+
+def test_a_checkpoint_keeps_the_inner_state(water):
+    _, system, positions = water
+    context = context_of(system, positions, "device", scheme="W4_4", h=0.004)
+    stepped(context, 20)
+    checkpoint = context.createCheckpoint()
+    stepped(context, 10)
+    other = context_of(system, positions, "device", scheme="W4_4", h=0.004)
+    other.getIntegrator().step(0)
+    other.loadCheckpoint(checkpoint)
+    stepped(other, 10)
+    np.testing.assert_array_equal(inner_of(context), inner_of(other))
+    np.testing.assert_array_equal(shown(context), shown(other))
+
+
+@pytest.mark.parametrize("scheme", ["V2", "W2_1", "W4_4", "S2_2"])
+def test_evaluations_are_those_that_openmm_is_asked_for(water, scheme):
+    _, system, positions = water
+    calls = []
+
+    def compute(state):
+        calls.append(state)
+        return 0.0, np.zeros((system.getNumParticles(), 3))
+
+    counted = copy.deepcopy(system)
+    counted.addForce(openmm.PythonForce(compute))
+    integrator = rb.ExactRigidBodyIntegrator(step_of(scheme), scheme=scheme, engine="device")
+    context = openmm.Context(counted, integrator, REFERENCE)
+    context.setPositions(positions)
+    calls.clear()
+    for n in (1, 3, 10, 0):
+        integrator.step(n)
+        assert integrator.timings.evaluations == len(calls)
