@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.compensated import add
 from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
@@ -21,9 +22,13 @@ from openmm_exactrb.substeps import Remembered
 
 Array = NDArray[np.float64]
 
-# Positions (nm) and velocities (nm/ps) closer than this to those of a state that was saved are its own: it continues in
-# full precision, whatever the platform has rounded.
-_SAME = 1e-9
+# Positions (nm) and velocities (nm/ps) of a state that was saved are its own if they differ by less than this, and by
+# less than this part of them: it continues in full precision, though mixed precision has rounded them.
+_SAME, _SAME_PART = 1e-13, 3e-14
+# Particles (nm) that are farther from the places that rigid bodies give them are put there in the Context too.
+_RIGID = 1e-9
+# A change of centres (nm), attitudes, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
+_SMALL = 1e-8
 
 
 class Synchronisation:
@@ -109,20 +114,21 @@ class Synchronisation:
         saved, seen = self.saved(x, v), self._seen
         if saved is not None:
             state = self.compared(saved, self._joined(x), v)
-            self._read_inner() if state is saved else self.keep(None)
+            self._read_inner()
+            self._follow(saved, state)
             self._unmark()
         elif seen is None:
             state = State.of(fit(self.bodies, self._joined(x), v))
         elif np.array_equal(seen[0], x) and np.array_equal(seen[1], v):
             return False
         else:
-            moved, pushed = (_differs(self.bodies, *pair, 0.0) for pair in zip((x, v), seen, strict=True))
+            moved, pushed = (_differs(self.bodies, *pair) for pair in zip((x, v), seen, strict=True))
             state = self._refitted(self.state, self._joined(x), v, moved, pushed)
-            self.inner = self.inner if state is self.state else None
+            self._follow(self.state, state)
         self.state = state
         self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         self._seen = (x, v)
-        if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles))):
+        if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles), _RIGID)):
             self.push()
         return True
 
@@ -138,8 +144,8 @@ class Synchronisation:
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""
         rounded = known.rounded
-        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()))
-        pushed = _differs(self.bodies, v, self.bodies.velocities(rounded, v.copy()))
+        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), _SAME, _SAME_PART)
+        pushed = _differs(self.bodies, v, self.bodies.velocities(rounded, v.copy()), _SAME, _SAME_PART)
         return self._refitted(known, x, v, moved, pushed)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
@@ -147,6 +153,18 @@ class Synchronisation:
         if not len(moved) and not len(pushed):
             return known
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
+
+    def _follow(self, before: State, after: State) -> None:
+        """Have the inner state follow what a user changed: a change below the errors of the output in both alike.
+
+        With a larger one it is lost, and comes from the state by the processor.
+        """
+        if self.inner is None or after is before:
+            return
+        changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
+        sizes = (self.bodies.mass, self.bodies.inertia.T)
+        small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
+        self.inner = State(*map(add, self.inner, changes)) if small else None
 
     def push(self) -> None:
         """Write the state into the Context."""
@@ -238,12 +256,18 @@ def _box(context: openmm.Context) -> Array | None:
     return np.reshape(arrays.box(context.getState()), (3, 3))
 
 
-def _differs(bodies: RigidBodies, actual: Array, expected: Array, tolerance: float = _SAME) -> Indices:
-    """Return the bodies with a particle that is not where it is expected; nan differs."""
+def _is_small(change: Array, size: Any) -> bool:
+    """Return whether a change of a part of the state is below `_SMALL` of a size; inertia may be zero."""
+    return bool((np.abs(change) <= _SMALL * size).all())
+
+
+def _differs(bodies: RigidBodies, actual: Array, expected: Array, same: float = 0.0, part: float = 0.0) -> Indices:
+    """Return the bodies with a particle that is not where it is expected, up to tolerances; nan differs."""
     different = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
-        offset = np.abs(actual[kind.particles] - expected[kind.particles])
-        different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= tolerance)
+        known = expected[kind.particles]
+        offset = np.abs(actual[kind.particles] - known) - part * np.abs(known)
+        different[kind.bodies] = ~(offset.max(axis=(1, 2)) <= same)
     return np.flatnonzero(different)
 
 
