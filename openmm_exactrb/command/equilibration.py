@@ -22,6 +22,8 @@ from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 #: Files in the folder of a run: the start, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
 
+# Without --equilibrate: the part of --duration, and the longest time in ps.
+_PART, _LONGEST = 0.2, 5.0
 _ITERATIONS = 100  # of the minimisation: enough to remove clashes
 _STEP = 1.0 * unit.femtosecond  # stable for free hydrogen atoms too
 _FRICTION = 5.0 / unit.picosecond
@@ -47,7 +49,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     """Return the State at step 0: the user's, or an equilibrated one.
 
-    A start without velocities gets some and is equilibrated for ``--equilibration`` with OpenMM's
+    A start without velocities gets some and is equilibrated for ``--equilibrate`` with OpenMM's
     LangevinMiddleIntegrator.
     """
     if job.resuming:
@@ -86,6 +88,11 @@ def candidates(args: argparse.Namespace) -> Sequence[str] | None:
     return [name for name in CANDIDATES if not look_up(name).processor]
 
 
+def length_of(args: argparse.Namespace) -> float:
+    """Return the length of the equilibration in ps."""
+    return float(min(_PART * args.duration, _LONGEST) if args.equilibrate is None else args.equilibrate)
+
+
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     integrator = openmm.LangevinMiddleIntegrator(args.temperature * unit.kelvin, _FRICTION, _STEP)
     integrator.setRandomNumberSeed(args.seed)
@@ -97,7 +104,12 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
         simulation.minimizeEnergy(maxIterations=_ITERATIONS)
     if not box.moves:
         simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
-        simulation.step(round(args.equilibration / _STEP.value_in_unit(unit.picosecond)))
+        length = length_of(args)
+        steps = round(length / _STEP.value_in_unit(unit.picosecond))
+        if steps and not args.quiet:
+            told = f"equilibrating for {length:g} ps, {steps} steps of {_STEP._value:g} fs (--equilibrate)"
+            print(told, file=sys.stderr, flush=True)
+        simulation.step(steps)
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)

@@ -36,7 +36,7 @@ _DEFAULTS: dict[str, Any] = {
     "friction": 1.0,
     "pressure": 1.0,
     "target": 1e-3,
-    "equilibration": 5.0,
+    "equilibrate": None,  # `equilibration.length_of` tells
 }
 
 
@@ -62,8 +62,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:
         add(arguments.flag(name), dest=name, **option)
-    start = f"of a start without velocities, ps, or 5ps {shown['equilibration']}"
-    add("--equilibration", type=arguments.time_or_zero, metavar="T", help=start)
+    start = "of a start without velocities, ps, or 5ps (a fifth of --duration, at most 5 ps)"
+    add("--equilibrate", type=arguments.time_or_zero, metavar="T", help=start)
     add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities, noise and barostat (%(default)s)")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
 
@@ -115,7 +115,7 @@ def _refuse_idle(args: argparse.Namespace, box: inputs.Box) -> None:
         (args.ensemble != "npt", "pressure", "only --ensemble npt has one"),
         (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),
         (args.step is not None, "target", "only --step auto has one"),
-        (box.moves, "equilibration", "a State with velocities is used unchanged"),
+        (box.moves, "equilibrate", "a State with velocities is used unchanged"),
         (box.moves and args.ensemble == "nve", "temperature", "a State with velocities is used unchanged"),
     ]
     for applies, names, reason in idle:

@@ -41,8 +41,8 @@ IDLE = [
     ([*XML, "--ewald-tolerance", "1e-5"], "--ewald-tolerance: a System has its"),
     ([*XML, "--water", "tip3p"], "--water: a System has its"),
     (
-        [*XML, "--ensemble", "nvt", "--equilibration", "0.001"],
-        "--equilibration: a State with velocities",
+        [*XML, "--ensemble", "nvt", "--equilibrate", "0.001"],
+        "--equilibrate: a State with velocities",
     ),
     ([*XML, "--temperature", "310"], "--temperature: a State with velocities"),
     ([*PDB, "--cutoff", "0.4"], "--cutoff: there is no cutoff without a periodic box"),
@@ -93,8 +93,8 @@ def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, mes
         (["--solvate", "2.5"], "'2.5' is not a whole number of at least 1"),
         (["--seed", "0"], "'0' is not a whole number from 1 to"),
         (["--seed", "2147483648"], "'2147483648' is not a whole number from 1 to 2147483647"),
-        (["--equilibration=-1ps"], "'-1ps' is not a time of at least 0"),
-        (["--equilibration", "1kg"], "'1kg' is not a time of at least 0"),
+        (["--equilibrate=-1ps"], "'-1ps' is not a time of at least 0"),
+        (["--equilibrate", "1kg"], "'1kg' is not a time of at least 0"),
         (["--ensemble", "nvp"], "invalid choice: 'nvp'"),
     ],
 )
@@ -137,7 +137,7 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     out = tmp_path / "out"
     out.mkdir()
     (out / name).write_text("something else")
-    steps = "--step", "2fs", "--duration", "2fs", "--equilibration", "0.002", "--platform", "Reference"
+    steps = "--step", "2fs", "--duration", "2fs", "--equilibrate", "0.002", "--platform", "Reference"
     assert main(["run", str(droplet), "--forcefield", "tip3p.xml", *steps, "--out", str(out)]) == 2
     errors = capsys.readouterr().err
     assert f"{name} is of an earlier run" in errors

@@ -11,7 +11,7 @@ from openmm_exactrb.runs.lock import only_process
 
 SHORT = "--forcefield", "tip3p.xml", "--step", "2fs", "--interval", "4fs", "--duration", "20fs"
 PLAIN = "--platform", "Reference", "--quiet", "--no-picture"
-LONG, BRIEF = ("--equilibration", "100"), ("--equilibration", "0.01")
+LONG, BRIEF = ("--equilibrate", "100"), ("--equilibrate", "0.01")
 
 
 def carry_out(capsys, *arguments):

@@ -4,6 +4,7 @@ import itertools
 import json
 import time
 from argparse import Namespace
+from pathlib import Path
 
 import mdtraj
 import numpy as np
@@ -25,14 +26,14 @@ def carry_out(capsys, *arguments):
 
 
 PLAIN = "--platform", "Reference", "--quiet"
-BOX = ["--cutoff", "0.4", "--ewald-tolerance", "0.01", "--equilibration", "0.01", "--duration", "0.01", "--no-picture"]
+BOX = ["--cutoff", "0.4", "--ewald-tolerance", "0.01", "--equilibrate", "0.01", "--duration", "0.01", "--no-picture"]
 SHORT = "--step", "2fs", "--scheme", "S2_2", "--interval", "4fs", *PLAIN
 
 
 @pytest.mark.parametrize("trajectory", ["dcd", "xtc"])
 def test_a_pdb_file_becomes_a_trajectory(droplet, tmp_path, capsys, trajectory):
     out = tmp_path / "out"
-    options = "--duration", "0.04", "--equilibration", "0.02", "--trajectory", trajectory, "--out", out
+    options = "--duration", "0.04", "--equilibrate", "0.02", "--trajectory", trajectory, "--out", out
     status, said, errors = carry_out(capsys, "run", droplet, "--forcefield", "tip3p.xml", *SHORT, *options)
     assert (status, errors) == (0, "")
     assert "ns/day" in said
@@ -208,7 +209,7 @@ def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path,
         file.write_text(openmm.XmlSerializer.serialize(content))
     assert "MonteCarloPressure" in with_parameters.read_text()
     options = "--ensemble", "npt", "--pressure", "500", "--temperature", "280", "--duration", "0.2", "--no-picture"
-    options += () if moving else ("--equilibration", "0.05")
+    options += () if moving else ("--equilibrate", "0.05")
     volumes = []
     for file in (files[1], with_parameters):
         out = tmp_path / file.stem
@@ -231,11 +232,48 @@ def test_an_equilibration_has_units(droplet, tmp_path, capsys):
     """The same as its number of ps; without one the start is only minimised."""
     command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT, "--duration", "0.01", "--no-picture"
     for name, length in (("unit", "20fs"), ("number", "0.02"), ("zero", "0"), ("none", "0fs")):
-        assert carry_out(capsys, *command, "--equilibration", length, "--out", tmp_path / name)[0] == 0
+        assert carry_out(capsys, *command, "--equilibrate", length, "--out", tmp_path / name)[0] == 0
     unit_, number, zero, none = (
         (tmp_path / name / "energies.csv").read_bytes() for name in ("unit", "number", "zero", "none")
     )
     assert unit_ == number != zero == none
+
+
+def test_an_equilibration_is_told_before_it_begins_and_is_a_fifth_of_the_run(droplet, tmp_path, capsys):
+    command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT[:-1], "--no-picture"
+    for duration, told in ((0.05, "equilibrating for 0.01 ps, 10 steps of 1 fs (--equilibrate)"), (1e-3, None)):
+        out = tmp_path / str(duration)
+        status, _, errors = carry_out(capsys, *command, "--duration", duration, "--out", out)
+        assert status == 0
+        assert errors.startswith("equilibrating") == bool(told)
+        if told:
+            assert errors.splitlines()[0] == told
+            longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
+            assert carry_out(capsys, *command, *longer)[0] == 0
+
+
+@pytest.mark.validate
+def test_a_protein_gets_water_and_ions_and_runs(tmp_path, capsys):
+    """OpenMM's own test file is a protein in water: the water is taken away, and the command adds its own."""
+    solvated = app.PDBFile(str(Path(app.__file__).parent / "data" / "test.pdb"))
+    modeller = app.Modeller(solvated.topology, solvated.positions)
+    modeller.deleteWater()
+    modeller.delete([residue for residue in modeller.topology.residues() if residue.name == "Cl"])
+    with (tmp_path / "protein.pdb").open("w") as file:
+        app.PDBFile.writeFile(modeller.topology, modeller.positions, file)
+    force_field = "--forcefield", "amber14-all.xml", "amber14/tip3p.xml"
+    water = "--solvate", 1200, "--water", "tip3p", "--constraints", "HBonds", "--cutoff", 0.8
+    run = "--ensemble", "nvt", "--step", "2fs", "--duration", "1ps", "--interval", "0.1ps", "--platform", "CPU"
+    out = tmp_path / "out"
+    status, said, errors = carry_out(capsys, "run", tmp_path / "protein.pdb", *force_field, *water, *run, "--out", out)
+    assert status == 0, errors
+    assert "equilibrating for 0.2 ps" in errors
+    names = [residue.name for residue in app.PDBFile(str(out / "topology.pdb")).topology.residues()]
+    assert names.count("HOH") + names.count("CL") + names.count("NA") == 1200
+    assert "CL" in names or "NA" in names
+    table = np.loadtxt(out / "energies.csv", delimiter=",", skiprows=1)
+    assert np.isfinite(table).all()
+    assert "ns/day" in said
 
 
 def test_the_barostat_has_the_settings_of_the_options(box):
