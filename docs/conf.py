@@ -65,7 +65,7 @@ nitpick_ignore_regex = [
     # Of OpenMM and others, whose inventories a build without network cannot read.
     (
         r"py:.*",
-        r"(openmm|State|Simulation|Custom\w*Force|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?",
+        r"(openmm|State|Simulation|[A-Z]\w*Force|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?",
     ),
     (r"py:.*", r"openmm_exactrb\.mechanics\.state\._S"),  # a type variable
     (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
