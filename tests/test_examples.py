@@ -114,6 +114,12 @@ LARGE = pytest.mark.validate  # minimises a box of water; `make docs` runs it to
         pytest.param("ions_in_rigid_water.py", ["--steps", "20"], ["temperatures.png"], marks=LARGE),
         pytest.param("solvated_peptide.py", ["--steps", "20"], ["energy.png"], marks=LARGE),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["cluster.png"]),
+        (
+            "stockmayer_fluid.py",
+            ["-n", "27", "--equilibration", "0.6", "--duration", "1.8"],
+            ["moments.csv", "stockmayer_fluid.png"],
+        ),
+        ("ferrofluid.py", ["-n", "27", "--duration", "1"], ["ferrofluid.png"]),
     ],
 )
 def test_the_other_examples_leave_their_files(run, tmp_path, example, arguments, files):

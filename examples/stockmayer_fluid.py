@@ -1,0 +1,154 @@
+"""
+A Stockmayer fluid of a thousand dipoles
+========================================
+
+Lennard-Jones spheres with a strong point dipole, mu² = 3, at density 0.822 and kT = 1.15: a liquid whose dielectric
+constant is that of water. A box of a thousand holds what a small one cuts off, the correlations of distant dipoles:
+
+- g(r), the density of spheres at a distance r, and
+- h110(r), three times the mean cosine of the angle between two dipoles, times g(r). Its integral is Kirkwood's factor
+  g_K, from which the dielectric constant follows a second time, by (eps - 1)(2 eps + 1)/(9 eps) = y g_K in an infinite
+  sample, y = 4 pi rho mu²/(9 kT). Between conductors h110 has a tail that is spread over the whole box: with the
+  fluctuation formula eps = 1 + 3 y G, where G counts all of the box.
+
+Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
+Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
+
+This page shows ``python examples/stockmayer_fluid.py -n 125 --duration 20``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+
+import matplotlib as mpl
+import mdtraj
+import numpy as np
+import openmm
+from openmm import app, unit
+from scipy.spatial import cKDTree
+from tqdm import tqdm
+
+import openmm_exactrb as rb
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+DENSITY, KT, MU2 = 0.822, 1.15, 3.0
+Y = 4.0 * np.pi * DENSITY * MU2 / (9.0 * KT)
+STEP = 0.015  # ps, with one force evaluation
+SAMPLE, FRAME = 4, 40  # steps between two moments, and between two frames
+
+
+def main() -> None:
+    args = parse()
+    try:
+        picture = rb.Run.from_options(args).path("stockmayer_fluid.png")
+        moments, frames, edge = simulate(args)
+    except (ValueError, ArithmeticError, ImportError, OSError, openmm.OpenMMException) as error:
+        sys.exit(f"stockmayer_fluid.py: {error}")
+    value, error = rb.dielectric_constant(moments, edge**3, KT, blocks=min(10, len(moments)))
+    r, g, h110, kirkwood = correlations(frames, edge)
+    print(f"dielectric constant of {args.n} dipoles from {args.duration:g} ps: {value:.1f} +- {error:.1f}")
+    print(f"first peak of g(r): {g.max():.2f} at {r[g.argmax()]:.3f} nm; h110 there: {h110[g.argmax()]:.2f}")
+    draw(r, g, h110, kirkwood, value, error, args, picture)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="The structure and the dielectric constant of a Stockmayer fluid.")
+    add = parser.add_argument
+    add("-n", type=int, default=1000, metavar="N", help="number of dipoles (%(default)s)")
+    add("--equilibration", type=float, default=15.0, metavar="T", help="left out at the start, ps (%(default)s)")
+    add("--duration", type=float, default=200.0, metavar="T", help="length of the run after it, ps (%(default)s)")
+    add("--seed", type=int, default=0, metavar="S", help="seed of positions, momenta and noise (%(default)s)")
+    rb.Run.add_options(parser, "out/stockmayer_fluid")
+    return parser.parse_args()
+
+
+def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the total moments (n, 3), positions of centres and tips (frames, n, 2, 3), and the edge of the box."""
+    topology, system, positions = rb.dipole_fluid(
+        args.n,
+        args.seed,
+        dipole=(0.0, 0.0, MU2**0.5),
+        inertia=(0.2, 0.2, 0.2),
+        attraction=1.0,
+        density=DENSITY,
+        boundary=rb.Ewald(tolerance=1e-3),
+    )
+    ends = {"C": -(MU2**0.5) / 0.5, "D": MU2**0.5 / 0.5}  # charges half a nm apart that make the dipole
+    charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
+    job = rb.Run.from_options(args, free=("duration",))
+    job.add_reporter(partial(rb.MomentReporter, charges=charges), "moments.csv", SAMPLE)
+    job.add_reporter(app.DCDReporter, "trajectory.dcd", FRAME)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(KT / KB, 0.5, STEP, "BAOA")
+    integrator.setRandomNumberSeed(args.seed + 1)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    if not job.resuming:
+        openmm.LocalEnergyMinimizer.minimize(simulation.context, 100.0, 50)  # no pair of the lattice too close
+    integrator.setVelocitiesToTemperature(KT / KB, args.seed)
+    steps = round((args.equilibration + args.duration) / STEP)
+    with tqdm(total=steps, desc=f"{args.n} dipoles", unit="step", mininterval=2.0, delay=1.0) as bar:
+        job.advance(simulation, steps, progress=bar.update)
+    first = args.equilibration / STEP
+    table = np.loadtxt(job.folder / "moments.csv", delimiter=",", skiprows=1, ndmin=2)
+    trajectory = mdtraj.load(str(job.folder / "trajectory.dcd"), top=mdtraj.Topology.from_openmm(topology))
+    frames = trajectory.xyz.reshape(len(trajectory), args.n, -1, 3)[:, :, -2:].astype(np.float64)
+    return table[table[:, 0] > first, 2:5], frames[int(first / FRAME) + 1 :], (args.n / DENSITY) ** (1.0 / 3.0)
+
+
+def correlations(frames: np.ndarray, edge: float, width: float = 0.02) -> tuple[np.ndarray, ...]:
+    """Return distances, g(r), h110(r), and the sum of cosines up to each distance, 1 of the dipole itself included."""
+    bounds = np.arange(0.8, 0.5 * edge, width)
+    pairs, cosines = np.zeros(len(bounds) - 1), np.zeros(len(bounds) - 1)
+    for sites in frames:
+        u = sites[:, 1] - sites[:, 0]
+        u -= edge * np.round(u / edge)
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        tree = cKDTree(sites[:, 0] % edge, boxsize=edge)
+        found = tree.sparse_distance_matrix(tree, bounds[-1], output_type="ndarray")
+        i, j, d = found["i"], found["j"], found["v"]
+        pairs += np.histogram(d, bounds)[0]
+        cosines += np.histogram(d, bounds, weights=np.einsum("ij,ij->i", u[i], u[j]))[0]
+    shells = 4.0 * np.pi / 3.0 * np.diff(bounds**3) * DENSITY * frames.shape[0] * frames.shape[1]
+    kirkwood = 1.0 + np.cumsum(cosines) / (frames.shape[0] * frames.shape[1])
+    return 0.5 * (bounds[1:] + bounds[:-1]), pairs / shells, 3.0 * cosines / shells, kirkwood
+
+
+def draw(
+    r: np.ndarray,
+    g: np.ndarray,
+    h110: np.ndarray,
+    kirkwood: np.ndarray,
+    value: float,
+    error: float,
+    args: argparse.Namespace,
+    file: Path,
+) -> None:
+    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.8), layout="constrained")
+    left.plot(r, g, color="#0072B2", lw=1.6, label="g(r)")
+    left.plot(r, h110, color="#D55E00", lw=1.6, label="h110(r)")
+    left.axhline(0.0, color="0.6", lw=0.8)
+    left.axhline(1.0, color="0.6", lw=0.8, ls=":")
+    left.set_xlabel("distance (sigma)")
+    left.legend()
+    left.set_title("Spheres, and cosines between their dipoles", fontsize=11)
+    right.plot(r, kirkwood, color="#009E73", lw=1.6, label="1 + sum of cosines up to r")
+    infinite = (value - 1.0) * (2.0 * value + 1.0) / (9.0 * value * Y)
+    right.axhline(infinite, color="#CC79A7", lw=1.4, ls="--", label=f"g_K of an infinite sample of eps = {value:.0f}")
+    right.axhline((value - 1.0) / (3.0 * Y), color="0.3", lw=1.4, ls=":", label="all of the box, from its moment")
+    right.set_xlabel("distance (sigma)")
+    right.legend(fontsize=8)
+    right.set_title(f"Kirkwood's factor; eps = {value:.1f} ± {error:.1f}, {args.n} dipoles", fontsize=11)
+    for axes in (left, right):
+        axes.grid(True, alpha=0.3)
+    figure.savefig(file, dpi=150)
+
+
+if __name__ == "__main__":
+    main()
