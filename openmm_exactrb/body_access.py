@@ -7,13 +7,15 @@ from abc import abstractmethod
 from typing import Any
 
 import numpy as np
+import openmm
 from openmm import unit
 
 from openmm_exactrb import checks
-from openmm_exactrb.context.minimisation import minimise
+from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import FORCE, gas_constant_times, plain
 from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.minimise import minimised
 from openmm_exactrb.mechanics.state import BodyState, State
 
 
@@ -25,6 +27,10 @@ class BodyAccess:
     @abstractmethod
     def getIntegrationForceGroups(self) -> int:
         """Return the bits of the force groups that act."""
+
+    @abstractmethod
+    def getNamedBodies(self) -> list[list[int]] | None:
+        """Return the particles of the bodies beside those that constraints make."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
@@ -86,23 +92,24 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Bring the bodies to a minimum of the potential energy.
 
-        Bodies stay rigid, those named by hand too, which OpenMM's own minimiser bends.
+        Bodies stay rigid, those named by hand too, which OpenMM's own minimiser bends. Where constraints leave a
+        molecule a motion of its own, OpenMM's minimiser does it.
 
         Parameters
         ----------
         tolerance : float or Quantity
-            The largest component of a force that may be left, in kJ/mol/nm if it has no unit.
+            The largest component of a force that may be left, in kJ/mol/nm if it has no unit; the root mean square of
+            all for OpenMM's minimiser.
         maxIterations : int, optional
             0 for as many as it takes.
 
         Raises
         ------
         ValueError
-            If the tolerance is not a positive force, or the number of iterations is not whole.
+            If the tolerance is not a positive force, the number of iterations is not whole, or bodies are named by hand
+            where constraints leave a molecule a motion of its own.
         NonFiniteError
             If the energy or a force at the start is not finite.
-        ArithmeticError
-            If the constraints of a molecule cannot be followed any longer.
 
         Warns
         -----
@@ -112,7 +119,21 @@ class BodyAccess:
         force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
         sync = self._up_to_date().sync
-        minimise(sync, self.timings, self.getIntegrationForceGroups(), force, iterations)
+        bodies = sync.bodies
+        if len(bodies.clusters):
+            if self.getNamedBodies():
+                raise ValueError(
+                    "bodies named by hand cannot be minimised beside molecules with constraints: minimise with "
+                    "simulation.minimizeEnergy() before bodies are named"
+                )
+            openmm.LocalEnergyMinimizer.minimize(sync.context, force, iterations)
+            sync.pull()
+            sync.push()
+            return
+        positions = Positions(sync.context, bodies, sync.particles)
+        landscape = ContextForces(positions, self.getIntegrationForceGroups(), self.timings).landscape
+        found = minimised(bodies, sync.state.rounded, landscape, force, iterations, sync.box())
+        sync.replace(sync.state.renewed(found))
 
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
         """Return the bodies and copies of their positions, attitudes and momenta in float64."""

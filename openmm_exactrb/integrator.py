@@ -76,7 +76,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
     forceInterval : float or Quantity, optional
-        Mean time between two force evaluations, in ps if it has no unit, in place of ``stepSize``: a step is this times
+        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this times
         `forceEvaluationsPerStep`, so that schemes of equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether a jump of the total energy is an error. Switch it off where forces or substeps of your own do work, as
@@ -86,9 +86,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     Raises
     ------
     ValueError
-        If scheme, rotor or engine is unknown, step size and interval are both given or neither, no finite time, bodies
-        are not lists of particles, the fast forces are no force groups, or scheme or rotor are not for the device that
-        was asked for.
+        If an argument is not one of those above, or not for the device that was asked for.
 
     Attributes
     ----------
@@ -145,10 +143,6 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def getThermostat(self) -> Thermostat | None:
         """Return the thermostat, or None at constant energy."""
         return self._thermostat
-
-    def hasNamedBodies(self) -> bool:
-        """Return whether there are bodies beside those that constraints make."""
-        return self._bodies is not None
 
     def getNamedBodies(self) -> list[list[int]] | None:
         """Return the particles of the bodies beside those that constraints make, as they were given."""
@@ -322,8 +316,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Return the scheme with all substeps of a step."""
         return self._scheme if self._thermostat is None else self._thermostat.steps(self._scheme)
 
-    def _changed(self) -> None:
-        """Have substeps bound to the new settings before the next step."""
+    def _changed(self) -> None:  # substeps are bound to the new settings before the next step
         self._version += 1
 
     def getSettings(self) -> dict[str, dict[str, Any]]:
@@ -367,8 +360,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return propagator
 
     def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
-        propagator = self._propagator
-        if propagator is None or propagator.sync.outdated:
+        if self._propagator is None or self._propagator.sync.outdated:
             return True
         return self._engine.open and self.getGlobalVariable(0) not in self._engine.marks
 

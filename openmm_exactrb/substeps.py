@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,53 +26,6 @@ Force = tuple[Array, Array]
 Remembered = tuple[list[Force], list[Force]]
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
-
-
-class Forces(Protocol):
-    """Forces and torques on bodies; see `openmm_exactrb.context.forces`."""
-
-    def __call__(self, state: State) -> Force:
-        """Return the forces at the present positions, those of `state`; each is evaluated once."""
-
-    def at(self, state: State) -> Force:
-        """Return the forces at the positions of any state."""
-
-    @property
-    def memory(self) -> Any:
-        """The forces of the last kicks; see `openmm_exactrb.context.forces.Memory`."""
-
-
-class Environment(Protocol):
-    """The environment of substeps: the bodies of a Context.
-
-    Attributes
-    ----------
-    inertia : (3, 1) or (3, K) array
-        Principal moments of the bodies that rotate, infinite about the axis of a linear one.
-    kinetic : Kinetic
-        Free motion, including fast forces.
-    memory : Memory
-        The forces of the last kicks.
-    """
-
-    inertia: Array
-    kinetic: Kinetic
-
-    @property
-    def memory(self) -> Any:
-        """The forces of the last kicks."""
-
-    def forces(self, group: int | None = None) -> Any:
-        """Return the `Forces` of a force group, or of all groups that kicks apply."""
-
-    def check(self, state: State) -> None:
-        """Raise NonFiniteError if a state is not finite."""
-
-    def check_momenta(self, state: State) -> None:
-        """Raise NonFiniteError if momenta are not finite."""
-
-    def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the n-th heat exchange of a step."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +60,7 @@ class Substep:
 
         Parameters
         ----------
-        environment : Environment
+        environment : openmm_exactrb.context.environment.ContextEnvironment
         """
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
@@ -241,10 +194,9 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Any) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance = advancing()
+        advance, memory = advancing(), environment.memory
 
         def flow(state: State, tau: float) -> State:
-            memory = environment.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (sum(w * value[i] for w, value in terms) for i in (0, 1))
@@ -309,7 +261,7 @@ def _unchecked(state: State) -> None:
     pass
 
 
-def kick(forces: Callable[[State], Force], check: Callable[[State], None] = _unchecked) -> Flow[State]:
+def kick(forces: Callable[[State], Force], check: Callable[[State], Any] = _unchecked) -> Flow[State]:
     """Return the flow of the potential energy of forces; `check` raises for momenta that are not finite."""
     advance = advancing()
 
@@ -323,9 +275,9 @@ def kick(forces: Callable[[State], Force], check: Callable[[State], None] = _unc
 
 
 def gradient_kick(
-    forces: Forces, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], None] = _unchecked
+    forces: Any, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], Any] = _unchecked
 ) -> Flow[State]:
-    """Return the flow of `GradientKick` by displaced forces; arguments are fields of `Environment`."""
+    """Return the flow of `GradientKick` by displaced forces; arguments are fields of the environment."""
     advance = advancing()
 
     def flow(state: State, tau: float) -> State:

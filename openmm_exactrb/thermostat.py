@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.context import variables
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes import Scheme, thermostatted
 
 Array = NDArray[np.float64]
 
@@ -78,9 +79,9 @@ class Thermostat(ABC):
 
         return flow
 
-    @abstractmethod
     def steps(self, scheme: Scheme) -> Scheme:
-        """Return a scheme with its substeps in it."""
+        """Return a scheme with half of its flow before and half after each step, unless it has it within."""
+        return thermostatted.with_thermostat(scheme)
 
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
         """Return the drifts and kicks of a step, and how many steps of the scheme they are."""
@@ -88,7 +89,7 @@ class Thermostat(ABC):
 
     def settings(self) -> Mapping[str, Any]:
         """Return the settings that decide on the bits of a run."""
-        return {"temperature": self.temperature}
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def device_numbers(self) -> Mapping[str, float]:
         """Return what a program on a device is told, by the names of its variables."""
@@ -132,13 +133,7 @@ class Noise:
 
 
 def valid_seed(seed: int) -> int:
-    """Return a seed of OpenMM's integrators.
-
-    Raises
-    ------
-    ValueError
-        If it is not below 2^31.
-    """
+    """Return a seed of OpenMM's integrators; ValueError if it is not below 2^31."""
     if seed >= _SEEDS:
         raise ValueError(f"the seed must be below 2^31, not {seed}")
     return seed

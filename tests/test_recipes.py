@@ -49,9 +49,9 @@ def put_after(file, line, text):
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory):
-    """Return a copy of the package and its tests into which the recipes were typed that change a file of it."""
+    """Return a copy of the package, tests and benchmarks into which the recipes were typed that change a file of it."""
     root = tmp_path_factory.mktemp("checkout")
-    for part in ("openmm_exactrb", "tests"):
+    for part in ("openmm_exactrb", "tests", "benchmarks"):
         shutil.copytree(ROOT / part, root / part, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", root)
     page, (scheme,) = recipe("A scheme")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,21 +25,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Settings:
-    """What the steps of an integrator are.
+    """What the steps of an integrator are: a scheme with all substeps, their size in ps, and force groups (bits).
 
     Attributes
     ----------
-    scheme : Scheme
-        With all substeps of a step.
-    h : float
-        Its size in ps.
-    groups : int
-        Force groups that act (bits).
     splitting : Scheme
         The drifts and kicks of a step: those of the scheme, or of the proposal of a hybrid one.
     splits : int
         Steps of the splitting in a step.
-    thermostat : Thermostat or None
     check : bool
         Whether a jump of the total energy is an error.
     """
@@ -59,25 +53,18 @@ class Settings:
 
 @dataclass
 class ContextEnvironment:
-    """What substeps are bound to in a Context; see `openmm_exactrb.substeps.Environment`.
+    """What substeps are bound to in a Context.
 
     Attributes
     ----------
-    bodies : RigidBodies
     inertia : (3, K) array
         Principal moments, infinite about the axis of a linear body.
     kinetic : Kinetic
-    slow : Forces
-        Those of kicks.
-    all_forces : ContextForces
-        Those of all force groups that act.
-    divergence : DivergenceCheck
-    clock : openmm_exactrb.context.propagator.Clock
-    updates : ContextUpdates
+        Free motion, including fast forces.
+    slow, all_forces : Forces
+        Those of kicks, and those of all force groups that act.
     numbers : Numbers
         Persistent numbers that substeps change.
-    settings : Settings
-    positions : Positions
     key : int
         Of the random numbers of a call.
     around : (State, State) or None
@@ -107,13 +94,15 @@ class ContextEnvironment:
         """Return the forces of a group, or of all kicks."""
         return self.slow if group is None else self.all_forces.of(1 << group)
 
-    def check(self, state: State) -> None:
-        """Raise NonFiniteError if a state is not finite."""
-        self.divergence.finite(state)
+    @property
+    def check(self) -> Callable[[State], Any]:
+        """check(state) raises NonFiniteError if a state is not finite."""
+        return self.divergence.finite
 
-    def check_momenta(self, state: State) -> None:
-        """Raise NonFiniteError if the momenta of a state are not finite."""
-        self.divergence.finite_momenta(state)
+    @property
+    def check_momenta(self) -> Callable[[State], Any]:
+        """check_momenta(state) raises NonFiniteError if its momenta are not finite."""
+        return self.divergence.finite_momenta
 
     def exchange_of(self, number: int) -> Flow[State]:
         """Return the flow of the thermostat at its n-th place in a step."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.shapes import (
-    MISFIT,
+    RESIDUAL,
     held_rigid,
     kinds_from_distances,
     kinds_from_positions,
@@ -110,7 +110,7 @@ def _flexible(
     without[tuple(pairs[~kept].T)] = without[tuple(pairs[~kept, ::-1].T)] = np.nan
     x = on_constraints(particles, masses, without, whole)[particles]
     missed = kind.missed(x).max(axis=0)
-    if missed.max() > MISFIT * kind.lengths.max():
+    if missed.max() > RESIDUAL * kind.lengths.max():
         worst = int(np.argmax(missed))
         i, j = particles[0, pairs[worst]]
         raise ValueError(

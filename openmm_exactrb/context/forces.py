@@ -15,7 +15,7 @@ from openmm_exactrb.context import arrays
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.part import Part
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import BodyState, Flow, State
 from openmm_exactrb.substeps import Force, Remembered
 
 Array = NDArray[np.float64]
@@ -24,21 +24,10 @@ Bound = list[tuple[Flow[State], float, bool]]
 
 
 class Positions:
-    """Writes the positions of bodies into a Context, and counts their versions.
+    """Writes the positions of bodies into a Context, which is not kept alive, and counts their versions.
 
-    Parameters
-    ----------
-    context : openmm.Context
-        Not kept alive.
-    bodies : RigidBodies
-    x : (n_particles, 3) array
-        Positions of all particles; those of the bodies are overwritten.
-
-    Attributes
-    ----------
-    version : int
-        Of the present positions, box and parameters: who changes one of them adds to it. What was computed for another
-        version is computed again.
+    Who changes positions, box or parameters adds to `version`: what was computed for another one is computed again. Of
+    the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
@@ -83,17 +72,10 @@ class Positions:
 class Memory:
     """The forces of the last kicks, the most recent ones first: what the output of a processed scheme is made of.
 
-    Parameters
-    ----------
-    forces, differences : int
-        How many are remembered.
-
     Attributes
     ----------
-    forces : deque of (force, torque)
-        At the last versions of the positions.
-    differences : deque of (force, torque)
-        What the forces of the last force-gradient kicks at displaced positions differed by.
+    forces, differences : deque of (force, torque)
+        At the last versions of the positions, and what the forces of the last force-gradient kicks differed by.
     closed : bool
         Whether nothing is added: while output is made.
     """
@@ -135,16 +117,7 @@ class Memory:
 
 
 class Forces:
-    """Forces and torques on bodies, evaluated once for each version of the positions.
-
-    Parameters
-    ----------
-    positions : Positions
-
-    Attributes
-    ----------
-    memory : Memory
-    """
+    """Forces and torques on bodies, evaluated once for each version of the positions."""
 
     def __init__(self, positions: Positions) -> None:
         self.positions = positions
@@ -177,17 +150,7 @@ class Forces:
 
 
 class ContextForces(Forces):
-    """The forces of some force groups.
-
-    Parameters
-    ----------
-    positions : Positions
-    groups : int
-        Their bits.
-    timings : Timings
-    counter : str, optional
-        The number of the timings that counts the evaluations.
-    """
+    """The forces of some force groups (bits); `counter` names the number of the timings that counts evaluations."""
 
     def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
         super().__init__(positions)
@@ -209,12 +172,11 @@ class ContextForces(Forces):
         """Evaluate the potential energy with each force."""
         self._energies = True
 
-    def landscape(self, state: State) -> tuple[float, Array, Array]:
+    def landscape(self, state: BodyState) -> tuple[float, Array, Array]:
         """Return the potential energy (kJ/mol), force and torque at the positions of any state."""
-        self.positions.show(state)
+        self.positions.show(State.of(state))
         found = self.positions.context.getState(energy=True, forces=True, groups=self.groups)
-        force, torque = self.positions.bodies.forces(state.rounded, arrays.forces(found))
-        return float(found.getPotentialEnergy()._value), force, torque
+        return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
     def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
         """Return the forces of those of the groups that are among some others (bits)."""
@@ -243,15 +205,7 @@ class ContextForces(Forces):
 
 
 class SlowGroups(ContextForces):
-    """The forces of some groups beside fast ones, which are integrated within the drifts.
-
-    Parameters
-    ----------
-    forces : ContextForces
-        All that act.
-    fast : ContextForces
-        Those within the drifts.
-    """
+    """The forces of some groups beside fast ones, which are integrated within the drifts."""
 
     def __init__(self, forces: ContextForces, fast: ContextForces, timings: Timings) -> None:
         super().__init__(forces.positions, forces.groups & ~fast.groups, timings)
@@ -263,17 +217,9 @@ class SlowGroups(ContextForces):
 
 
 class Remainder(Forces):
-    """All forces less the fast ones on some of the bodies.
+    """All forces less the fast ones on the bodies of a part, in a Context of their own.
 
     Whatever the fast forces are, both together are all forces: nothing has to be changed in the System.
-
-    Parameters
-    ----------
-    forces : ContextForces
-        All.
-    fast : ContextForces
-        Those on the bodies of the part, in a Context of its own.
-    part : Part
     """
 
     def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:

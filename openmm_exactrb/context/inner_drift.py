@@ -31,17 +31,7 @@ _COUNTER = "fast_evaluations"
 
 
 class InnerDrift:
-    """Drifts of the bodies of a Context with fast forces in them.
-
-    Parameters
-    ----------
-    fast : FastForces
-    sync : Synchronisation
-    positions : Positions
-        Of the Context.
-    rotor : Rotor
-    timings : Timings
-    """
+    """Drifts of the bodies of a Context with fast forces in them."""
 
     def __init__(
         self, fast: FastForces, sync: Synchronisation, positions: Positions, rotor: Rotor, timings: Timings
@@ -61,21 +51,9 @@ class InnerDrift:
         scheme: Scheme,
         h: float,
     ) -> tuple[Flow[State], Forces]:
-        """Return drifts with the fast forces in them, and the forces that are left for kicks.
+        """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
 
-        Parameters
-        ----------
-        forces : ContextForces
-            All that act.
-        kinetic : Kinetic
-            Free motion of all bodies.
-        timed : callable
-            timed(drift) -> a drift that moves the positions and the time of the Context.
-        divergence : DivergenceCheck
-        scheme : Scheme
-            Whose drifts they are.
-        h : float
-            Its step in ps.
+        timed(drift) is a drift that moves the positions and the time of the Context; h (ps) is the step of the scheme.
         """
         inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
         repetitions = self.fast.repetitions(scheme, h)
@@ -98,16 +76,9 @@ class InnerDrift:
 def inner_steps(
     drift: Flow[State], fast_kick: Flow[State], sequence: Any, repetitions: Callable[[float], int]
 ) -> Flow[State]:
-    """Return a drift made of inner steps.
+    """Return a drift made of inner steps, whose scheme is a sequence of drifts and kicks by the fast forces.
 
-    Parameters
-    ----------
-    drift, fast_kick : callable
-        The flows of the kinetic energy and of the fast forces.
-    sequence : Sequence
-        Of the inner scheme, drifts and kicks.
-    repetitions : callable
-        repetitions(tau) -> inner steps in a drift of this time.
+    repetitions(tau) is the number of inner steps in a drift of this time.
     """
     known: dict[int, list[tuple[Flow[State], float]]] = {}
 

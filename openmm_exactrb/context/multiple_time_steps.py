@@ -55,13 +55,7 @@ class MultipleTimeSteps:
     def of(
         cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None
     ) -> MultipleTimeSteps | None:
-        """Return the settings of an integrator's arguments, None for no fast forces.
-
-        Raises
-        ------
-        ValueError
-            If they are of another kind.
-        """
+        """Return the settings of an integrator's arguments, None for no fast forces; ValueError if they do not fit."""
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
@@ -140,12 +134,8 @@ class FastForces:
         """Return whether there are inner steps in steps of h (ps).
 
         There are if they were asked for, or if the outer scheme evaluates forces too rarely and has substeps of this
-        package alone.
-
-        Raises
-        ------
-        ValueError
-            If a kick applies a force group that is fast, or one that may have bonded forces where these are.
+        package alone. ValueError if a kick applies a force group that is fast, or one that may have bonded forces where
+        these are.
         """
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
@@ -216,6 +206,6 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
 def _refuse_unknown(frequency: float, settings: MultipleTimeSteps, what: str) -> None:
     if settings.steps is None and not frequency:
         raise ValueError(
-            f"the {what} have no bonds or harmonic angles that tell how fast they are: say how many inner steps a step "
-            "needs with innerSteps="
+            f"the {what} have no bonds or harmonic angles from which the fastest period follows: set the number of "
+            "inner steps per step with innerSteps="
         )

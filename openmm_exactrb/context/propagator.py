@@ -37,16 +37,9 @@ Array = NDArray[np.float64]
 
 
 class Clock:
-    """The number of steps and the time of a Context within a call: some forces depend on them.
+    """The number of steps and the time (ps) of a Context within a call: some forces depend on them.
 
     Time passes with the drifts. A force that depends on it keeps a scheme's order, as if time were a coordinate.
-
-    Attributes
-    ----------
-    number : int
-        Of the last step that was made.
-    time : float
-        After it, in ps.
     """
 
     def __init__(self, context: openmm.Context) -> None:
@@ -92,25 +85,7 @@ class Clock:
 
 
 class Propagator:
-    """Makes the steps of an integrator in a Context.
-
-    Parameters
-    ----------
-    context : openmm.Context
-    integrator : openmm.CustomIntegrator
-    rotor : Rotor
-    named : list of list of int or None
-        Bodies beside those that constraints make.
-    timings : Timings
-    fast : MultipleTimeSteps or None
-
-    Attributes
-    ----------
-    sync : Synchronisation
-    updates : ContextUpdates
-    environment : ContextEnvironment
-        Of the last binding.
-    """
+    """Makes the steps of an integrator in a Context; `named` are bodies beside those that constraints make."""
 
     def __init__(
         self,
@@ -135,24 +110,14 @@ class Propagator:
         self._processed, self._coordinates, self._h = False, 0.0, 0.0
         self._surroundings: object = None  # box and parameters at the end of the last call
         self.environment: ContextEnvironment
+        self._memory: Memory
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. Whatever happens, the Context is left at the last valid state.
 
-        Parameters
-        ----------
-        version : object
-            Of the settings: substeps are bound again if it differs from that of the last call.
-        settings : callable
-            settings() -> Settings
-        key : int
-            Of the random numbers.
-        n : int
-
-        Raises
-        ------
-        IntegrationError
-            If a step diverges. A processed scheme leaves the state before the call.
+        Substeps are bound to settings() again if the `version` of the settings differs from that of the last call;
+        `key` is that of the random numbers. IntegrationError if a step diverges: a processed scheme leaves the state
+        before the call.
         """
         changed = self.sync.pull()
         if self._processed and self._surroundings != self._present_surroundings():
@@ -196,7 +161,7 @@ class Propagator:
                 self._keep(state)
         if self._processed and n:
             self._keep(self._shown(state))
-            self.sync.keep(state, self._coordinates, self.environment.memory.copy())
+            self.sync.keep(state, self._coordinates, self._memory.copy())
 
     def _keep(self, state: State) -> None:
         """Take a state, and what belongs to it, for valid."""
@@ -213,13 +178,13 @@ class Propagator:
         inner = self.sync.inner_in(self._coordinates)
         if inner is None:
             return self._processed_from(self.sync.state)
-        self.environment.memory.restore(self.sync.memory)
+        self._memory.restore(self.sync.memory)
         return inner
 
     def _processed_from(self, state: State) -> State:
         """Return the inner state of a true one, whose positions are the present ones."""
         inner = self._positions.through(self._processor, state)
-        self.environment.memory.clear()
+        self._memory.clear()
         return inner
 
     def _true(self, inner: State) -> State:
@@ -228,17 +193,16 @@ class Propagator:
 
     def _shown(self, inner: State) -> State:
         """Return what is shown of an inner state: a copy, so that the error of the output does not accumulate."""
-        cheap = self._output and self.environment.memory.full
+        cheap = self._output and self._memory.full
         return self._copied(self._output if cheap else self._postprocessor, inner)
 
     def _copied(self, substeps: Bound, inner: State) -> State:
         """Return a copy of the inner state behind substeps, whose forces are not remembered."""
-        memory = self.environment.memory
-        memory.closed = True
+        self._memory.closed = True
         try:
             return self._positions.through(substeps, inner)
         finally:
-            memory.closed = False
+            self._memory.closed = False
 
     # -- what OpenMM does between steps --------------------------------------------------------------------------------
 
@@ -281,7 +245,7 @@ class Propagator:
         kinetic, slow = self._split(settings, forces, divergence)
         scheme, bodies = settings.scheme, sync.bodies
         self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
-        slow.memory = Memory(*scheme.memory)
+        slow.memory = self._memory = Memory(*scheme.memory)
         self.environment = environment = ContextEnvironment(
             bodies,
             np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),

@@ -18,7 +18,7 @@ Indices = NDArray[np.intp]
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10
 #: How much the distances of a body may be missed by, as a part of the largest: files round them.
-MISFIT = 1e-5
+RESIDUAL = 1e-5
 # Particles of a flat body some of whose distances are not constrained, and the least stress that keeps one flat.
 _LARGEST_FLAT, _RESISTING = 64, 1e-3
 # Iterations for positions on constraints, and the move at which they end, as a part of the longest constraint.
@@ -43,12 +43,8 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     """Return positions (n_particles, 3) that are moved as little as constraints want, in the metric of the masses.
 
     Newton's method from the positions that are given; those of bodies without constraints stay. Where constraints
-    follow from each other but for their rounding, they are missed by as little as can be, as least squares.
-
-    Raises
-    ------
-    ValueError
-        If positions are not finite, or the constraints cannot be reached from them.
+    follow from each other but for their rounding, they are missed by as little as can be, as least squares. ValueError
+    if positions are not finite, or the constraints cannot be reached from them.
     """
     X = positions[particles]
     if not np.isfinite(X).all():
@@ -69,7 +65,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
         if np.abs(move).max() <= _AT_REST * lengths.max():
             break
     missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1)
-    bad = ~(missed <= MISFIT * lengths.max())
+    bad = ~(missed <= RESIDUAL * lengths.max())
     if bad.any():
         names = ", ".join(map(str, particles[np.argmax(bad)]))
         raise ValueError(
@@ -90,8 +86,8 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
     attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)
-    misfit = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
-    if misfit[1:].max(initial=0.0) <= RIGIDITY:
+    residual = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
+    if residual[1:].max(initial=0.0) <= RIGIDITY:
         return [replace(kind, particles=particles)]
     each = [_with_shape_of(row[None], masses, x[None], positions) for row, x in zip(particles, X, strict=True)]
     together = [[one for one in each if one.linear == linear] for linear in (False, True)]
@@ -114,14 +110,9 @@ def _joined(kinds: list[Kind]) -> Kind:
 
 
 def held_rigid(distances: Array, x: Array) -> bool:
-    """Tell whether constraints leave a cluster no motion beside those of a rigid body.
+    """Return whether constraints leave a cluster at places x (k, 3) no motion beside those of a rigid body.
 
-    Parameters
-    ----------
-    distances : (k, k) array
-        Those that are constrained, and nan; no one is where a user named the body.
-    x : (k, 3) array
-        Places of the particles.
+    Of the distances (k, k) those that are constrained are numbers, the others nan: all are if a user named the body.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -181,11 +172,11 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     axes[:, :found] = vectors[:, ::-1][:, :found]
     spread[spread < _FLAT * spread[0]] = 0.0
     sites = axes * np.sqrt(spread) / root[:, None]
-    misfit = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
-    if misfit > MISFIT * distances.max() or not spread[0] > 0.0:
+    residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
+    if residual > RESIDUAL * distances.max() or not spread[0] > 0.0:
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
-            f"a distance is missed by {misfit:.2g} nm"
+            f"a distance is missed by {residual:.2g} nm"
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

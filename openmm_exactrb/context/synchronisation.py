@@ -34,21 +34,9 @@ _SMALL = 1e-8
 class Synchronisation:
     """The bodies of a Context and their state.
 
-    Holds no strong reference to the Context and its integrator, which own this.
-
-    Parameters
-    ----------
-    context : openmm.Context
-        With positions; `pull` reads them.
-    integrator : openmm.CustomIntegrator
-        Whose variables take the full state along in checkpoints and States.
-    named : sequence of sequences of int, optional
-        Particles of bodies beside those that constraints make.
-
-    Raises
-    ------
-    ValueError
-        If there are no positions, nothing can move, bodies cannot be served, or positions do not fit them.
+    Holds no strong reference to the Context and its integrator, which own this. The variables of the integrator take
+    the full state along in checkpoints and States. ValueError if there are no positions, nothing can move, bodies
+    cannot be served, or positions do not fit them.
 
     Attributes
     ----------

@@ -32,21 +32,10 @@ UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class ContextUpdates:
-    """What OpenMM does between steps in a Context.
+    """What OpenMM does between steps in a Context; ValueError if a barostat would tear bodies.
 
     A CMMotionRemover acts on velocities alone, and so on the inner state of a processed scheme as on the true one.
     Barostats and thermostats of the System act on the true state, by OpenMM itself.
-
-    Parameters
-    ----------
-    context : openmm.Context
-    named : sequence of sequences of int
-        Particles of bodies that a user named.
-
-    Raises
-    ------
-    ValueError
-        If a barostat would tear bodies.
 
     Attributes
     ----------
@@ -74,13 +63,7 @@ class ContextUpdates:
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
     def refuse_other_temperatures(self, context: openmm.Context, temperature: float) -> None:
-        """Refuse what would bring bodies to another temperature (K) than the integrator's thermostat.
-
-        Raises
-        ------
-        ValueError
-            If there is a thermostat in the System, or a barostat of another temperature.
-        """
+        """Refuse what would bring bodies to another temperature (K) than the integrator's thermostat; ValueError."""
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "

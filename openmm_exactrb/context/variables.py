@@ -44,7 +44,7 @@ OTHER_ENGINE = (
 #: What is said of a checkpoint in the variables of another format than its own.
 OTHER_FORMAT = (
     "the checkpoint or State that was loaded is of another kind of integrator, or of a thermostat with other variables "
-    "(a chain of another length, for example): make the integrator like the one that wrote it, or hand over positions "
+    "(a chain of another length, for example): make the integrator like the one that wrote it, or pass positions "
     "and velocities alone, with openmm_exactrb.loadState into a new Context"
 )
 
@@ -53,15 +53,9 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     """Give a new integrator its variables, and the program that lets OpenMM do its own part of a step.
 
     A copy that OpenMM makes, from XML or within a CompoundIntegrator, has no Python: its steps would let the clock run
-    while nothing moves. So positions and velocities become nan unless a step comes from Python.
-
-    Parameters
-    ----------
-    integrator : openmm.CustomIntegrator
-    own : sequence of str
-        Numbers of a thermostat that not all integrators have.
-    memory : int, optional
-        Of a processed scheme, which has an inner state too: how many forces it remembers.
+    while nothing moves. So positions and velocities become nan unless a step comes from Python. `own` are numbers of a
+    thermostat that not all integrators have. A processed scheme has an inner state too, and a `memory` of so many
+    forces.
     """
     stored = _PREFIX + _STORED
     for name in _VECTORS:
@@ -96,13 +90,7 @@ def marks(own: Sequence[str] = ()) -> tuple[float, float, float]:
 
 
 def refuse_others(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
-    """Refuse variables of another engine or format than that of the `known` marks.
-
-    Raises
-    ------
-    ValueError
-        If a checkpoint brought them.
-    """
+    """Refuse variables that a checkpoint of another engine or format than the `known` marks brought; ValueError."""
     stored = get(integrator, _STORED)
     if stored in known:
         return
@@ -137,12 +125,7 @@ def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
 
 
 class Numbers:
-    """Numbers that the substeps of a call change: what a step adds counts when the step is kept.
-
-    Parameters
-    ----------
-    names : sequence of str
-    """
+    """Numbers that the substeps of a call change: what a step adds counts when the step is kept."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names

@@ -21,7 +21,7 @@ from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.device import load, names
 from openmm_exactrb.device.gather import MOST
 from openmm_exactrb.device.noise import draws
-from openmm_exactrb.device.replicas import Replicas
+from openmm_exactrb.device.particle_copies import ParticleCopies
 from openmm_exactrb.device.rotor import RANGE
 from openmm_exactrb.device.selection import Selection
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained
@@ -58,7 +58,7 @@ class DevicePropagator:
     ) -> None:
         system = context.getSystem()
         selection.install_device(context, integrator, Synchronisation(context, integrator, named).bodies)
-        self.sync, self.updates = Replicas(context, integrator, named), ContextUpdates(context, named or [])
+        self.sync, self.updates = ParticleCopies(context, integrator, named), ContextUpdates(context, named or [])
         self._integrator, self._timings = weakref.ref(integrator), timings
         timings.evaluations += 1  # OpenMM makes its kernels where it evaluates an energy
         self._table, self._scheme = selection.table, selection.scheme

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State) -> None:
-    """Give every particle a replica of its body's state, whose low parts are dropped, and the body's constants."""
+    """Give every particle a copy of its body's state, whose low parts are dropped, and the body's constants."""
     values = {name: np.zeros((bodies.n_particles, 3)) for name in names.STATE + names.CONSTANTS + names.FORCES}
     for kind in bodies.kinds:
         for name, rows in _of_bodies(kind, bodies, state.rounded).items():

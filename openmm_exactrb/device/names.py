@@ -1,6 +1,6 @@
 """The names that the program, the gather forces and what loads them share. They are the format of XML and checkpoints.
 
-Every particle carries a replica of its body, so that nothing is looked up across particles.
+Every particle carries a copy of its body, so that nothing is looked up across particles.
 """
 
 from __future__ import annotations

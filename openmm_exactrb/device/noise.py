@@ -1,7 +1,7 @@
-"""A Langevin thermostat as per-DOF statements: friction and noise that are the same for all replicas of a body.
+"""A Langevin thermostat as per-DOF statements: friction and noise that are the same for all copies of a body.
 
-OpenMM's own random numbers differ from particle to particle. So every component of every replica has a generator, which
-began where that of the other replicas of the body did: then nothing has to be sent from one particle to the others. It
+OpenMM's own random numbers differ from particle to particle. So every component of every copy has a generator, which
+began where that of the other copies of the body did: then nothing has to be sent from one particle to the others. It
 is the sum of four generators by B. A. Wichmann and I. D. Hill, Comput. Stat. Data Anal. 51, 1614 (2006),
 doi:10.1016/j.csda.2006.05.019, of period 2^121; its products are below 2^47, so float64 has them exactly.
 """

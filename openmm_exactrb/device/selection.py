@@ -30,7 +30,8 @@ class Selection:
 
     With "auto" a rule decides: the device on a GPU, if all settings and the System are supported there, else the host.
     An integrator starts with the host's program, which costs nothing. The device's program needs to know the Context,
-    since it uses a force group that no force of the System is in.
+    since it uses a force group that no force of the System is in. ValueError if the engine is unknown, or "device" does
+    not support a setting.
 
     Attributes
     ----------
@@ -44,11 +45,6 @@ class Selection:
         Bits of the force groups that act, as the user set them.
     marks : tuple of float
         Values of an integrator's first variable if its program and its state are those of the selected engine.
-
-    Raises
-    ------
-    ValueError
-        If the engine is unknown, or engine="device" does not support a setting.
     """
 
     def __init__(

@@ -92,6 +92,7 @@ class RigidBodies:
         self.first_particle = np.concatenate([np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)])
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
         self.inertia = _moments(self._turning)
+        self._flexible = bool(len(self.clusters))
         self._single = self.first_particle[self.n_turning :]
         self._particles_of = kernels.load("bodies")
 
@@ -168,7 +169,7 @@ class RigidBodies:
 
     def tangent(self, state: BodyState) -> BodyState:
         """Return the state without those parts of the momenta that constraints do not allow."""
-        if not len(self.clusters):
+        if not self._flexible:
             return state
         x, p = (np.ascontiguousarray(a[None, :, self.clustered]) for a in (state.R, state.P))
         P = state.P.copy()

@@ -77,13 +77,8 @@ class ClusterKind:
             right,
         )
 
-    @cached_property
-    def coupling(self) -> Array:
-        """The matrix B_cd = sum_a s_ca s_da / m_a (m, m)."""
-        each = np.arange(len(self.pairs))
-        return self._coupling(each[:, None], each)
-
     def _coupling(self, c: Indices, d: Indices) -> Array:
+        """Return entries B_cd = sum_a s_ca s_da / m_a of the matrix of constraints, s the signs of their members."""
         (i, j), inverse = self.pairs.T, 1.0 / self.masses
         first = np.where(i[c] == i[d], 1.0, 0.0) - (i[c] == j[d])
         second = np.where(j[c] == j[d], 1.0, 0.0) - (j[c] == i[d])
@@ -111,7 +106,7 @@ class ClusterKind:
         return np.asarray(np.abs(apart - np.concatenate([self.lengths, self.implied_lengths])))
 
     def most_dependent(self, x: Array) -> tuple[Array, Indices]:
-        """Tell how independent the constraints are at places (N, n, 3), and which one depends on others the most.
+        """Return how independent the constraints are at places (N, n, 3), and which one depends on others the most.
 
         Independence (N,) is the smallest part of a constraint's gradient, squared, in the mass metric, that those
         before it in `graph` do not have, 0 where it follows from them; the constraint (N,) is its number there.

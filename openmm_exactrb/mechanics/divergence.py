@@ -44,15 +44,9 @@ class NonFiniteError(IntegrationError):
 class DivergenceCheck:
     """Looks at the states of a run: for numbers that are not finite, and for energy from nowhere.
 
-    Parameters
-    ----------
-    bodies : RigidBodies
-    potential : callable
-        potential(state) -> float, the potential energy in kJ/mol. It is evaluated only when momenta have grown much.
-    box : callable
-        box() -> the vectors (3, 3) of the periodic box in nm, or None.
-    conserves : bool
-        Whether energies are compared: forces conserve them for all that is known, and a user wants it.
+    potential(state) -> kJ/mol is evaluated only when momenta have grown much; box() -> the vectors (3, 3) of the
+    periodic box in nm, or None. Energies are compared if forces conserve them for all that is known, and a user wants
+    it.
     """
 
     def __init__(

@@ -15,25 +15,17 @@ def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, 
     """Find an order of elimination with little fill, and all products that the factorisation takes.
 
     Next is always one of those that are coupled to the fewest others; a chain of constraints, or any tree, then has no
-    fill at all. D. J. Rose, in Graph Theory and Computing (1972), 183.
-
-    Parameters
-    ----------
-    coupled : sequence of set of int
-        Of each row of a symmetric matrix, the columns beside the diagonal that are not zero.
+    fill at all. D. J. Rose, in Graph Theory and Computing (1972), 183. `coupled` are of each row of a symmetric matrix
+    the columns beside the diagonal that are not zero.
 
     Returns
     -------
     order : (m,) array
         Which row of the matrix is which row of the factor.
-    rows : (m + 1,) array
-        Where the entries of each row of the factor begin; its diagonal is the last one.
-    columns : (e,) array
-        Columns of the entries.
-    starts : (e + 1,) array
-        Where the products of each entry begin.
-    left, right : arrays
-        The entries of each product: entry e is A_e - sum left right, then divided by the diagonal of its column.
+    rows, columns : (m + 1,) and (e,) arrays
+        Where the entries of each row of the factor begin, its diagonal the last one, and their columns.
+    starts, left, right : (e + 1,) array, arrays
+        Where the products of each entry e begin, and their entries: (A_e - sum left right) / diagonal of the column.
     """
     order, below = _minimum_degree(coupled)
     rows, starts = [0], [0]

@@ -20,7 +20,7 @@ Indices = NDArray[np.intp]
 
 #: Positions further than this from a rigid body, in nm, are refused: they are of another molecule, or of two halves.
 REFUSED = 0.02
-#: Up to this distance, in nm, positions are put on the shape without a word.
+#: Up to this distance, in nm, positions are corrected without a warning.
 RIGIDITY = 1e-4
 # A body whose places about its centre changed by less than this, in nm, was shifted and not turned.
 _SHIFTED = 1e-9
@@ -61,7 +61,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
     A body that was only shifted keeps attitude and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
-    misfits = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
+    residuals = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
     for kind in bodies.kinds:
         of_kind, particles, sites = _chosen(kind, moved)
         X = x[particles]
@@ -73,10 +73,10 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             of_kind, relative, sites = of_kind[changed], relative[changed], _some(sites, changed)
             pushed = np.union1d(pushed, of_kind)
             q[:, of_kind] = best_attitudes(kind.masses, sites, relative)
-            misfit = relative - turned(_attitudes(q, of_kind), sites)
-            misfits.append((of_kind, np.sqrt((misfit**2).sum(axis=2).max(axis=1, initial=0.0))))
-    misfits.append(_missed(bodies, R, moved))
-    _judge(bodies, x, *map(np.concatenate, zip(*misfits, strict=True)))
+            residual = relative - turned(_attitudes(q, of_kind), sites)
+            residuals.append((of_kind, np.sqrt((residual**2).sum(axis=2).max(axis=1, initial=0.0))))
+    residuals.append(_missed(bodies, R, moved))
+    _judge(bodies, x, *map(np.concatenate, zip(*residuals, strict=True)))
     for kind in bodies.kinds:
         of_kind, particles, sites = _chosen(kind, pushed)
         V = v[particles]

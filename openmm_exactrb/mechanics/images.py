@@ -27,22 +27,11 @@ def rejoined(x: Array, bodies: RigidBodies, box: Array) -> Array:
 
 
 def joined(x: Array, particles: Indices, box: Array, distances: Array | None = None) -> Array:
-    """Return positions with the particles of each body in one image; the same array where they already are.
+    """Return positions with the particles (n, k) of each body in one image of a box; the same array if they are.
 
-    Bodies whose particles are at their distances are left alone. In others, from the first particle on, the one that is
-    nearest to those that have their place takes the image nearest to them: bodies may be longer than half the box, if
-    no gap in them is.
-
-    Parameters
-    ----------
-    x : (n_particles, 3) array
-        In nm.
-    particles : (n, k) array
-        Of each of the n bodies.
-    box : (3, 3) array
-        Vectors of the periodic box in nm, one a row.
-    distances : (1, k, k) or (n, k, k) array, optional
-        Of the particles in the bodies, in nm; nan where nobody knows.
+    Bodies whose particles are at their distances, (1, k, k) or (n, k, k), are left alone; nan where nobody knows. In
+    others, from the first particle on, the one that is nearest to those that have their place takes the image nearest
+    to them: bodies may be longer than half the box, if no gap in them is.
     """
     X = x[particles]
     extent = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1)

@@ -1,4 +1,4 @@
-"""A minimum of the potential energy: rigid bodies stay rigid, clusters keep their constraints."""
+"""A minimum of the potential energy of rigid bodies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.chart import Chart, OutOfReachError
 from openmm_exactrb.mechanics.divergence import NonFiniteError
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
@@ -20,9 +19,8 @@ from openmm_exactrb.quaternions import exponential, multiply
 
 Array = NDArray[np.float64]
 
-# Coordinates of Systems with clusters are in this unit (nm) at first, which the first trial step of a search is long;
-# in the last one, a step that still leaves the chart is an error.
-_FIRST, _LEAST = 1e-2, 1e-6
+# The unit (nm) of the last search's coordinates, which its first trial step is long.
+_LEAST = 1e-6
 # What single precision leaves of an energy: less is no gain.
 _GAINED = 1e-7
 
@@ -54,58 +52,32 @@ def minimised(
     """Return the bodies at a minimum of their potential energy, with the momenta of the start.
 
     Coordinates are displacements and turns exp(theta) of each body from where it starts, turns in units of its radius
-    of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. Atoms of clusters have the
-    coordinates of a `Chart`. Where a search leaves it, or ends above the tolerance, which one does that met the huge
-    forces of an overlap, another one starts at the best place that was found.
-
-    Parameters
-    ----------
-    bodies, start, landscape
-    tolerance : float
-        The largest component of a force, and of a torque over the radius of gyration, that may be left, in kJ/mol/nm.
-    iterations : int
-        At most as many, of all searches; 0 for as many as it takes.
-    box : (3, 3) array, optional
-        Vectors of the periodic box in nm, if there is one.
-
-    Raises
-    ------
-    NonFiniteError
-        If the energy or a force at the start is not finite.
-    OutOfReachError
-        If the constraints of clusters cannot be followed any longer.
-
-    Warns
-    -----
-    MinimisationWarning
-        If no search gets below the tolerance, and the iterations are not used up.
+    of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. Where a search ends above
+    the tolerance, which one does that met the huge forces of an overlap, another one starts at the best place that was
+    found. The tolerance, in kJ/mol/nm, is the largest component of a force, and of a torque over the radius of
+    gyration, that may be left. All searches have at most so many iterations; 0 for as many as it takes. NonFiniteError
+    if the energy or a force at the start is not finite; MinimisationWarning if no search gets below the tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
         closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""
         raise NonFiniteError(f"the energy or a force at the start of the minimisation is not finite{closest}")
-    search, reach = _Search(start), _FIRST if len(bodies.clusters) else 1.0
+    search, reach = _Search(start), 1.0
     while True:
-        before, last = search.energy, reach < 10.0 * _LEAST
-        try:
-            state, force = _searched(bodies, search, landscape, tolerance, iterations, reach)
-        except OutOfReachError:
-            gained = before < math.inf and search.energy < before - _GAINED * abs(before)
-            if last and not gained:
-                raise
-        else:
-            if force <= tolerance or 0 < iterations <= search.iterations:
-                return state
-            gained = before == math.inf or search.energy < before - _GAINED * abs(before)
-            if last and not gained:
-                warnings.warn(
-                    f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of "
-                    f"{tolerance:.3g}, where the energy does not fall any more: take a larger tolerance, or forces in "
-                    "double precision",
-                    MinimisationWarning,
-                    stacklevel=2,
-                )
-                return search.state
-        reach *= 1.0 if gained else 0.1
+        before = search.energy
+        state, force = _searched(bodies, search, landscape, tolerance, iterations, reach)
+        if force <= tolerance or 0 < iterations <= search.iterations:
+            return state
+        if before < math.inf and not search.energy < before - _GAINED * abs(before):
+            if reach < 10.0 * _LEAST:
+                break
+            reach *= 0.1
+    warnings.warn(
+        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, where "
+        "the energy does not fall any more: take a larger tolerance, or forces in double precision",
+        MinimisationWarning,
+        stacklevel=2,
+    )
+    return search.state
 
 
 def _searched(
@@ -116,14 +88,10 @@ def _searched(
     iterations: int,
     unit: float,
 ) -> tuple[BodyState, float]:
-    """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there.
-
-    OutOfReachError if the search leaves the chart of the clusters.
-    """
+    """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there."""
     from scipy.optimize import minimize  # here, for a short import of the package
 
     start = search.state
-    chart = Chart(bodies.clusters, start.R[:, bodies.clustered])
     n, k = len(bodies), bodies.n_turning
     radius = np.sqrt(np.broadcast_to(bodies.inertia.mean(axis=1), (k,)) / bodies.mass[:k])
 
@@ -132,16 +100,13 @@ def _searched(
 
     def placed(x: Array) -> BodyState:
         shift, turn = split(x)
-        R = start.R + shift
-        R[:, bodies.clustered] = chart.placed(shift[:, bodies.clustered])
-        return start._replace(R=R, q=multiply(start.q, exponential(turn)))
+        return start._replace(R=start.R + shift, q=multiply(start.q, exponential(turn)))
 
     def value(x: Array) -> tuple[float, Array]:
         state = placed(x)
         energy, force, torque = landscape(state)
         if energy < search.energy:
             search.energy, search.state = energy, state
-        force[:, bodies.clustered] = chart.slope(state.R[:, bodies.clustered], force[:, bodies.clustered])
         slope = _along_turns(split(x)[1], torque) / radius
         return energy, -unit * np.concatenate([force.ravel(), slope.ravel()])
 

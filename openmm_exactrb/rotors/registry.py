@@ -105,7 +105,7 @@ def look_up(rotor: str | Rotor) -> Rotor:
     if isinstance(rotor, Rotor):
         return rotor
     if not isinstance(rotor, str) or rotor not in ROTORS:
-        raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}, or hand over a Rotor")
+        raise ValueError(f"unknown rotor {rotor!r}: choose one of {', '.join(ROTORS)}, or pass a Rotor")
     return ROTORS[rotor]
 
 

@@ -57,7 +57,7 @@ def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
     given.pop("checkDivergence")  # which changes no bits
     settings = {name: setting_text(value) for name, value in given.items()}
     settings["engine"] = integrator.getEngine()
-    if integrator.hasNamedBodies():
+    if integrator.getNamedBodies() is not None:
         bodies, _ = integrator.bodyState()
         settings["shapes"] = digest(b"".join(kind.sites.tobytes() for kind in bodies.kinds))
     return settings

@@ -108,7 +108,7 @@ TAKAHASHI_IMADA_PAIR = replace(
 )
 
 #: By the number of forces per step, with those at displaced places. The tables of Schäfers and others are for kicks by
-#: forces at displaced places: e = 2 c/b in their letters.
+#: forces at displaced places: e = 2 c/b in their notation.
 FORCE_GRADIENT = (
     TAKAHASHI_IMADA,
     force_gradient("Chin4A", "BACAB", order=4, b=(1.0 / 6.0,), e=(1.0 / 24.0,), reference=_CHIN),

@@ -75,7 +75,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and rotational temperatures, means of before and after the last heat exchange.
 
-        With "BAOAB" and "ABOBA" the thermostat stands in the middle of a step, where momenta are nearer to canonical
+        With "BAOAB" and "ABOBA" the thermostat is in the middle of a step, where momenta are nearer to canonical
         than at its end: there `temperatures`, like the velocities of the Context, is biased.
 
         Raises
@@ -85,7 +85,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """
         propagator = self._up_to_date()
         if isinstance(propagator, DevicePropagator):
-            raise ValueError("on the device nobody looks at momenta within a step: take engine='host' for that")
+            raise ValueError("momenta within a step are not available on the device: use engine='host'")
         around = None if self._left is None else propagator.environment.around
         if around is None or self._left is not propagator.sync.state:
             raise ValueError("there is no heat exchange to take temperatures around: make a step first")
@@ -101,6 +101,6 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self._changed()
 
     def _arguments(self) -> dict[str, Any]:
-        arguments = super()._arguments() | {"temperature": self._thermostat.temperature}
-        arguments.pop("thermostat")
-        return arguments
+        arguments = super()._arguments()
+        del arguments["thermostat"]
+        return {**arguments, **self._thermostat.settings()}

@@ -8,9 +8,8 @@ distribution is right at any step. The splitting must be symmetric in time and k
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, TypeVar, Unpack
+from typing import Any, ClassVar, NamedTuple, Unpack
 
 from openmm import unit
 
@@ -26,8 +25,6 @@ from openmm_exactrb.substeps import Substep
 from openmm_exactrb.thermostats.face import Options
 from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
 
-_S = TypeVar("_S")
-
 
 class Tally(NamedTuple):
     """How many proposals there were, and how many were taken."""
@@ -40,48 +37,13 @@ class Tally(NamedTuple):
         """The part that was taken; nan before the first."""
         return self.accepted / self.proposed if self.proposed else math.nan
 
-    def with_one(self, accepted: bool) -> Tally:
-        """Return the tally with one more proposal."""
-        return Tally(self.accepted + accepted, self.proposed + 1)
-
 
 def accepts(rise: float, kT: float, u: float) -> bool:
-    """Return whether Metropolis takes a proposal.
+    """Return whether Metropolis's rule takes a proposal that raises the total energy so much; u is uniform on (0, 1).
 
-    Parameters
-    ----------
-    rise : float
-        Total energy of the proposal less that of the state before. One that is not a number is refused.
-    kT : float
-        Above zero.
-    u : float
-        A number of (0, 1).
+    A rise that is not a number is refused.
     """
     return bool(rise <= 0.0 or u < math.exp(-rise / kT))
-
-
-def decided(
-    old: _S, new: _S, rise: float, kT: float, u: float, tally: Tally, flipped: Callable[[_S], _S]
-) -> tuple[_S, Tally]:
-    """Return the proposal, or the state before with its momenta turned round, and the tally.
-
-    Parameters
-    ----------
-    old, new : state
-        Before and after the splitting.
-    rise, kT, u : float
-        See `accepts`.
-    tally : Tally
-    flipped : callable
-        flipped(state) -> the state with all momenta, linear and angular, of the opposite sign.
-    """
-    taken = accepts(rise, kT, u)
-    return new if taken else flipped(old), tally.with_one(taken)
-
-
-def flipped(state: State) -> State:
-    """Return a state with all momenta of the opposite sign."""
-    return state._replace(P=-state.P, m=-state.m)
 
 
 @dataclass(frozen=True)
@@ -123,12 +85,13 @@ class Metropolis(Substep):
         def flow(state: State, tau: float) -> State:
             new, rise = proposed(state, tau)
             u = Instant(environment.key, clock.number, 0).uniform(Purpose.METROPOLIS)
-            chosen, tally = decided(state, new, rise, kT, u, Tally(), flipped)
-            numbers.present[variables.ACCEPTED] += tally.accepted
-            numbers.present[variables.PROPOSED] += tally.proposed
-            if not tally.accepted:
-                environment.positions.version += 1
-            return chosen
+            accepted = accepts(rise, kT, u)
+            numbers.present[variables.ACCEPTED] += accepted
+            numbers.present[variables.PROPOSED] += 1
+            if accepted:
+                return new
+            environment.positions.version += 1
+            return state._replace(P=-state.P, m=-state.m)
 
         return flow
 
@@ -165,10 +128,6 @@ class HybridMonteCarlo(Langevin):
         """Return the proposal."""
         return thermostatted.proposal(scheme, self.stepsPerProposal), self.stepsPerProposal
 
-    def settings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run."""
-        return {**super().settings(), "steps a proposal": self.stepsPerProposal}
-
 
 class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     """Exact sampling: the splitting proposes, Metropolis decides, momenta turn round where the answer is no.
@@ -179,10 +138,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     Parameters
     ----------
-    temperature : float or Quantity
-        In K if it has no unit; above zero.
-    frictionCoeff : float or Quantity
-        What the thermostat renews of the momenta between proposals, as friction in 1/ps if it has no unit.
+    temperature, frictionCoeff
+        As in `ExactRigidBodyLangevinIntegrator`; the temperature is above zero.
     stepSize : float or Quantity, optional
         Time of a proposal, in ps if it has no unit. Give it or ``forceInterval``.
     scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
@@ -239,6 +196,3 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         """Count from zero again."""
         for name in (variables.ACCEPTED, variables.PROPOSED):
             variables.put(self, name, 0.0)
-
-    def _arguments(self) -> dict[str, Any]:
-        return super()._arguments() | {"stepsPerProposal": self._thermostat.stepsPerProposal}

@@ -23,7 +23,7 @@ from openmm_exactrb.device import names
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 
@@ -67,15 +67,6 @@ class Langevin(Thermostat):
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)
         return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *self.frictions)
 
-    def steps(self, scheme: Scheme) -> Scheme:
-        """Return a scheme with half of the flow before and half after each step, unless it has it within."""
-        return thermostatted.with_thermostat(scheme)
-
-    def settings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run."""
-        friction, rotational = self.frictions
-        return {**super().settings(), "friction": friction, "rotational friction": rotational}
-
     def device_numbers(self) -> Mapping[str, float]:
         """Return what a program on a device is told."""
         numbers = gas_constant_times(self.temperature), *self.frictions
@@ -102,17 +93,7 @@ def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, 
     kT : float
         Boltzmann's constant times temperature, in the unit of energy.
     friction, rotational_friction : float
-        In the unit of 1/time. Where it is 0 the momenta are returned as they came.
-
-    Returns
-    -------
-    exchange : callable
-        exchange(P, m, tau, at) -> (P, m). It raises ValueError if tau is negative and there is friction.
-
-    Raises
-    ------
-    ValueError
-        If kT or a friction is negative or not finite.
+        In the unit of 1/time. Where it is 0 the momenta are returned as they came; else time must not run back.
     """
     kT = not_negative(kT, "kT")
     g_P, g_m = not_negative(friction, "friction"), not_negative(rotational_friction, "rotational friction")
@@ -215,8 +196,5 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         self._change(rotationalFriction=coeff)
 
     def _arguments(self) -> dict[str, Any]:
-        of_thermostat = {
-            "frictionCoeff": self._thermostat.friction,
-            "rotationalFriction": self._thermostat.rotationalFriction,
-        }
-        return super()._arguments() | of_thermostat
+        arguments = super()._arguments()
+        return arguments | {"frictionCoeff": arguments.pop("friction")}

@@ -14,7 +14,7 @@ from openmm_exactrb.thermostats.face import ThermostattedIntegrator
 
 
 class CanonicalMomenta:
-    """Draw all momenta anew at intervals: a run that samples the canonical ensemble.
+    """Draw all momenta again at intervals: a run that samples the canonical ensemble.
 
     Between two draws the run is at constant energy. It is Andersen's thermostat that strikes all bodies at once
     (J. Chem. Phys. 72, 2380 (1980)): static averages are canonical up to the error of the scheme, time correlations
@@ -32,7 +32,7 @@ class CanonicalMomenta:
     ------
     ValueError
         If the temperature is negative or not finite, or interval or seed are no whole numbers; at the first step, if
-        the integrator is none of this package or has a bath of its own.
+        the integrator is none of this package or has a thermostat of its own.
 
     Notes
     -----

@@ -25,7 +25,7 @@ from openmm_exactrb.context.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, reciprocal, scaled
@@ -38,7 +38,7 @@ _SUZUKI = 1.0 / (4.0 - 4.0 ** (1.0 / 3.0))
 _SIXTH = (0.78451361047755726382, 0.23557321335935813368, -1.17767998417887100695)
 #: Substeps of the chain by their number, of order 2, 4, 4 and 6: H. Yoshida (1990), doi:10.1016/0375-9601(90)90092-3,
 #: and M. Suzuki (1990), doi:10.1016/0375-9601(90)90962-N. The cubes of those of order 4 add up to zero. OpenMM, GROMACS
-#: and others have 2^(-1/3) and 4^(-1/3) in place of 2^(1/3) and 4^(1/3) under 3 and 5: with these, 0.829 and 0.297, the
+#: and others have 2^(-1/3) and 4^(-1/3) instead of 2^(1/3) and 4^(1/3) under 3 and 5: with these, 0.829 and 0.297, the
 #: cubes add up to 0.85 and 0.098, and the order is 2.
 WEIGHTS: Mapping[int, tuple[float, ...]] = {
     1: (1.0,),
@@ -130,22 +130,8 @@ class NoseHooverChain(Thermostat):
         """Return the number that multiplies momenta over a time (ps), and the chain behind it.
 
         The order of the substeps is the same from its end, so that the time -tau leads back. Volume changes as in the
-        equations of motion, by what the coordinates moved: the measure of the extended phase space is kept exactly.
-
-        Parameters
-        ----------
-        chain : (2, chainLength) array
-            Coordinates, and velocities in 1/ps.
-        kinetic : float
-            Kinetic energy of the momenta in kJ/mol.
-        freedom : int
-            Their degrees of freedom. Without any nothing happens.
-        tau : float
-
-        Raises
-        ------
-        IntegrationError
-            If the chain diverges.
+        equations of motion, by what the coordinates moved: the measure of the extended phase space is kept exactly. A
+        chain (2, chainLength) has coordinates, and velocities in 1/ps. Without degrees of freedom nothing happens.
         """
         if not freedom:
             return 1.0, chain
@@ -194,12 +180,7 @@ class NoseHooverChain(Thermostat):
     def energy(self, values: Mapping[str, float], freedoms: tuple[int, int]) -> float:
         """Return the energy (kJ/mol) of the chains, which with that of the bodies is conserved.
 
-        Parameters
-        ----------
-        values : mapping
-            The `own_numbers`.
-        freedoms : (int, int)
-            Degrees of freedom of translation and of rotation.
+        It is that of the values of `own_numbers`, for the degrees of freedom of translation and of rotation.
         """
         kT, total = self._kT, 0.0
         for chain, freedom in enumerate([sum(freedoms)] if self.together else freedoms):
@@ -208,40 +189,16 @@ class NoseHooverChain(Thermostat):
                 total += 0.5 * float(self.masses(freedom) @ (v * v)) + kT * float(freedom * x[0] + x[1:].sum())
         return total
 
-    def steps(self, scheme: Scheme) -> Scheme:
-        """Return a scheme with half of the flow before and half after each step, unless it has it within."""
-        return thermostatted.with_thermostat(scheme)
-
-    def settings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run."""
-        names = "collisionFrequency", "chainLength", "numMTS", "numYoshidaSuzuki", "together"
-        return {**super().settings(), **{name: getattr(self, name) for name in names}}
-
 
 class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     """Rigid-body dynamics at constant temperature without random numbers: Nosé-Hoover chains.
 
     Parameters
     ----------
-    temperature : float or Quantity
-        In K if it has no unit; above zero.
-    collisionFrequency : float or Quantity
-        Of the chain, in 1/ps if it has no unit; above zero.
-    stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
-    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
+        As in `NoseHooverChain`; the three numbers are those of OpenMM's NoseHooverIntegrator.
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
-    chainLength, numMTS, numYoshidaSuzuki : int, optional
-        As in OpenMM's NoseHooverIntegrator: links of the chain, repetitions of a substep of it, and 1, 3, 5 or 7
-        substeps.
-    together : bool, optional
-        Whether translation and rotation have one chain; if not, each has its own.
-
-    Raises
-    ------
-    ValueError
-        If temperature or frequency are not above zero, a number of the chain is none of those above, or scheme, rotor
-        or step size do not fit.
 
     Notes
     -----
@@ -284,7 +241,3 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}
         return self.totalEnergy() + self._thermostat.energy(values, freedoms) * unit.kilojoule_per_mole
-
-    def _arguments(self) -> dict[str, Any]:
-        names = "collisionFrequency", "chainLength", "numMTS", "numYoshidaSuzuki", "together"
-        return super()._arguments() | {name: getattr(self._thermostat, name) for name in names}

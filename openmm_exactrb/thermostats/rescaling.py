@@ -7,7 +7,7 @@ from the exact law of the kinetic energy a time tau later.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Unpack
 
@@ -21,7 +21,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.rotors import Rotor
-from openmm_exactrb.schemes import Scheme, thermostatted
+from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 
@@ -71,14 +71,6 @@ class StochasticRescaling(Thermostat):
 
         return exchange
 
-    def steps(self, scheme: Scheme) -> Scheme:
-        """Return a scheme with half of the flow before and half after each step, unless it has it within."""
-        return thermostatted.with_thermostat(scheme)
-
-    def settings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run."""
-        return {**super().settings(), "relaxation time": self.relaxationTime, "together": self.together}
-
 
 def rescaling(
     mass: Array,
@@ -88,10 +80,10 @@ def rescaling(
     freedom: tuple[int, int],
     together: bool = True,
 ) -> Rescaling:
-    """Prepare the exact flow of stochastic velocity rescaling.
+    """Prepare the exact flow of stochastic velocity rescaling: rescale(P, m, tau, at) -> (P, m, heat).
 
     The total energy less the sum of all heat is the paper's effective energy: it is as constant as the total energy of
-    the splitting without a thermostat.
+    the splitting without a thermostat. Momenta that are all zero have no direction and stay.
 
     Parameters
     ----------
@@ -106,17 +98,6 @@ def rescaling(
         Translational and rotational degrees of freedom. Where the total momentum is kept at zero they are three fewer.
     together : bool, optional
         Whether one number multiplies all momenta; if not, translation and rotation get one each.
-
-    Returns
-    -------
-    rescale : callable
-        rescale(P, m, tau, at) -> (P, m, heat). Momenta that are all zero have no direction and stay. It raises
-        ValueError if tau is negative.
-
-    Raises
-    ------
-    ValueError
-        If kT is negative, time not positive, or a number of degrees of freedom negative.
     """
     kT, time = not_negative(kT, "kT"), positive(time, "the relaxation time")
     of_P, of_m = (whole(f, "a number of degrees of freedom", 0) for f in freedom)
@@ -150,24 +131,13 @@ def kinetic_energy(x: Array, rate: Array) -> float:
 
 
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
-    """Return the number that multiplies the momenta: the paper's appendix.
+    """Return the number that multiplies momenta of a kinetic energy: the paper's appendix.
 
     In units where kT is one the momenta are a vector of length r, whose every component relaxes as
     `openmm_exactrb.thermostats.langevin` has it. The component along the vector is r before, the others are zero: the
-    number is the vector's length afterwards, over r. Its sign is that of the first component: G. Bussi and
-    M. Parrinello (2008), doi:10.1016/j.cpc.2008.01.006.
-
-    Parameters
-    ----------
-    kinetic : float
-        Kinetic energy before, above zero.
-    kT : float
-    elapsed : float
-        Time over relaxation time of the kinetic energy.
-    along : float
-        A standard normal.
-    across : float
-        Sum of the squares of as many normals as there are other degrees of freedom.
+    number is the vector's length afterwards, over r. Its sign is that of the first component: G. Bussi and M.
+    Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` a standard
+    normal, and `across` the sum of the squares of as many normals as there are other degrees of freedom.
     """
     noise = -math.expm1(-elapsed) * kT / (2.0 * kinetic)
     first = math.exp(-0.5 * elapsed) + math.sqrt(noise) * along
@@ -192,22 +162,10 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
 
     Parameters
     ----------
-    temperature : float or Quantity
-        In K if it has no unit.
-    relaxationTime : float or Quantity
-        Of the kinetic energy, in ps if it has no unit.
-    stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
-    scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    temperature, relaxationTime, together
+        As in `StochasticRescaling`.
+    stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
-    together : bool, optional
-        Whether one number multiplies all momenta; if not, translation and rotation get one each.
-
-    Raises
-    ------
-    ValueError
-        If the temperature is negative, the relaxation time not positive, one of them not finite, ``together`` no truth
-        value, or scheme, rotor or step size do not fit.
 
     Notes
     -----
@@ -256,7 +214,3 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         changes it too.
         """
         return self.totalEnergy() - self.heat()
-
-    def _arguments(self) -> dict[str, Any]:
-        of_thermostat = {"relaxationTime": self._thermostat.relaxationTime, "together": self._thermostat.together}
-        return super()._arguments() | of_thermostat

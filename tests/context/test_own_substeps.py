@@ -91,7 +91,7 @@ def test_what_is_neither_a_name_nor_an_object_is_refused():
     for scheme in ((), (DRIFT, 1.0)):
         with pytest.raises(ValueError, match=r"a scheme is one of V2.* or a Scheme"):
             rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
-    with pytest.raises(ValueError, match="hand over a Rotor"):
+    with pytest.raises(ValueError, match="pass a Rotor"):
         rb.ExactRigidBodyIntegrator(0.01, rotor=turning_about_fixed_axes)
 
 

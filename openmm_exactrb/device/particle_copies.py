@@ -1,4 +1,4 @@
-"""The bodies of a Context whose state lives on the device, in replicas on all of their particles."""
+"""The bodies of a Context whose state lives on the device, in copies on all of their particles."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from openmm_exactrb.mechanics.state import State
 Array = NDArray[np.float64]
 
 
-class Replicas(Synchronisation):
+class ParticleCopies(Synchronisation):
     """A `Synchronisation` that reads the state only when it is asked for, since the device does not need it."""
 
     #: Whether the device has moved on since `state` was read.
     behind = False
-    _replicated: State | None = None  # the state that the replicas hold
+    _copied: State | None = None  # the state that the copies hold
 
     def pull(self) -> bool:
-        """Bring the state up to date, and the replicas where something was set in the Context."""
+        """Bring the state up to date, and the copies where something was set in the Context."""
         if self.behind:
             self._seen = None
         changed = super().pull()
         self.behind = False
-        if self.state is not self._replicated:
+        if self.state is not self._copied:
             self.push()
         return changed
 
     def settle(self) -> tuple[Array, Array]:
-        """Bring the replicas up to date with the Context; return its positions (nm) and velocities (nm/ps)."""
+        """Bring the copies up to date with the Context; return its positions (nm) and velocities (nm/ps)."""
         if self._seen is None or not all(map(np.array_equal, self._seen, self.held())):
             self.pull()
-        elif not self.behind and self.state is not self._replicated:
+        elif not self.behind and self.state is not self._copied:
             self.push()
         return self.shown
 
@@ -50,14 +50,14 @@ class Replicas(Synchronisation):
 
     def lose(self) -> None:
         """Forget the state: the next one comes from positions and velocities of the Context."""
-        self._seen, self._replicated = None, None
+        self._seen, self._copied = None, None
 
     def refuse_others(self) -> None:
         """Refuse variables that another kind of integrator wrote; ValueError."""
         load.refuse_others(self._integrator())
 
     def saved(self, x: Array, v: Array) -> State | None:
-        """Return the state that the replicas hold, in the periodic images of positions x, if it may be another one."""
+        """Return the state that the copies hold, in the periodic images of positions x, if it may be another one."""
         if self._seen is not None and all(map(np.array_equal, self._seen, (x, v))):
             return None
         known, box = load.read(self._integrator(), self.bodies), self.box()
@@ -67,19 +67,19 @@ class Replicas(Synchronisation):
             shifts = np.rint(apart @ np.linalg.inv(box)) @ box
             if shifts.any():
                 known = known.renewed(state._replace(R=state.R + shifts.T))
-        self._replicated = known
+        self._copied = known
         return known
 
     def _read_inner(self) -> None:
         """Leave an inner state where it is: in the program."""
 
     def push(self) -> None:
-        """Write the state into the Context, and to the replicas."""
+        """Write the state into the Context, and to the copies."""
         load.write(self._integrator(), self.bodies, self.state)
-        self._replicated, self.behind = self.state, False
+        self._copied, self.behind = self.state, False
         super().push()
 
     def _write(self) -> None:
-        """Do nothing: the replicas have the state."""
+        """Do nothing: the copies have the state."""
 
     _unmark = _write

@@ -1,0 +1,72 @@
+"""How many files of the package, and calls beside the substeps, a step of a running simulation passes."""
+
+import sys
+from pathlib import Path
+
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from openmm_exactrb import kernels
+from peptides import peptide
+
+PACKAGE = str(Path(rb.__file__).parent)
+
+
+def trace(integrator):
+    """Return the files that a step enters, and the number of calls outside its substeps."""
+    files, within, outside = set(), 0, 0
+
+    def noticed(frame, event, arg):
+        nonlocal within, outside
+        if not frame.f_code.co_filename.startswith(PACKAGE):
+            return
+        in_substeps = frame.f_code.co_name == "through"
+        if event == "call":
+            within += in_substeps
+            outside += not within
+            files.add(frame.f_code.co_filename)
+        elif event == "return":
+            within -= in_substeps
+
+    sys.setprofile(noticed)
+    try:
+        integrator.step(1)
+    finally:
+        sys.setprofile(None)
+    return files, outside
+
+
+@pytest.mark.parametrize("which", ["numpy", "numba"])
+@pytest.mark.parametrize(
+    ("make", "most"),
+    [
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options), 18),
+        (lambda **options: rb.ExactRigidBodyIntegrator(0.0005, **options), 18),
+        (lambda **options: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", **options), 22),
+    ],
+    ids=["S2_2", "default", "Langevin"],
+)
+def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
+    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
+    _, system, positions = rb.rigid_water(2)
+    integrator = make()
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.step(5)
+    files, outside = trace(integrator)
+    assert len(files) <= most, sorted(files)
+    assert outside <= 143
+
+
+@pytest.mark.parametrize(("options", "most"), [({"fast": None}, 18), ({"fast": "bonded"}, 24)], ids=["plain", "nested"])
+def test_a_step_of_a_peptide_passes_few_files(options, most):
+    pytest.importorskip("numba")
+    _, system, positions = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.step(5)
+    files, outside = trace(integrator)
+    assert len(files) <= most, sorted(files)
+    assert outside <= 143
