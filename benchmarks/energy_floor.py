@@ -25,15 +25,15 @@ from openmm_exactrb import ensemble
 VERLET, INTERVAL, SAMPLED, TEMPERATURE = "Verlet", 0.002, 0.1, 300.0  # ps, ps, K
 SETTINGS = {
     "defaults": {},
-    "a switch": {"switchDistance": 0.8},
+    "a switch": {"switchDistance": 0.75},
     "tolerance 1e-5": {"ewaldErrorTolerance": 1e-5},
-    "both": {"switchDistance": 0.8, "ewaldErrorTolerance": 1e-5},
+    "both": {"switchDistance": 0.75, "ewaldErrorTolerance": 1e-5},
 }
 
 
 def context_of(molecules: int, setting: str, integrator: openmm.Integrator) -> tuple[openmm.Context, list]:
     """Return a Context that gives the same numbers at every run, and positions."""
-    options = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.9} | SETTINGS[setting]
+    options = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85} | SETTINGS[setting]
     _, system, positions = rb.rigid_water(molecules, **options)
     threads = {"Threads": "1", "DeterministicForces": "true"}
     return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), threads), positions
@@ -92,7 +92,7 @@ def costs(molecules: int, rounds: int) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--molecules", type=int, default=343)
+    add("--molecules", type=int, default=216)
     add("--picoseconds", type=float, default=10.0, help="length of a run (%(default)s)")
     add("--seeds", type=int, nargs="+", default=[1])
     add("--rounds", type=int, default=7, help="of timing (%(default)s)")

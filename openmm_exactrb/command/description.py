@@ -21,6 +21,7 @@ from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.tuning.floor import causes
 
 _WATER = 18.015  # amu
 # The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
@@ -53,7 +54,15 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
+    yield from _floor(system)
     yield from _refusals(system, positions)
+
+
+def _floor(system: openmm.System) -> Iterator[str]:
+    """Yield what limits the energy error of every integrator."""
+    yield from (f"limits the energy error whatever the integrator is: {cause}" for cause in causes(system))
+    if any(causes(system)):
+        yield "exactrb tune measures that limit; what the remedies cost: Why is my energy error not smaller? (docs)"
 
 
 class _Names:

@@ -13,6 +13,7 @@ from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, Benchmark, Method, schemes_named
+from openmm_exactrb.tuning.floor import causes
 from openmm_exactrb.tuning.initial_state import initial_state, thermalised
 from openmm_exactrb.tuning.measurements import Measurements, Point
 from openmm_exactrb.tuning.result import Choice, Tuning
@@ -159,6 +160,7 @@ def _result(
         target=target,
         chosen=chosen,
         floor=floor,
+        causes=tuple(causes(state.system)),
         notes=tuple(notes),
         bodies=state.bodies,
         schemes=own,

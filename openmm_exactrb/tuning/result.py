@@ -93,6 +93,8 @@ class Tuning:
     chosen: Choice | None = None
     #: Error due to the noise of the forces, in kJ/mol per body: smaller steps do not lower it.
     floor: float | None = None
+    #: Settings of the System that may set it.
+    causes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     bodies: list[list[int]] | None = field(default=None, repr=False)
     #: Schemes that are not in the catalogue, by method.
@@ -231,10 +233,10 @@ class Tuning:
         yield from (f"note: {note}" for note in self.notes)
 
     def _about_floor(self) -> str:
+        known = "; ".join(self.causes) or "single precision; take the Reference platform or double precision"
         return (
             f"Below {self.floor:.1e} kJ/mol per body smaller steps do not lower the error: the rest comes from the "
-            "forces (single precision, a cutoff without a switch, a loose ewaldErrorTolerance), not from the scheme. "
-            "Take the Reference platform or double precision, or smoother forces"
+            f"forces, not from the scheme ({known}). See the documentation: Why is my energy error not smaller?"
         )
 
     def _comparison(self, chosen: Choice) -> str:

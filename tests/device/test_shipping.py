@@ -36,20 +36,19 @@ def continued(folder, platform, precision, steps):
 
 
 @pytest.mark.parametrize("scheme", ["S2_2", "V2_C17"])
-def test_the_same_bits_in_plain_openmm(scheme, tmp_path):
+def test_the_same_steps_in_plain_openmm(scheme, tmp_path):
     _, system, positions = rb.rigid_water(4)
     context = context_of(system, positions, "device", scheme=scheme)
     context.getIntegrator().step(3)
     written(context, tmp_path)
     before = shown(context)
-    if rb.SCHEMES[scheme].processor:  # in plain OpenMM each step is prepared and finished
-        for _ in range(4):
-            context.getIntegrator().step(1)
-        after = shown(context)
-    else:
-        after = stepped(context, 4)
+    after = stepped(context, 4)
     assert np.abs(after - before).max() > 1e-4
-    np.testing.assert_array_equal(continued(tmp_path, "Reference", "-", 4), after)
+    there = continued(tmp_path, "Reference", "-", 4)
+    if rb.SCHEMES[scheme].processor:  # in plain OpenMM each step enters and leaves the inner coordinates
+        np.testing.assert_allclose(there, after, rtol=0.0, atol=1e-12)
+    else:
+        np.testing.assert_array_equal(there, after)
 
 
 @pytest.mark.opencl

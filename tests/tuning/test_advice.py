@@ -144,7 +144,7 @@ def test_the_floor_of_single_precision_is_named(droplet):
     result = rb.tune(system, state, target=1e-9, schemes=("SRKN4_6b", "SRKN6_11b"), platform="CPU", duration=0.2)
     assert result.chosen is None
     assert 1e-7 < result.floor < 1e-3
-    assert "comes from the forces (single precision" in " ".join(str(result).split())
+    assert "comes from the forces, not from the scheme (single precision" in " ".join(str(result).split())
     finest = min(p.step / rb.SCHEMES[p.method].forces for p in result.points if p.method in rb.SCHEMES)
     assert finest > 5e-5  # it did not go on to tiny steps
     with pytest.raises(ValueError, match=r"Below .* smaller steps do not lower the error"):

@@ -1,0 +1,35 @@
+"""What sets the energy error below which no integrator gets: forces that are not the gradient of the energy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import openmm
+
+#: Of `ewaldErrorTolerance`: a looser one shows beside the best schemes.
+TIGHT = 1e-5
+
+
+def causes(system: openmm.System) -> Iterator[str]:
+    """Yield the settings of a System that put a floor under the energy error of every integrator, with the remedy."""
+    for force in system.getForces():
+        if not isinstance(force, (openmm.NonbondedForce, openmm.CustomNonbondedForce)):
+            continue
+        name, method = type(force).__name__, force.getNonbondedMethod()
+        if method == force.NoCutoff:
+            continue
+        lennard_jones = not isinstance(force, openmm.NonbondedForce) or method != force.LJPME
+        if lennard_jones and not force.getUseSwitchingFunction():
+            yield f"{name} has a cutoff without a switch: give switchDistance"
+        if isinstance(force, openmm.NonbondedForce):
+            tolerance = force.getEwaldErrorTolerance()
+            if method in (force.PME, force.Ewald, force.LJPME) and tolerance > TIGHT and not any(_chosen(force)):
+                yield f"{name} has an ewaldErrorTolerance of {tolerance:g}: {TIGHT:g} is tight"
+            elif method in (force.CutoffPeriodic, force.CutoffNonPeriodic):
+                yield f"{name} cuts charges off with a jump of the force: take PME"
+
+
+def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
+    """Return the parameters of PME if a user set them himself, which the tolerance does not touch, or zeros."""
+    alpha, *grid = force.getPMEParameters()
+    return (alpha._value if hasattr(alpha, "_value") else alpha, *grid)

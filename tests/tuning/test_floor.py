@@ -1,0 +1,46 @@
+"""What puts a floor under the energy error is named: by its settings, and by errors that stop falling."""
+
+import pytest
+from equilibrium import equilibrated
+from openmm import app
+
+import openmm_exactrb as rb
+from openmm_exactrb.command.description import described
+from openmm_exactrb.tuning.floor import causes
+
+SWITCH = "NonbondedForce has a cutoff without a switch: give switchDistance"
+TOLERANCE = "NonbondedForce has an ewaldErrorTolerance of 0.0005: 1e-05 is tight"
+
+
+def water(n=27, **options):
+    _, system, positions = rb.rigid_water(n, nonbondedMethod=app.PME, nonbondedCutoff=0.45, **options)
+    return system, positions
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({}, [SWITCH, TOLERANCE]),
+        ({"switchDistance": 0.35}, [TOLERANCE]),
+        ({"ewaldErrorTolerance": 1e-5}, [SWITCH]),
+        ({"switchDistance": 0.35, "ewaldErrorTolerance": 1e-5}, []),
+    ],
+)
+def test_rough_forces_are_named_with_the_remedy(options, expected):
+    system, _ = water(**options)
+    assert list(causes(system)) == expected
+    said = " ".join(described(system))
+    assert ("exactrb tune measures that limit" in said) == bool(expected)
+    assert all(cause in said for cause in expected)
+    assert list(causes(rb.rigid_water(2)[1])) == []
+
+
+def test_tune_says_when_the_forces_set_the_error():
+    system, positions = water()
+    start = equilibrated(system, positions)
+    result = rb.tune(system, start, schemes="W4_4", platform="Reference", duration=0.3, levels=8, report=None)
+    assert result.floor is not None
+    assert f"Below {result.floor:.1e} kJ/mol per body smaller steps do not lower the error" in " ".join(
+        str(result).split()
+    )
+    assert SWITCH in " ".join(str(result).split())
