@@ -194,9 +194,10 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Any) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance, memory = advancing(), environment.memory
+        advance = advancing()
 
         def flow(state: State, tau: float) -> State:
+            memory = environment.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (sum(w * value[i] for w, value in terms) for i in (0, 1))

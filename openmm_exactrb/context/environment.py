@@ -82,13 +82,9 @@ class ContextEnvironment:
     numbers: Numbers
     settings: Settings
     positions: Positions
+    memory: Memory
     key: int = 0
     around: tuple[State, State] | None = None
-
-    @property
-    def memory(self) -> Memory:
-        """The forces of the last kicks, and what displaced ones differed by, the most recent ones first."""
-        return self.slow.memory
 
     def forces(self, group: int | None = None) -> Forces:
         """Return the forces of a group, or of all kicks."""

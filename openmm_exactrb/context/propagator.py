@@ -258,6 +258,7 @@ class Propagator:
             Numbers(settings.numbers),
             settings,
             self._positions,
+            self._memory,
         )
         self._step, self._output = environment.bound(scheme.sequence, h), environment.bound(scheme.output, h)
         self._processor, self._postprocessor = (
