@@ -37,7 +37,6 @@ from protein import FORCE_FIELD, solvated_helix
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "default_energies.csv"
 MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}
 REPORTED = {"water": 100, "peptide": 10, "protein": 10}  # steps
-FIRST = 101  # seed of the first start
 COLUMNS = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator", "evaluations_per_ps", "std_kJ_mol")
 
 
@@ -119,11 +118,12 @@ def main() -> None:
     add("--pdb", default="", help="a solvated protein")
     add("--steps", type=float, nargs="+", default=[2.0], metavar="FS")
     add("--starts", type=int, default=3, help="(%(default)s)")
+    add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
     add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
     add("--out", type=Path, default=Path("out/default_energies"), metavar="FOLDER")
     args = parser.parse_args()
     sources = {"water": args.molecules, "peptide": "", "protein": args.pdb}
-    seeds = range(FIRST, FIRST + args.starts)
+    seeds = range(args.first, args.first + args.starts)
     jobs = [
         ensemble.Job(
             energies_of,
