@@ -118,6 +118,7 @@ def main() -> None:
     add("--pdb", default="", help="a solvated protein")
     add("--steps", type=float, nargs="+", default=[2.0], metavar="FS")
     add("--starts", type=int, default=3, help="(%(default)s)")
+    add("--methods", nargs="+", choices=MAKERS, default=[*MAKERS])
     add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
     add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
     add("--out", type=Path, default=Path("out/default_energies"), metavar="FOLDER")
@@ -137,7 +138,7 @@ def main() -> None:
         )
         for kind in args.systems
         for seed, raw, fs, method in itertools.product(
-            seeds, [False] if kind == "water" else [False, True], args.steps, MAKERS
+            seeds, [False] if kind == "water" else [False, True], args.steps, args.methods
         )
     ]
     rows = []

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from equipartition_record import FRICTION, LFM, RECORD, markdown, read, shown, whole, with_error
+from equipartition_record import FRICTION, LFM, RECORD, markdown, points, read, shown, with_error
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
@@ -47,7 +47,7 @@ def default_energies() -> str:
     forces = {row["seed"]: row["evaluations_per_ps"] for row in found if row["integrator"] == "default"}
     body = [
         (f"{i + 1}", forces[seed], f"{std[seed, 'Verlet']:.3f}", f"{std[seed, 'default']:.3f}", ratio(std, seed))
-        for i, (seed,) in enumerate(distinct(found, "seed"))
+        for i, seed in enumerate(seed for seed in forces if (seed, "Verlet") in std)
     ]
     head = ("start", "force evaluations per ps", THEIRS["Verlet"], "the default", "ratio")
     return table(head, body)
@@ -118,14 +118,15 @@ def outputs() -> str:
 
 def default_temperatures() -> str:
     """Return temperatures and energies of the default and of LangevinMiddleIntegrator."""
-    record, body = whole(read(RECORD)), []
+    record, body = {point[:5]: point for point in points(read(RECORD))}, []
     for step, (method, label) in product((2.0, 4.0, 6.0), ((LFM, THEIRS[LFM]), ("BAOA", "`BAOA`, the default"))):
-        means = record.get(("spce", "NVT", method, step, FRICTION), {})
-        reported = shown(means, "T_rot - T_tr") if method == LFM else "the same"
-        constrained = shown(means, "other T_rot - T_tr" if method == LFM else "T_rot - T_tr")
-        cells = (shown(means, "T_tr"), constrained, reported, shown(means, "U"))
-        body += [(f"{step:g} fs", label, *cells)] if means else []
-    return table(("SPC/E", "", "T_tr (K)", "T_rot − T_tr (K)", "as reported (K)", "U (kJ/mol)"), body)
+        point = record.get(("spce", "NVT", method, step, FRICTION))
+        if point is not None:
+            reported = shown(point.found, "T_rot - T_tr") if method == LFM else "the same"
+            constrained = shown(point.found, "other T_rot - T_tr" if method == LFM else "T_rot - T_tr")
+            cells = (shown(point.found, "T_tr"), constrained, reported, shown(point.found, "U"))
+            body.append((f"{step:g} fs", label, f"{point.ps:g} ps", *cells))
+    return table(("SPC/E", "", "", "T_tr (K)", "T_rot − T_tr (K)", "as reported (K)", "U (kJ/mol)"), body)
 
 
 def default_temperatures_of_a_peptide() -> str:
@@ -170,10 +171,37 @@ def validation() -> str:
     return table(("integrator", "at", *TESTS.values()), body)
 
 
+# -- single figures of the pages -------------------------------------------------------------------------------------
+
+
+def figures() -> dict[str, str]:
+    """Return figures of the README and of the page of recommendations; "?" where a benchmark has not run."""
+    found = {(row["method"]): float(row["std_30_ps"]) for row in rows("water_boxes") if row["model"] == "tip3p"}
+    return {
+        "default_over_verlet": rounded(default_over_verlet()),
+        "W4_4_gain": rounded(found["Verlet"] / found["W4_4"]),
+    }
+
+
+def default_over_verlet() -> float:
+    """Return the energy error of the default over Verlet's, in water, over all starts; nan without measurements."""
+    found = [row for row in rows("default_energies") if row["system"] == "water"]
+    mean = {
+        name: np.mean([float(row["std_kJ_mol"]) ** 2 for row in found if row["integrator"] == name] or [math.nan])
+        for name in ("default", "Verlet")
+    }
+    return float(np.sqrt(mean["default"] / mean["Verlet"]))
+
+
+def rounded(value: float) -> str:
+    """Return a number with two digits, below one with one."""
+    return f"{float(f'{value:.{1 + (value >= 1.0)}g}'):g}" if math.isfinite(value) else "?"
+
+
 def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     makers = (
         *(default_energies, default_stability, outputs, default_temperatures),
         *(default_temperatures_of_a_peptide, validation),
     )
-    return {maker.__name__: maker() for maker in makers}
+    return {maker.__name__: maker() for maker in makers} | figures()

@@ -122,12 +122,14 @@ class Python(PythonDomain):
 
 def scheme_table() -> str:
     """Return the catalogue of schemes as a table, for the guide."""
-    head = ("name", "orders", "forces per step", "starts with", "kind", "stable step per force", "change of L")
+    of_a_step = ("orders", "forces per step", "more per call", "starts with", "kind", "stable step per force")
+    head = ("name", *of_a_step, "change of L")
     changes, body = tables.angular_momentum(), []
     for name, scheme in CATALOGUE.items():
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
         stable = stability_limit(scheme, 1e-3) / scheme.forces
-        numbers = (f"{scheme.forces}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
+        more = scheme.output_forces if scheme.processor else int(scheme.first == "kick")
+        numbers = (f"{scheme.forces}", f"{more}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
         body.append((f"`{name}`", orders, *numbers))
     return tables.table(head, body)
 
