@@ -37,6 +37,7 @@ from protein import FORCE_FIELD, solvated_helix
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "default_energies.csv"
 MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}
 REPORTED = {"water": 100, "peptide": 10, "protein": 10}  # steps
+STARTS = {"equilibrated": False, "file": True}
 COLUMNS = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator", "evaluations_per_ps", "std_kJ_mol")
 
 
@@ -118,6 +119,7 @@ def main() -> None:
     add("--pdb", default="", help="a solvated protein")
     add("--steps", type=float, nargs="+", default=[2.0], metavar="FS")
     add("--starts", type=int, default=3, help="(%(default)s)")
+    add("--from", dest="kinds", nargs="+", choices=STARTS, default=[*STARTS], help="of solutes (%(default)s)")
     add("--methods", nargs="+", choices=MAKERS, default=[*MAKERS])
     add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
     add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
@@ -138,7 +140,7 @@ def main() -> None:
         )
         for kind in args.systems
         for seed, raw, fs, method in itertools.product(
-            seeds, [False] if kind == "water" else [False, True], args.steps, args.methods
+            seeds, [False] if kind == "water" else [STARTS[name] for name in args.kinds], args.steps, args.methods
         )
     ]
     rows = []

@@ -1,0 +1,38 @@
+"""Figures of the pages follow from the records of benchmarks in docs/*.csv."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import tables
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_the_readme_repeats_what_was_measured():
+    """Markdown without substitutions has its figures typed."""
+    readme = " ".join((ROOT / "README.md").read_text().split())
+    figures = tables.figures()
+    assert f"{figures['W4_4_gain']} times less than `VerletIntegrator` over 30 ps" in readme
+    assert f"has {figures['default_over_verlet']} of its energy error" in readme
+
+
+def test_the_default_has_at_most_two_fifths_of_the_energy_error_of_verlet_for_one_force_a_step():
+    assert tables.over_verlet("W2_1") < 0.4
+    for line in tables.default_energies().splitlines()[2:]:
+        _, _, evaluations, *_, ratio, _ = (cell.strip() for cell in line.split("|"))
+        assert float(evaluations) <= 515.0
+        assert float(ratio) < 0.4
+
+
+@pytest.mark.parametrize("name", [name for name in tables.all_tables() if name not in tables.figures()])
+def test_each_table_has_rows_as_wide_as_its_head(name):
+    head, _, *body = tables.all_tables()[name].splitlines()
+    assert body
+    assert {len(re.findall(r"\|", line)) for line in body} == {head.count("|")}
+
+
+@pytest.mark.parametrize(("value", "text"), [(22.74, "23"), (0.287, "0.3"), (3.97, "4")])
+def test_figures_have_two_digits_and_one_below_one(value, text):
+    assert tables.rounded(value) == text
