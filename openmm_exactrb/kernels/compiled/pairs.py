@@ -6,14 +6,12 @@ and any number of threads gives the same bits.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import inlined, reordered
+from openmm_exactrb.kernels.build import reordered
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
+from openmm_exactrb.kernels.compiled.pair import pair, truncated
 from openmm_exactrb.kernels.threads import cores, in_threads
 
 Array = NDArray[np.float64]
@@ -23,9 +21,6 @@ Ewald = tuple[float, float, float]
 # Fewer pairs than this are not worth a second thread. Ten waves of a dipole cost as much as three pairs, and a screened
 # pair as much as three others.
 _SHARED = 200_000
-
-# Distance in widths of the Gaussian at which a screened dipole ends: exp(-6.5²) is 4e-19.
-_FAR = 6.5
 
 
 def soft_dipoles(
@@ -90,90 +85,6 @@ def _split(x):
             arrows[k, i] = x[2 * i, k]
             arrows[3 + k, i] = x[2 * i + 1, k] - x[2 * i, k]
     return arrows
-
-
-def _polynomial(coefficients):
-    highest, *others = map(float, coefficients[::-1])
-    rest = np.array(others)
-
-    @inlined
-    def polynomial(x):
-        value = highest
-        for k in range(len(rest)):
-            value = value * x + rest[k]
-        return value
-
-    return polynomial
-
-
-def _scaled_erfc(t):  # scipy's would cost its import, which takes half as long as numba's
-    x = 2.0 * (1.0 + t) / (1.0 - t)
-    return math.exp(x * x) * math.erfc(x)
-
-
-# Polynomials, because calls of a library would not be vectorised: the 32nd root of exp(-s) in s about its middle, and
-# exp(x²) erfc(x) in t = (x - 2)/(x + 2).
-_MIDDLE = 0.5 * _FAR**2
-_root_of_exp = _polynomial([math.exp(-_MIDDLE / 32.0) / math.factorial(k) for k in range(17)])
-_erfcx = _polynomial(
-    Chebyshev.interpolate(np.vectorize(_scaled_erfc), 19, [-1.0, (_FAR - 2.0) / (_FAR + 2.0)])
-    .convert(kind=Polynomial)
-    .coef
-)
-
-
-@inlined
-def screened(r2, i, alpha):
-    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; the derivative of each is -r the next."""
-    s = min(alpha * alpha * r2, _FAR**2)
-    x = math.sqrt(s)
-    gauss = _root_of_exp((_MIDDLE - s) / 32.0)
-    for _ in range(5):
-        gauss *= gauss
-    slope = 2.0 / math.sqrt(math.pi) * x * gauss
-    b1 = gauss * _erfcx((x - 2.0) / (x + 2.0)) + slope
-    b2 = 3.0 * b1 + 2.0 * s * slope
-    b3 = 5.0 * b2 + 4.0 * s * s * slope
-    b = i * math.sqrt(i)
-    return b * b1, b * i * b2, b * i * i * b3
-
-
-@inlined
-def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alpha=None):
-    """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
-    i = 1.0 / r2
-    core = repulsion * (i * i * i) * (i * i * i)
-    slope = 12.0 * core
-    if attraction is not None:
-        i3 = attraction * (i * i * i)
-        core -= i3
-        slope -= 6.0 * i3
-    if minimum is not None:
-        core = core + minimum[1] if r2 < minimum[0] else 0.0
-        slope = slope if r2 < minimum[0] else 0.0
-    if alpha is None:
-        b = coupling * i * math.sqrt(i)
-        c = 3.0 * b * i
-        d = 5.0 * c * i
-    else:
-        b, c, d = screened(r2, i, alpha)
-        b, c, d = coupling * b, coupling * c, coupling * d
-    return core + b * uv - c * ur * vr, i * slope + c * uv - d * ur * vr, b, c
-
-
-@reordered
-def truncated(r2, uv, energy, a, b, c, coupling, truncation):
-    """Add the reaction field, and multiply by a switch S(r²) that is smooth to the sixth derivative."""
-    _, _, _, end, rate, reaction = truncation
-    b -= coupling * reaction
-    energy -= coupling * reaction * uv
-    s = min(1.0, max(0.0, (end - r2) * rate))
-    t = 2.0 * s - 1.0
-    u = t * t
-    odd = 3003.0 - u * (6006.0 - u * (9009.0 - u * (8580.0 - u * (5005.0 - u * (1638.0 - u * 231.0)))))
-    S = 0.5 + t * odd / 2048.0
-    slope = -12012.0 * rate * (s * (1.0 - s)) ** 6
-    return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
 
 
 @reordered

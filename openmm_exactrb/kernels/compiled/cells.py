@@ -1,0 +1,208 @@
+"""The pair sum of soft dipoles within a cutoff in a large box, by cells, in compiled double precision.
+
+Cells have at least half the cutoff as their edges. Each pair is computed once, in the row of one of its dipoles: those
+of the cell itself and of half of the cells around it that are near enough are put together, those within the cutoff
+picked, and their arithmetic is vectorised. What a plane of cells gives to itself and to the next two planes is kept
+apart and added up in this order: any number of threads gives the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.kernels.build import inner_reordered, reordered
+from openmm_exactrb.kernels.compiled.pair import pair, truncated
+from openmm_exactrb.kernels.threads import in_threads
+
+Array = NDArray[np.float64]
+Cells = tuple[int, int, int]
+
+# Cells that a cutoff reaches beyond one, and pairs whose arithmetic is done in one go.
+_REACH, _CHUNK = 2, 256
+_LANES = 8
+
+
+def cells(edges, end: float) -> Cells | None:
+    """Return how many cells a box with these edges has along each, or None if that is too few for a cutoff² of `end`."""
+    cutoff = math.sqrt(end)
+    m = tuple(int(_REACH * edge / cutoff) for edge in edges)
+    return m if min(m) > 2 * _REACH else None
+
+
+def near_pairs(
+    arrows: Array, n: int, m: Cells, repulsion, coupling, attraction, minimum, alpha, truncation, threads: int
+) -> tuple[float, Array, Array]:
+    """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation."""
+    heads, dipoles, placed = _sorted(arrows, n, m, truncation)
+    energies, partial = np.empty(n), np.zeros((_REACH + 1, n, _LANES))
+    slabs = np.diff(heads[:: m[1] * m[2]])
+
+    def sum_slabs(*part: int) -> None:
+        _slabs(*part, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial)
+
+    in_threads(sum_slabs, slabs, threads)
+    forces, fields = np.zeros((2, 3, arrows.shape[1]))
+    _add_up(dipoles, partial, forces, fields)
+    return float(energies.sum()), forces, fields
+
+
+@reordered
+def _sorted(arrows, n, m, truncation):
+    """Return where each cell begins in the dipoles sorted by cells, these dipoles, and their arrows within the box."""
+    places, cell = np.empty((3, n)), np.zeros(n, np.int64)
+    for d in range(3):
+        edge = truncation[d]
+        for i in range(n):
+            x = arrows[d, i] - edge * math.floor(arrows[d, i] / edge)
+            c = x * (m[d] / edge)
+            places[d, i] = x
+            cell[i] = cell[i] * m[d] + (min(int(c), m[d] - 1) if c > 0.0 else 0)
+    heads, dipoles, placed = np.zeros(m[0] * m[1] * m[2] + 1, np.int64), np.empty(n, np.int64), np.empty((6, n))
+    for i in range(n):
+        heads[cell[i] + 1] += 1
+    for c in range(len(heads) - 1):
+        heads[c + 1] += heads[c]
+    free = heads.copy()
+    for i in range(n):
+        q = free[cell[i]]
+        free[cell[i]] += 1
+        dipoles[q] = i
+        for d in range(3):
+            placed[d, q], placed[3 + d, q] = places[d, i], arrows[3 + d, i]
+    return heads, dipoles, placed
+
+
+@inner_reordered
+def _collect(first, last, slab, sx, sy, sz, placed, found, who, row):
+    """Append dipoles first ... last, moved by a shift, to those found; return their number."""
+    begin, to, more = np.uint64(first), np.uint64(row), np.uint64(last - first)
+    for j in range(more):
+        found[0, to + j] = placed[0, begin + j] + sx
+    for j in range(more):
+        found[1, to + j] = placed[1, begin + j] + sy
+    for j in range(more):
+        found[2, to + j] = placed[2, begin + j] + sz
+    for d in range(np.uint64(3), np.uint64(6)):
+        for j in range(more):
+            found[d, to + j] = placed[d, begin + j]
+    for j in range(more):
+        who[to + j] = np.uint64(slab * placed.shape[1]) + begin + j
+    return row + last - first
+
+
+@inner_reordered
+def _partners(cell, heads, placed, m, truncation, found, who):
+    """Put the dipoles of a cell and of half of those around it together; return their number."""
+    x, y, z = cell // (m[1] * m[2]), cell // m[2] % m[1], cell % m[2]
+    row = _collect(heads[cell], heads[cell + 1], 0, 0.0, 0.0, 0.0, placed, found, who, 0)
+    for dx in range(_REACH + 1):
+        for dy in range(-_REACH if dx > 0 else 0, _REACH + 1):
+            X, Y = (x + dx) % m[0], (y + dy) % m[1]
+            low = z - _REACH if dx > 0 or dy > 0 else z + 1
+            high = z + _REACH + 1
+            column = (X * m[1] + Y) * m[2]
+            sx, sy, edge = truncation[0] * ((x + dx) // m[0]), truncation[1] * ((y + dy) // m[1]), truncation[2]
+            for turn in range(-1, 2):
+                a, b = max(low, turn * m[2]) - turn * m[2], min(high, (turn + 1) * m[2]) - turn * m[2]
+                if a < b:
+                    here, sz = heads[column + a : column + b + 1], turn * edge
+                    row = _collect(here[0], here[-1], dx, sx, sy, sz, placed, found, who, row)
+    return row
+
+
+@inner_reordered
+def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
+    """Return energy, force and field of a dipole u from k others, and leave what these get in `work`.
+
+    The rows of `work` are r² and the vector r to the other, the other's u, then force and field.
+    """
+    ux, uy, uz = u
+    energy = fx = fy = fz = gx = gy = gz = 0.0
+    for q in range(k):
+        r2, x, y, z = work[q], work[_CHUNK + q], work[2 * _CHUNK + q], work[3 * _CHUNK + q]
+        vx, vy, vz = work[4 * _CHUNK + q], work[5 * _CHUNK + q], work[6 * _CHUNK + q]
+        uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
+        e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha)
+        e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
+        s, t = c * ur, c * vr
+        px, py, pz = a * x + s * vx + t * ux, a * y + s * vy + t * uy, a * z + s * vz + t * uz
+        energy += e
+        fx, fy, fz = fx + px, fy + py, fz + pz
+        gx, gy, gz = gx + t * x - b * vx, gy + t * y - b * vy, gz + t * z - b * vz
+        work[7 * _CHUNK + q], work[8 * _CHUNK + q], work[9 * _CHUNK + q] = px, py, pz
+        work[10 * _CHUNK + q] = s * x - b * ux
+        work[11 * _CHUNK + q] = s * y - b * uy
+        work[12 * _CHUNK + q] = s * z - b * uz
+    return energy, fx, fy, fz, gx, gy, gz
+
+
+@reordered
+def _slabs(first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial):
+    """Sum the pairs of the dipoles in some planes of cells with those in half of the cells around."""
+    n, end = placed.shape[1], truncation[3]
+    found, far, work = np.empty((6, n)), np.empty(n), np.zeros(13 * _CHUNK)
+    who, hits = np.empty(n, np.uint64), np.empty(n + 1, np.uint64)  # no index is negative: none is looked at for it
+    rows = partial.reshape(-1, partial.shape[2])
+    for cell in range(first * m[1] * m[2], last * m[1] * m[2]):
+        if heads[cell] == heads[cell + 1]:
+            continue
+        number = np.uint64(_partners(cell, heads, placed, m, truncation, found, who))
+        for i in range(heads[cell], heads[cell + 1]):
+            x, y, z = placed[0, i], placed[1, i], placed[2, i]
+            u = placed[3, i], placed[4, i], placed[5, i]
+            begin = np.uint64(i - heads[cell] + 1)
+            for q in range(begin, number):
+                dx, dy, dz = x - found[0, q], y - found[1, q], z - found[2, q]
+                far[q] = dx * dx + dy * dy + dz * dz
+            k = 0
+            for q in range(begin, number):
+                hits[k] = q
+                k += far[q] < end
+            energy = 0.0
+            for start in range(0, k, _CHUNK):
+                many = min(k - start, _CHUNK)
+                full = -(-many // _LANES) * _LANES
+                for h in range(many):
+                    q = hits[start + h]
+                    work[h] = far[q]
+                    work[_CHUNK + h], work[2 * _CHUNK + h] = x - found[0, q], y - found[1, q]
+                    work[3 * _CHUNK + h], work[4 * _CHUNK + h] = z - found[2, q], found[3, q]
+                    work[5 * _CHUNK + h], work[6 * _CHUNK + h] = found[4, q], found[5, q]
+                for h in range(many, full):
+                    work[h] = np.inf
+                    for d in range(1, 7):
+                        work[d * _CHUNK + h] = 0.0
+                e, fx, fy, fz, gx, gy, gz = _arithmetic(
+                    full, u, work, repulsion, coupling, attraction, minimum, alpha, truncation
+                )
+                energy += e
+                own = rows[i]
+                own[0] += fx
+                own[1] += fy
+                own[2] += fz
+                own[3] += gx
+                own[4] += gy
+                own[5] += gz
+                for h in range(many):
+                    other = rows[who[hits[start + h]]]
+                    other[0] -= work[7 * _CHUNK + h]
+                    other[1] -= work[8 * _CHUNK + h]
+                    other[2] -= work[9 * _CHUNK + h]
+                    other[3] += work[10 * _CHUNK + h]
+                    other[4] += work[11 * _CHUNK + h]
+                    other[5] += work[12 * _CHUNK + h]
+            energies[i] = energy
+
+
+@reordered
+def _add_up(dipoles, partial, forces, fields):
+    """Add up what each dipole got from the planes of cells, and put it into its place."""
+    for q in range(len(dipoles)):
+        i = dipoles[q]
+        for d in range(3):
+            for slab in range(partial.shape[0]):
+                forces[d, i] += partial[slab, q, d]
+                fields[d, i] += partial[slab, q, 3 + d]

@@ -1,0 +1,133 @@
+"""Rows of the mesh in vector registers, as LLVM's instructions: numba leaves loops of ten turns to scalar ones."""
+
+from __future__ import annotations
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+#: Numbers a vector register.
+LANES = 4
+
+_ROW = ir.VectorType(ir.DoubleType(), LANES)
+_FUSED = ("contract",)
+
+
+class _Code:
+    """Instructions for rows of `order` numbers, filled up to full vectors."""
+
+    zero = ir.Constant(_ROW, [0.0] * LANES)
+
+    def __init__(self, context, builder, order):
+        self.context, self.builder = context, builder
+        self.vectors = -(-order // LANES)
+        self.width = LANES * self.vectors
+
+    def pointer(self, kind, array, at=ir.IntType(64)(0)):
+        """Return where an element of a flat array of this type is."""
+        return self.builder.gep(self.context.make_array(kind)(self.context, self.builder, array).data, [at])
+
+    def after(self, pointer, n):
+        return self.builder.gep(pointer, [ir.IntType(64)(n)])
+
+    def vector(self, pointer, n):
+        """Load vector n from a pointer to numbers."""
+        return self.builder.load(self.place(pointer, n), align=8)
+
+    def place(self, pointer, n):
+        return self.builder.bitcast(self.after(pointer, LANES * n), _ROW.as_pointer())
+
+    def store(self, vector, pointer, n):
+        self.builder.store(vector, self.place(pointer, n), align=8)
+
+    def number(self, pointer, n):
+        """Load number n as a vector of equal numbers."""
+        return self.spread(self.builder.load(self.after(pointer, n)))
+
+    def spread(self, number):
+        first = self.builder.insert_element(ir.Constant(_ROW, ir.Undefined), number, ir.IntType(32)(0))
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        return self.builder.shuffle_vector(first, ir.Constant(_ROW, ir.Undefined), mask)
+
+    def times(self, a, b):
+        return self.builder.fmul(a, b, flags=_FUSED)
+
+    def plus(self, a, b):
+        return self.builder.fadd(a, b, flags=_FUSED)
+
+
+@intrinsic
+def spline_rows(typingctx, C, t, scale, w, at, steps):
+    """Write a spline and its first two derivatives at t to w[at:], from the coefficients C of their pieces."""
+    signature = types.void(C, t, scale, w, at, steps)
+    order = steps.count
+
+    def generate(context, builder, signature, values):
+        code = _Code(context, builder, order)
+        coefficients = code.pointer(signature.args[0], values[0])
+        t, scale = map(code.spread, values[1:3])
+        w, unit = code.pointer(signature.args[3], values[3], values[4]), None
+        for e in range(3):
+            for n in range(code.vectors):
+                value = code.vector(coefficients, (order * e + e) * code.vectors + n)
+                for c in range(e + 1, order):
+                    value = code.plus(code.times(value, t), code.vector(coefficients, (order * e + c) * code.vectors + n))
+                code.store(value if unit is None else code.times(value, unit), w, code.vectors * e + n)
+            unit = scale if unit is None else code.times(unit, scale)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def add_plane(typingctx, mesh, at, stride, w, a, b, c, steps):
+    """Add (a Y + b Y') Z + c Y Z' to the rows of a plane of the mesh, the first at mesh[at:], by splines w along y and z."""
+    signature = types.void(mesh, at, stride, w, a, b, c, steps)
+
+    def generate(context, builder, signature, values):
+        code = _Code(context, builder, steps.count)
+        mesh, at, stride, w, a, b, c, _ = values
+        row, w = code.pointer(signature.args[0], mesh, at), code.pointer(signature.args[3], w)
+        Y, dY, Z, dZ = (code.after(w, k * code.width) for k in (3, 4, 6, 7))
+        Z, dZ = ([code.vector(row, n) for n in range(code.vectors)] for row in (Z, dZ))
+        a, b, c = map(code.spread, (a, b, c))
+        for k in range(steps.count):
+            y = code.number(Y, k)
+            along, across = code.times(c, y), code.plus(code.times(a, y), code.times(b, code.number(dY, k)))
+            for n in range(code.vectors):
+                added = code.plus(code.vector(row, n), code.times(across, Z[n]))
+                code.store(code.plus(added, code.times(along, dZ[n])), row, n)
+            row = builder.gep(row, [stride])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def sum_plane(typingctx, phi, at, stride, w, a, sums, steps):
+    """Add the sums over y of a plane a of phi, the first of its rows at phi[at:], times splines w along x and y.
+
+    The six rows of sums are those of X Y, X' Y, X Y', X'' Y, X' Y' and X Y''.
+    """
+    signature = types.void(phi, at, stride, w, a, sums, steps)
+
+    def generate(context, builder, signature, values):
+        code = _Code(context, builder, steps.count)
+        phi, at, stride, w, a, sums, _ = values
+        row, w = code.pointer(signature.args[0], phi, at), code.pointer(signature.args[3], w)
+        sums = code.pointer(signature.args[5], sums)
+        h = [[code.zero] * code.vectors for _ in range(3)]
+        for k in range(steps.count):
+            potential = [code.vector(row, n) for n in range(code.vectors)]
+            for e in range(3):
+                y = code.number(w, (3 + e) * code.width + k)
+                h[e] = [code.plus(h[e][n], code.times(y, potential[n])) for n in range(code.vectors)]
+            row = builder.gep(row, [stride])
+        X = [code.number(builder.gep(w, [a]), e * code.width) for e in range(3)]
+        for k, (e, f) in enumerate([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]):
+            for n in range(code.vectors):
+                old = code.vector(sums, k * code.vectors + n)
+                code.store(code.plus(old, code.times(X[e], h[f][n])), sums, k * code.vectors + n)
+        return context.get_dummy_value()
+
+    return signature, generate
