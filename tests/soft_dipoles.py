@@ -43,7 +43,8 @@ def truncated(box):
 def summed(sites, boundary=rb.Open(), edges=None, threads=None, wca=False, **parameters):  # noqa: B008
     """Return energy and forces (2 n, 3) of the compiled kernel."""
     edges = None if edges is None else tuple(map(float, edges))
-    kernel = SoftDipoles(boundary.truncation(edges), boundary.images(len(sites) // 2, edges), wca=wca)
+    n = len(sites) // 2
+    kernel = SoftDipoles(boundary.truncation(edges, n), boundary.images(n, edges), wca=wca)
     box = None if edges is None else np.diag(edges)
     return kernel.energy_and_forces(sites, PARAMETERS | parameters, box, threads)
 

@@ -7,22 +7,29 @@ derivatives, as schemes of order 6 need them.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import ClassVar, TypeAlias
 
 import numpy as np
+import scipy.fft
 from openmm import unit
 
 from openmm_exactrb import checks
 from openmm_exactrb.dielectric import reaction
-from openmm_exactrb.potentials.ewald import splitting
+from openmm_exactrb.potentials import ewald
+from openmm_exactrb.potentials.switching import sharp_volume
 
-Edges: TypeAlias = tuple[float, float, float]
+_log = logging.getLogger("openmm_exactrb")
+
+Edges: TypeAlias = ewald.Edges
 #: Cutoff and begin of the switch in nm, and the strength of the reaction field in 1/nm³.
 Truncation: TypeAlias = tuple[float, float, float]
-#: Inverse width of the clouds and largest wave number in 1/nm, and the relative permittivity around all images.
-Images: TypeAlias = tuple[float, float, float]
+#: Inverse width of the clouds (1/nm); the largest wave number (1/nm), or the steps of a mesh (nm) and the order of its
+#: splines; and the relative permittivity around all images.
+Images: TypeAlias = tuple[float, float, float] | tuple[float, Edges, int, float]
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Open:
 
     periodic: ClassVar[bool] = False
 
-    def truncation(self, box: Edges | None) -> None:
+    def truncation(self, box: Edges | None, n: int = 1) -> None:
         """Return that there is none, nor a box."""
         if box is not None:
             raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
@@ -94,7 +101,7 @@ class ReactionField(_Periodic):
         If a number is out of its range.
     """
 
-    def truncation(self, box: Edges | None) -> Truncation:
+    def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
         """Return cutoff, begin of the switch (nm) and strength of the reaction field (1/nm³) in a box."""
         cutoff, switch = self.distances(box)
         return cutoff, switch, reaction(self.dielectric) / sharp_volume(cutoff, switch)
@@ -107,19 +114,29 @@ class ReactionField(_Periodic):
 class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
-    The switch acts on the spheres and on next to nothing of the dipoles. The sum has an exact gradient: whatever its
-    tolerance, in a fixed box it is as smooth as the switch, and a symplectic scheme keeps its energy. Where the box
-    changes, the energy jumps by up to about the tolerance. It needs the compiled kernel.
+    The sum in reciprocal space goes over all waves, or over those of a mesh (smooth particle mesh Ewald). Whatever is
+    not given is chosen so that the sum is fast and meets the tolerance; `getParameters` tells it. The switch acts on
+    the spheres and on next to nothing of the dipoles. Either sum has an exact gradient: whatever its tolerance, in a
+    fixed box it is smooth, and a symplectic scheme keeps its energy. Where the box changes, the energy jumps by up to
+    about the tolerance. It needs the compiled kernel.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Where the energy of a pair ends, and where its switch begins, in nm; half the shortest edge of the box, and
-        three quarters of the cutoff.
+        Where the energy of a pair ends, and where its switch begins, in nm. By default the fastest cutoff of a mesh, or
+        half the shortest edge of the box for the direct sum; and three quarters of the cutoff. The cutoff ends the
+        attraction of the spheres too: give it where results are to be compared.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
-        Error of the dipoles' forces and fields, as a part of their root mean square in a liquid or gas.
+        Error of the dipoles' forces, fields and torques, as a part of their root mean square in a liquid or gas.
+    method : {"auto", "direct", "mesh"}
+        "auto" takes the faster.
+    mesh : int or (3,) int, optional
+        Points of the mesh along each edge, with factors up to 5; implies "mesh".
+    order : int, optional
+        Of its B-splines, even, from 4 to 16: forces have order - 4 continuous derivatives. 8 or 10 by default; implies
+        "mesh".
 
     Raises
     ------
@@ -128,22 +145,86 @@ class Ewald(_Periodic):
     """
 
     tolerance: float = 1e-4
+    method: str = "auto"
+    mesh: int | tuple[int, int, int] | None = None
+    order: int | None = None
 
     def __post_init__(self) -> None:
         """Refuse what fits no box."""
         super().__post_init__()
         if not 1e-13 <= checks.number(self.tolerance, "tolerance") <= 1e-2:
             raise ValueError(f"tolerance must be between 1e-13 and 1e-2, not {self.tolerance!r}")
+        if self.method not in ("auto", "direct", "mesh"):
+            raise ValueError(f"unknown method {self.method!r}: choose one of auto, direct, mesh")
+        if self.method == "direct" and not (self.mesh is None and self.order is None):
+            raise ValueError("the direct sum has no mesh: leave mesh and order away, or take method='mesh'")
+        if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
+            raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
+        if self.mesh is not None:
+            for points in np.ravel(self.mesh):
+                fast = scipy.fft.next_fast_len(checks.whole(points, "each number of points of the mesh"), real=True)
+                if fast != points:
+                    raise ValueError(f"a mesh of {points} points has a slow transform: take {fast}")
+            if np.shape(self.mesh) not in ((), (3,)):
+                raise ValueError(f"mesh must be one number of points or three, not {self.mesh!r}")
+            if min(np.ravel(self.mesh)) < (self.order or 10) + ewald.LANES:
+                raise ValueError(f"a mesh needs at least order + {ewald.LANES} points along an edge, not {self.mesh!r}")
 
-    def truncation(self, box: Edges | None) -> Truncation:
-        """Return cutoff and begin of the switch (nm) in a box, and no reaction field."""
-        return *self.distances(box), 0.0
+    def getParameters(self, n: int, box: Sequence[float]) -> ewald.EwaldParameters:
+        """Return how the sum over n dipoles in a box (its edges in nm) is computed: what was given or chosen.
+
+        Raises
+        ------
+        ValueError
+            If the box is too small for the cutoff, or what is given does not meet the tolerance.
+        """
+        return _parameters(self, checks.whole(n, "n"), edges_of(box))
+
+    def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
+        """Return cutoff and begin of the switch (nm) for n dipoles in a box, and no reaction field."""
+        self.distances(box)
+        assert box is not None
+        chosen = self.getParameters(n, box)
+        return chosen.cutoff, chosen.switch, 0.0
 
     def images(self, n: int, box: Edges | None) -> Images:
-        """Return width, wave number (1/nm) and dielectric of the sum over the images of n dipoles."""
-        cutoff, switch = self.distances(box)
+        """Return how the images of n dipoles are summed."""
         assert box is not None
-        return *splitting(n, box, cutoff, switch, self.tolerance), _plain(self.dielectric)
+        chosen, dielectric = self.getParameters(n, box), _plain(self.dielectric)
+        if chosen.method == "direct":
+            return chosen.alpha, chosen.k_max, dielectric
+        x, y, z = (edge / points for edge, points in zip(box, chosen.points, strict=True))
+        return chosen.alpha, (x, y, z), chosen.order, dielectric
+
+
+@lru_cache
+def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
+    """Return the parameters of the fastest sum with what a boundary gives."""
+    cutoff, switch = boundary.distances(edges)
+    by_mesh = boundary.method == "mesh" or not (boundary.mesh is None and boundary.order is None)
+    choices = [] if by_mesh else [ewald.direct(n, edges, cutoff, switch, boundary.tolerance)]
+    if by_mesh or (boundary.method == "auto" and boundary.tolerance >= ewald.LEAST_TOLERANCE):
+        given = None if boundary.cutoff is None else cutoff
+        points = None if boundary.mesh is None else tuple(int(m) for m in np.broadcast_to(boundary.mesh, 3))
+        begin = None if boundary.switch is None else switch
+        choices += ewald.meshes(n, edges, boundary.tolerance, given, begin, boundary.order, points)
+    if not choices or (by_mesh and boundary.tolerance < ewald.LEAST_TOLERANCE):
+        raise ValueError(
+            f"no mesh of up to {ewald.MOST_POINTS} points along an edge meets a tolerance of {boundary.tolerance:g} "
+            f"for {n} dipoles with what is given: ask for less, give a longer cutoff or a higher order, or take "
+            "method='direct'"
+        )
+    # At nearly equal costs the direct sum stays: spheres of a small box then attract up to half of it.
+    weights = {"direct": 0.8, "mesh": 1.0}
+    chosen = min(choices, key=lambda choice: weights[choice.method] * ewald.cost(n, edges, choice))
+    if chosen.error > boundary.tolerance:
+        raise ValueError(
+            f"a mesh of {chosen.points} points with splines of order {chosen.order} and a cutoff of {chosen.cutoff:g} "
+            f"nm has an error of {chosen.error:.1g}, above the tolerance of {boundary.tolerance:g}: give more points, "
+            "a longer cutoff or a larger tolerance"
+        )
+    _log.info("Ewald sum of %d dipoles: %s", n, chosen)
+    return chosen
 
 
 Boundary: TypeAlias = Open | ReactionField | Ewald
@@ -182,12 +263,3 @@ def _plain(value: float) -> float:
 def _check_switch(switch: float, cutoff: float) -> None:
     if not switch < cutoff:
         raise ValueError(f"switch must be between 0 and the cutoff {cutoff:g}, not {switch}")
-
-
-def sharp_volume(cutoff: float, switch: float) -> float:
-    """Return 3 integral S(r) r² dr, the cube of the radius of a sharp sphere with the volume of the switched one."""
-    x, weights = np.polynomial.legendre.leggauss(15)  # exact: a polynomial of degree 28
-    r = switch + 0.5 * (cutoff - switch) * (1.0 + x)
-    t = 2.0 * (cutoff**2 - r**2) / (cutoff**2 - switch**2) - 1.0
-    S = 0.5 + np.polynomial.polynomial.polyval(t**2, [3003, -6006, 9009, -8580, 5005, -1638, 231]) * t / 2048.0
-    return switch**3 + 1.5 * (cutoff - switch) * float(weights @ (S * r**2))

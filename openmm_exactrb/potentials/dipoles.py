@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import checks, kernels
 from openmm_exactrb.context import arrays
-from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, check_cutoff, checked, edges_of
+from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ def soft_dipole_force(
     """
     arrows = checked_pairs(arrows)
     edges = None if box is None else edges_of(box)
-    truncation = checked(boundary).truncation(edges)
+    truncation = checked(boundary).truncation(edges, len(arrows))
     kernel = _chosen(kernel, needs_compiled=isinstance(boundary, Ewald))
     parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
     if kernel == "compiled":
@@ -171,9 +171,9 @@ class SoftDipoles:
     ----------
     truncation : (cutoff, switch, reaction), optional
         Distances in nm and the strength of the reaction field in 1/nm³; with it the boundaries are periodic.
-    ewald : (alpha, k_max, dielectric), optional
-        An Ewald sum instead of the reaction field: inverse width of the clouds and largest wave number, in 1/nm, and
-        relative permittivity around all images.
+    ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
+        An Ewald sum instead of the reaction field: inverse width of the clouds (1/nm); the largest wave number (1/nm),
+        or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all images.
     wca : bool
         Whether the spheres' energy ends at its minimum.
     """
@@ -184,7 +184,7 @@ class SoftDipoles:
     def __init__(
         self,
         truncation: tuple[float, float, float] | None = None,
-        ewald: tuple[float, float, float] | None = None,
+        ewald: Images | None = None,
         *,
         wca: bool = False,
     ) -> None:

@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import NamedTuple, TypeAlias
 
 from openmm_exactrb import kernels
+from openmm_exactrb.potentials import ewald_errors as errors
+
+Edges: TypeAlias = tuple[float, float, float]
 
 #: The most waves of a sum: so many take 100 MB, and 1 ms a dipole.
 MOST_WAVES = 1_000_000
+#: The most points of a mesh along an edge: so many in a cube take 2 GB.
+MOST_POINTS = 512
+
+# ns of a pair in a row of all and through cells, of a wave and a dipole, of a point of a mesh, of a dipole and a point
+# under its spline, and of a mesh as such; and up to which part of the box a cutoff leaves room for cells.
+_ROW, _CELL, _WAVE, _POINT, _SPLINE, _MESH, _WHOLE = 9.3, 12.0, 1.0, 15.0, 0.85, 2e5, 0.4
+
+#: The least tolerance of a mesh that is chosen: below, its a priori error is one of rounding.
+LEAST_TOLERANCE = 2e-7
+
+LANES = 4  # beyond the order of a spline, which has full vector registers
 
 
 def splitting(
@@ -40,3 +56,83 @@ def splitting(
             f"more than {MOST_WAVES}: let the switch begin farther out, or ask for less"
         )
     return alpha, 2.0 * alpha * y
+
+
+class EwaldParameters(NamedTuple):
+    """How an Ewald sum of dipoles is computed; lengths in nm, their inverses in 1/nm."""
+
+    method: str  #: "direct" (all waves) or "mesh" (smooth particle mesh Ewald)
+    cutoff: float  #: where the energy of a pair ends
+    switch: float  #: where its switch begins
+    alpha: float  #: inverse width of the Gaussians
+    k_max: float  #: largest wave number of the direct sum, 0 for a mesh
+    order: int  #: of the splines of a mesh, 0 for the direct sum
+    points: tuple[int, ...]  #: of a mesh along each edge, () for the direct sum
+    error: float  #: estimated, as `tolerance`; no formula exceeds the tolerance
+
+
+def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float) -> EwaldParameters:
+    """Return the parameters of the sum over all waves."""
+    alpha, k_max = splitting(n, edges, cutoff, switch, tolerance)
+    return EwaldParameters("direct", cutoff, switch, alpha, k_max, 0, (), tolerance)
+
+
+def cost(n: int, edges: Edges, chosen: EwaldParameters) -> float:
+    """Return about how long an evaluation takes, in ns: as it was measured on one core."""
+    reach = chosen.cutoff / min(edges)
+    neighbours = 4.0 / 3.0 * math.pi * chosen.cutoff**3 * n / math.prod(edges)
+    pairs = n * (_ROW * n if reach > _WHOLE else _CELL * neighbours)
+    if chosen.method == "direct":
+        return pairs + n * _WAVE * float(kernels.load("pairs", "numba").number_of_waves(edges, chosen.k_max))
+    return pairs + _POINT * math.prod(chosen.points) + n * _SPLINE * chosen.order**3 + _MESH
+
+
+def meshes(
+    n: int,
+    edges: Edges,
+    tolerance: float,
+    cutoff: float | None = None,
+    switch: float | None = None,
+    order: int | None = None,
+    points: tuple[int, ...] | None = None,
+) -> Iterator[EwaldParameters]:
+    """Yield meshes of several sizes that meet a tolerance, with what is given."""
+    distance, half, goal = _distance(n, edges), 0.5 * min(edges), tolerance / errors.SAFETY
+    part = 0.75 if switch is None or cutoff is None else switch / cutoff
+    for p in (8, 10) if order is None else (order,):
+        least = math.inf
+        for mesh in _sizes(edges, p) if points is None else (points,):
+            if _POINT * math.prod(mesh) > least:
+                break
+            step = max(edge / many for edge, many in zip(edges, mesh, strict=True))
+            if cutoff is None:
+                alpha = errors.finest_splitting(step, p, distance, 0.7 * goal)
+                end = errors.shortest_cutoff(alpha, part, distance, 0.7 * goal, half)
+            else:
+                end, alpha = cutoff, errors.widest_splitting(cutoff, part * cutoff, distance, 0.7 * goal)
+            begin = part * end if switch is None or cutoff is not None else switch
+            parts = errors.of_pairs(alpha, end, begin, distance), errors.of_mesh(alpha, step, p, distance)
+            error = errors.SAFETY * math.hypot(*parts)
+            if begin < end and (error <= tolerance or points is not None):
+                found = EwaldParameters("mesh", end, begin, alpha, 0.0, p, mesh, error)
+                yield found
+                if cost(n, edges, found) > 1.3 * least:
+                    break
+                least = min(least, cost(n, edges, found))
+
+
+def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
+    """Yield numbers of points along the edges that have fast transforms, from few on."""
+    fast_size, shortest, many = kernels.load("mesh", "numba").fast_size, min(edges), order + LANES
+    while many <= MOST_POINTS:
+        many = fast_size(many)
+        mesh = tuple(fast_size(many * edge / shortest) for edge in edges)
+        if max(mesh) > MOST_POINTS:
+            return
+        yield mesh
+        many += 1
+
+
+def _distance(n: int, edges: Edges) -> float:
+    """Return the mean distance of n dipoles."""
+    return math.pow(math.prod(edges) / n, 1.0 / 3.0)

@@ -25,15 +25,25 @@ _REACH, _CHUNK = 2, 256
 _LANES = 8
 
 
-def cells(edges, end: float) -> Cells | None:
-    """Return how many cells a box with these edges has along each, or None if that is too few for a cutoff² of `end`."""
+def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
+    """Return the number of cells along each edge of a box, or None if it is too small for a cutoff² of `end`."""
     cutoff = math.sqrt(end)
-    m = tuple(int(_REACH * edge / cutoff) for edge in edges)
+    x, y, z = (int(_REACH * edge / cutoff) for edge in edges)
+    m = x, y, z
     return m if min(m) > 2 * _REACH else None
 
 
 def near_pairs(
-    arrows: Array, n: int, m: Cells, repulsion, coupling, attraction, minimum, alpha, truncation, threads: int
+    arrows: Array,
+    n: int,
+    m: Cells,
+    repulsion: float,
+    coupling: float,
+    attraction: float | None,
+    minimum: tuple[float, float] | None,
+    alpha: float | None,
+    truncation: tuple[float, float, float, float, float, float],
+    threads: int,
 ) -> tuple[float, Array, Array]:
     """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation."""
     heads, dipoles, placed = _sorted(arrows, n, m, truncation)
@@ -44,7 +54,7 @@ def near_pairs(
         _slabs(*part, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial)
 
     in_threads(sum_slabs, slabs, threads)
-    forces, fields = np.zeros((2, 3, arrows.shape[1]))
+    forces, fields = np.zeros((2, 3, n))
     _add_up(dipoles, partial, forces, fields)
     return float(energies.sum()), forces, fields
 
@@ -140,7 +150,9 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
 
 
 @reordered
-def _slabs(first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial):
+def _slabs(
+    first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
+):
     """Sum the pairs of the dipoles in some planes of cells with those in half of the cells around."""
     n, end = placed.shape[1], truncation[3]
     found, far, work = np.empty((6, n)), np.empty(n), np.zeros(13 * _CHUNK)

@@ -1,7 +1,7 @@
 """The Ewald sum of point dipoles in reciprocal space on a mesh, compiled.
 
-Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge
-Q = sum (u.grad) W(r - mesh), W a B-spline, and the energy 1/2 sum G(k) |Q(k)|², of which forces and fields are the exact
+Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is
+Q = sum (u.grad) W(r - mesh), W a B-spline, and the energy 1/2 sum G(k) |Q(k)|². Forces and fields are its exact
 derivatives, by those of the spline. One transform there, one back.
 """
 
@@ -29,8 +29,8 @@ def reciprocal_space(
 ) -> tuple[float, Array, Array]:
     """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
 
-    As `ewald.reciprocal_space`, with splines of this even `order` on a mesh of so many `points`. The mesh moves with the
-    mean of r: the energy does not change when all dipoles move alike, and the forces add up to zero. Any number of
+    As `ewald.reciprocal_space`, with splines of this even `order` on a mesh of so many `points`. The mesh moves with
+    the mean of r: the energy does not change when all dipoles move alike, and the forces add up to zero. Any number of
     threads gives the same bits.
     """
     C, steps, (nx, ny, nz) = spline(order), tuple(range(order)), points
@@ -39,18 +39,27 @@ def reciprocal_space(
     scale = np.array([n / edge for n, edge in zip(points, edges, strict=True)])
     mesh = np.empty((nx, ny + order, nz + C.shape[2]))
     each, planes = np.ones(len(dipoles), dtype=np.int64), np.ones(nx, dtype=np.int64)
-    in_threads(lambda *part: _spread(*part, u, base, rest, scale, heads, dipoles, C, steps, points, mesh), planes, threads)
+    in_threads(
+        lambda *part: _spread(*part, u, base, rest, scale, heads, dipoles, C, steps, points, mesh), planes, threads
+    )
     Q = scipy.fft.rfftn(mesh[:, :ny, :nz], workers=threads)
     influence, energies = influence_function(edges, alpha, points, order), np.empty(nx)
     in_threads(lambda *part: _multiply(*part, influence, Q, nz, energies), planes, threads)
     phi = scipy.fft.irfftn(Q, points, overwrite_x=True, workers=threads, norm="forward")
     in_threads(lambda *part: _pad(*part, phi, mesh), planes, threads)
     forces, fields = np.zeros_like(r), np.zeros_like(u)
-    in_threads(lambda *part: _gather(*part, u, base, rest, scale, dipoles, C, steps, mesh, forces, fields), each, threads)
+    in_threads(
+        lambda *part: _gather(*part, u, base, rest, scale, dipoles, C, steps, mesh, forces, fields), each, threads
+    )
     forces -= forces.mean(axis=1, keepdims=True)
     uniform = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
     uniform -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
     return float(energies.sum()) - 0.5 * float((uniform * u).sum()), forces, fields + uniform
+
+
+def fast_size(points: float) -> int:
+    """Return the least number of points, not below these up to roundoff, of which the Fourier transform is fast."""
+    return int(scipy.fft.next_fast_len(math.ceil(points * (1.0 - 1e-9)), real=True))
 
 
 @lru_cache
@@ -64,7 +73,8 @@ def spline(order: int) -> Array:
     for k in range(2, order + 1):
         low, high = [*pieces, np.zeros(1)], [np.zeros(1), *pieces]
         pieces = [
-            polynomial.polyadd(polynomial.polymul([a, 1.0], low[a]), polynomial.polymul([k - a, -1.0], high[a])) / (k - 1)
+            polynomial.polyadd(polynomial.polymul([a, 1.0], low[a]), polynomial.polymul([k - a, -1.0], high[a]))
+            / (k - 1)
             for a in range(k)
         ]
     C = np.zeros((3, order, -(-order // LANES) * LANES))

@@ -1,7 +1,7 @@
-"""The pair sum of soft dipoles in compiled double precision.
+"""The sum over soft dipoles in compiled double precision.
 
-Every sphere sums over all others, so that a pair is computed twice: rows are independent, the inner loop is vectorised,
-and any number of threads gives the same bits.
+Where the cutoff leaves no room for cells every sphere sums over all others, so that a pair is computed twice: rows are
+independent, the inner loop is vectorised, and any number of threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import reordered
+from openmm_exactrb.kernels.compiled import mesh
+from openmm_exactrb.kernels.compiled.cells import cells, near_pairs
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
 from openmm_exactrb.kernels.compiled.pair import pair, truncated
 from openmm_exactrb.kernels.threads import cores, in_threads
 
 Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float]
-Ewald = tuple[float, float, float]
+Ewald = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
 
 # Fewer pairs than this are not worth a second thread. Ten waves of a dipole cost as much as three pairs, and a screened
 # pair as much as three others.
@@ -50,29 +52,49 @@ def soft_dipoles(
         4 epsilon sigma^6.
     minimum : (squared distance, depth), optional
         Where the energy of the spheres ends, raised by the depth (Weeks, Chandler and Andersen).
-    ewald : (alpha, k_max, dielectric), optional
-        Inverse width of the Gaussians of an Ewald sum, its largest wave number, and relative permittivity outside.
+    ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
+        Inverse width of the Gaussians of an Ewald sum; its largest wave number, or the steps of its mesh along the
+        edges and the order of its splines; and relative permittivity outside.
     """
     if ewald and truncation is None:
         raise ValueError("an Ewald sum needs a box")
     n = len(x) // 2
-    waves = number_of_waves(truncation[:3], ewald[1]) if ewald and truncation else 0
-    threads = threads or (cores() if n * (n + waves / 10) > _SHARED else 1)
-    forces, energies = np.empty((2 * n, 3)), np.empty(n)
-    alpha = ewald and ewald[0]
-
-    def sum_rows(*rows: int) -> None:
-        _rows(*rows, x, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces)
-
-    in_threads(sum_rows, np.ones(n, dtype=np.int64), threads)
-    energy = 0.5 * float(energies.sum())
+    threads = threads or (cores() if _work(n, truncation, ewald) > _SHARED else 1)
+    alpha, arrows = ewald and ewald[0], _split(x)
+    laws = repulsion, coupling, attraction, minimum, alpha
+    room = cells(truncation[:3], truncation[3]) if truncation else None
+    if truncation and room:
+        energy, force, field = near_pairs(arrows, n, room, *laws, truncation, threads)
+    else:
+        energies, force, field = np.empty(n), *np.empty((2, 3, n))
+        rows = np.ones(n, dtype=np.int64)
+        in_threads(lambda *part: _rows(*part, arrows, *laws, truncation, energies, force, field), rows, threads)
+        energy = 0.5 * float(energies.sum())
     if ewald and truncation:
-        arrows = _split(x)
-        far, pull, field = reciprocal_space(arrows[:3], arrows[3:], truncation[:3], *ewald, threads)
-        energy += coupling * far
-        forces[0::2] += coupling * (pull - field).T[:n]
-        forces[1::2] += coupling * field.T[:n]
+        far, push, pull = _images(arrows, n, truncation[:3], ewald, threads)
+        energy, force, field = energy + coupling * far, force + coupling * push, field + coupling * pull
+    forces = np.empty((2 * n, 3))
+    # The potential moves a centre at a fixed arrow: its particle loses what the tip gets.
+    forces[0::2], forces[1::2] = (force - field).T, field.T
     return energy, forces
+
+
+def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
+    """Return the work in pairs without screening."""
+    waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
+    return n * (n + waves / 10)
+
+
+def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int) -> tuple[float, Array, Array]:
+    """Return energy, forces and fields (3, n) in reciprocal space, per coupling."""
+    if len(ewald) == 3:
+        alpha, k_max, dielectric = ewald
+        energy, forces, fields = reciprocal_space(arrows[:3], arrows[3:], edges, alpha, k_max, dielectric, threads)
+        return energy, forces[:, :n], fields[:, :n]
+    alpha, steps, order, dielectric = ewald
+    x, y, z = (mesh.fast_size(edge / step) for edge, step in zip(edges, steps, strict=True))
+    r, u = arrows[:3, :n].copy(), arrows[3:, :n].copy()
+    return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)
 
 
 @reordered
@@ -88,9 +110,9 @@ def _split(x):
 
 
 @reordered
-def _rows(first, last, sites, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces):
+def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces, fields):
     """Sum twice the energy, and the forces, of some spheres with all others."""
-    n, arrows = len(energies), _split(sites)
+    n = len(energies)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]
         energy = fx = fy = fz = gx = gy = gz = turn = 0.0
@@ -111,6 +133,5 @@ def _rows(first, last, sites, repulsion, coupling, attraction, minimum, alpha, t
             gx, gy, gz = gx + c * vr * x - b * vx, gy + c * vr * y - b * vy, gz + c * vr * z - b * vz
             turn += c * vr
         energies[i] = energy
-        # The potential moves a centre at a fixed arrow: its particle loses what the tip gets.
-        forces[2 * i] = fx + turn * ux - gx, fy + turn * uy - gy, fz + turn * uz - gz
-        forces[2 * i + 1] = gx, gy, gz
+        forces[0, i], forces[1, i], forces[2, i] = fx + turn * ux, fy + turn * uy, fz + turn * uz
+        fields[0, i], fields[1, i], fields[2, i] = gx, gy, gz

@@ -10,6 +10,7 @@ from numba.extending import intrinsic
 LANES = 4
 
 _ROW = ir.VectorType(ir.DoubleType(), LANES)
+_FIRST = ir.Constant(ir.IntType(64), 0)
 _FUSED = ("contract",)
 
 
@@ -23,7 +24,7 @@ class _Code:
         self.vectors = -(-order // LANES)
         self.width = LANES * self.vectors
 
-    def pointer(self, kind, array, at=ir.IntType(64)(0)):
+    def pointer(self, kind, array, at=_FIRST):
         """Return where an element of a flat array of this type is."""
         return self.builder.gep(self.context.make_array(kind)(self.context, self.builder, array).data, [at])
 
@@ -71,7 +72,9 @@ def spline_rows(typingctx, C, t, scale, w, at, steps):
             for n in range(code.vectors):
                 value = code.vector(coefficients, (order * e + e) * code.vectors + n)
                 for c in range(e + 1, order):
-                    value = code.plus(code.times(value, t), code.vector(coefficients, (order * e + c) * code.vectors + n))
+                    value = code.plus(
+                        code.times(value, t), code.vector(coefficients, (order * e + c) * code.vectors + n)
+                    )
                 code.store(value if unit is None else code.times(value, unit), w, code.vectors * e + n)
             unit = scale if unit is None else code.times(unit, scale)
         return context.get_dummy_value()
@@ -81,7 +84,7 @@ def spline_rows(typingctx, C, t, scale, w, at, steps):
 
 @intrinsic
 def add_plane(typingctx, mesh, at, stride, w, a, b, c, steps):
-    """Add (a Y + b Y') Z + c Y Z' to the rows of a plane of the mesh, the first at mesh[at:], by splines w along y and z."""
+    """Add (a Y + b Y') Z + c Y Z', with splines w along y and z, to the rows of a plane, the first at mesh[at:]."""
     signature = types.void(mesh, at, stride, w, a, b, c, steps)
 
     def generate(context, builder, signature, values):
