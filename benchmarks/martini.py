@@ -253,3 +253,16 @@ def bilayer(composition, per_side=8, water=6.0, area=0.64, seed=1):
     box = np.array([edge, edge, 2 * half + 0.5 * (layers - 1)])
     topology, system = system_of(molecules, box)
     return topology, system, np.concatenate([places[k] for k in order])
+
+
+def relax(integrator, step, friction):
+    """Take the overlaps out of a lattice by short steps with much friction, then set step (ps) and friction (1/ps).
+
+    OpenMM's minimiser calls the constraint solver that does not converge for cholesterol.
+    """
+    for h, g in ((1e-4, 5000.0), (1e-3, 1000.0), (5e-3, 100.0), (1e-2, 20.0)):
+        integrator.setStepSize(h)
+        integrator.setFriction(g)
+        integrator.step(100)
+    integrator.setStepSize(step)
+    integrator.setFriction(friction)
