@@ -42,10 +42,11 @@ def pieces(page: Path) -> Iterator[tuple[CodeType, str | None]]:
 
 
 def run(page: Path) -> None:
-    """Run the pieces of a page one after the other, in an empty folder beside the examples; warnings are errors."""
+    """Run the pieces of a page one after the other, in an empty folder beside examples and benchmarks; warnings are errors."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        (folder / "examples").symlink_to(ROOT / "examples")
+        for name in ("examples", "benchmarks"):
+            (folder / name).symlink_to(ROOT / name)
         stack.enter_context(contextlib.chdir(folder))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("error")
