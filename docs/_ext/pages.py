@@ -42,7 +42,7 @@ def pieces(page: Path) -> Iterator[tuple[CodeType, str | None]]:
 
 
 def run(page: Path) -> None:
-    """Run the pieces of a page one after the other, in an empty folder beside examples and benchmarks; warnings are errors."""
+    """Run the pieces of a page one after the other, in a folder with examples and benchmarks; warnings are errors."""
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name in ("examples", "benchmarks"):
