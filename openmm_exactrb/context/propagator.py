@@ -183,7 +183,10 @@ class Propagator:
 
     def _processed_from(self, state: State) -> State:
         """Return the inner state of a true one, whose positions are the present ones."""
+        check = self.environment.divergence
+        check.keep_from(state)
         inner = self._positions.through(self._processor, state)
+        check.leave(inner)  # its kicks are of the size of the steps, which may be far too long
         self._memory.clear()
         return inner
 

@@ -242,6 +242,18 @@ def test_a_failed_call_leaves_the_inner_state_of_the_last_one(scheme):
 # -- what OpenMM does between steps -----------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
+@pytest.mark.parametrize("step", [0.2, 1.0])
+def test_a_step_that_is_far_too_long_diverges_in_the_processor_already(scheme, step):
+    _topology, system, positions = rb.rigid_water(8)
+    integrator = rb.ExactRigidBodyIntegrator(step, scheme)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 3)
+    with pytest.raises(rb.IntegrationError, match=r"step 1,.* kinetic energy rose from"):
+        integrator.step(100)
+
+
 @pytest.mark.parametrize("scheme", PROCESSED)
 @pytest.mark.parametrize("interval", [1, 4])
 def test_a_remover_of_motion_costs_at_most_two_percent_more(scheme, interval):
