@@ -110,6 +110,8 @@ class BodyAccess:
             where constraints leave a molecule a motion of its own.
         NonFiniteError
             If the energy or a force at the start is not finite.
+        ArithmeticError
+            If OpenMM's minimiser loses the constraints.
 
         Warns
         -----
@@ -126,8 +128,16 @@ class BodyAccess:
                     "bodies named by hand cannot be minimised beside molecules with constraints: minimise with "
                     "simulation.minimizeEnergy() before bodies are named"
                 )
-            openmm.LocalEnergyMinimizer.minimize(sync.context, force, iterations)
-            sync.pull()
+            start = sync.context.getState(positions=True).getPositions()
+            try:
+                openmm.LocalEnergyMinimizer.minimize(sync.context, force, iterations)
+                sync.pull()
+            except (ValueError, openmm.OpenMMException) as error:
+                sync.context.setPositions(start)
+                raise ArithmeticError(
+                    "OpenMM's minimiser lost the constraints, for which its solver does not converge, and positions are "
+                    "those of before: take overlaps out by short steps with much friction and checkDivergence=False"
+                ) from error
             sync.push()
             return
         positions = Positions(sync.context, bodies, sync.particles)

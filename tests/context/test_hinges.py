@@ -55,6 +55,18 @@ def test_cholesterol_in_a_small_membrane_keeps_its_constraints(step):
     assert 250.0 < integrator.temperatures()[0]._value < 400.0
 
 
+def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error_and_leaves_the_positions():
+    _, system, positions = martini.bilayer({"DPPC": 0.5, "CHOL": 0.5}, per_side=3, water=1.0, area=0.8)
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
+    context.setPositions(positions)
+    context.computeVirtualSites()
+    before = context.getState(positions=True).getPositions(asNumpy=True)._value
+    with pytest.raises(ArithmeticError, match="take overlaps out by short steps with much friction"):
+        integrator.minimizeEnergy(maxIterations=20)
+    np.testing.assert_array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, before)
+
+
 def test_a_hinge_passes_180_degrees_and_keeps_its_energy():
     """The four beads of cholesterol, thrown through the plane of both triangles."""
     molecule = martini_rings.MOLECULES["cholesterol"]
