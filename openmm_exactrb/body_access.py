@@ -135,7 +135,7 @@ class BodyAccess:
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
-                    "OpenMM's minimiser lost the constraints, for which its solver does not converge, and positions are "
+                    "OpenMM's minimiser lost the constraints, for which its solver does not converge; positions are "
                     "those of before: take overlaps out by short steps with much friction and checkDivergence=False"
                 ) from error
             sync.push()
