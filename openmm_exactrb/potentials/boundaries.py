@@ -14,7 +14,6 @@ from functools import lru_cache
 from typing import ClassVar, TypeAlias
 
 import numpy as np
-import scipy.fft
 from openmm import unit
 
 from openmm_exactrb import checks
@@ -161,6 +160,8 @@ class Ewald(_Periodic):
         if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
             raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
         if self.mesh is not None:
+            import scipy.fft  # slow
+
             for points in np.ravel(self.mesh):
                 fast = scipy.fft.next_fast_len(checks.whole(points, "each number of points of the mesh"), real=True)
                 if fast != points:
