@@ -262,8 +262,10 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
     It costs OpenMM a third of the time of a LocalCoordinatesSite.
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
-    frame = np.column_stack([to_second, to_third, np.cross(to_second, to_third)])
-    weights = np.linalg.solve(frame, place - sites[0]) + _OFF_FRACTIONS
+    normal, place = np.cross(to_second, to_third), place - sites[0]
+    # Cramer's rule, whose bits are those of any machine: LAPACK's are not, and runs are known by the text of a System.
+    columns = np.cross(place, to_third), np.cross(to_second, place), place
+    weights = (np.array(columns) * normal).sum(axis=1) / (normal * normal).sum() + _OFF_FRACTIONS
     return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
 
 
