@@ -117,7 +117,7 @@ class Ewald(_Periodic):
     not given is chosen so that the sum is fast and meets the tolerance; `getParameters` tells it. The switch acts on
     the spheres and on next to nothing of the dipoles. Either sum has an exact gradient: whatever its tolerance, in a
     fixed box it is smooth, and a symplectic scheme keeps its energy. Where the box changes, the energy jumps by up to
-    about the tolerance. It needs the compiled kernel.
+    about the tolerance. It needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
