@@ -53,7 +53,7 @@ def test_the_promised_forces_are_those_of_a_simulation(updates):
     schemes, some = ("W2_1", "W4_4", "W2_5", "S2_2"), {"duration": 0.02, "levels": 3, "report": None}
     result = rb.tune(system, start, schemes=schemes, platform="Reference", **some)
     for name in (*schemes, VERLET):
-        choice = result.cheapest(result.curve(name)[0].error, name)
+        choice = result.best(result.curve(name)[0].error, name)
         integrator = choice.integrator()
         simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
         simulation.context.setPositions(start.getPositions())
