@@ -64,14 +64,14 @@ class Synchronisation:
         self.inner: State | None = None
         self._coordinates = 0.0  # of the inner state
         self.memory: Remembered = ([], [])
-        self._outdated = False
+        self._outdated = self._written = False
         #: Called when a user has set a State or a step count.
         self.taken_elsewhere: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
             _watch(context, name, after=lambda: self.taken_elsewhere())
-        _watch(context, "createCheckpoint", self._write, self._unmark)
-        _watch(context, "getState", self._write, self._unmark, _saves)
+        _watch(context, "createCheckpoint", self._write, self._withdraw)
+        _watch(context, "getState", self._write, self._withdraw, _saves)
 
     @property
     def context(self) -> Any:
@@ -191,10 +191,11 @@ class Synchronisation:
         self.keep(inner, coordinates, ([], []) if inner is None else variables.read_forces(integrator, self.bodies))
 
     def _write(self) -> None:
-        """Write the state to the integrator's variables."""
-        if self._seen is None:
-            return
+        """Write the state to the integrator's variables, unless they hold one that was loaded and not yet pulled."""
         integrator = self._integrator()
+        self._written = self._seen is not None and not variables.marked(integrator)
+        if not self._written:
+            return
         variables.write(integrator, self.bodies, self.state)
         if self.inner is not None:
             variables.write(integrator, self.bodies, self.inner, variables.INNER)
@@ -205,6 +206,11 @@ class Synchronisation:
     def _unmark(self) -> None:
         """Take the mark away: variables that have it were loaded."""
         variables.mark(self._integrator(), self._marks[0])
+
+    def _withdraw(self) -> None:
+        """Take the mark away that `_write` set."""
+        if self._written:
+            self._unmark()
 
     def write_velocities(self, state: State) -> None:
         """Write the velocities of the particles into the Context."""

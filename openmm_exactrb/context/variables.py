@@ -164,9 +164,14 @@ def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
     put(integrator, _STORED, value)
 
 
+def marked(integrator: openmm.CustomIntegrator) -> bool:
+    """Return whether the variables of an integrator hold a state."""
+    return get(integrator, _STORED) != _NOTHING
+
+
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:
     """Read the sums of a state, if one was written and the integrator has variables for it."""
-    if not get(integrator, _STORED) or not _has(integrator, which + _VECTORS[-1]):
+    if not marked(integrator) or not _has(integrator, which + _VECTORS[-1]):
         return None
     first, k = bodies.first_particle, bodies.n_turning
     values = (integrator.getPerDofVariableByName(_PREFIX + which + name) for name in _VECTORS)

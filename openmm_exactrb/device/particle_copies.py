@@ -82,4 +82,4 @@ class ParticleCopies(Synchronisation):
     def _write(self) -> None:
         """Do nothing: the copies have the state."""
 
-    _unmark = _write
+    _unmark = _withdraw = _write
