@@ -144,7 +144,7 @@ class Table:
         return tuple(part for name in _ORDER for part in (last if name == "last" else (name,)))
 
     def column(self, part: str) -> int:
-        """Return the column of a part; those of `Row.last` have numbers, such as "last0"."""
+        """Return the column of a part; those of the last forces have numbers, such as "last0"."""
         return self.parts.index(part)
 
     def columns(self) -> list[list[float]]:

@@ -23,7 +23,8 @@ _ROW, _CELL, _WAVE, _POINT, _SPLINE, _MESH, _WHOLE = 9.3, 12.0, 1.0, 15.0, 0.85,
 #: The least tolerance of a mesh that is chosen: below, its a priori error is one of rounding.
 LEAST_TOLERANCE = 2e-7
 
-LANES = 4  # beyond the order of a spline, which has full vector registers
+#: Numbers beyond the order of a spline, which has full vector registers.
+LANES = 4
 
 
 def splitting(

@@ -1,8 +1,8 @@
 """The Ewald sum of point dipoles in reciprocal space on a mesh, compiled.
 
 Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is
-Q = sum (u.grad) W(r - mesh), W a B-spline, and the energy 1/2 sum G(k) |Q(k)|². Forces and fields are its exact
-derivatives, by those of the spline. One transform there, one back.
+Q = sum (u.grad) W(r - mesh), W a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and
+fields are its exact derivatives, by those of the spline. One transform there, one back.
 """
 
 from __future__ import annotations
