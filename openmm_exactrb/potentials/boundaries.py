@@ -114,7 +114,7 @@ class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space goes over all waves, or over those of a mesh (smooth particle mesh Ewald). Whatever
-    is not given is chosen so that the sum is fast and meets the tolerance; `Ewald.getParameters` tells it. The
+    is not given is chosen so that the sum is fast and meets the tolerance; ``getParameters`` tells it. The
     switch acts on the spheres and on next to nothing of the dipoles. Either sum has an exact gradient: whatever its
     tolerance, in a fixed box it is smooth, and a symplectic scheme keeps its energy. Where the box changes, the
     energy jumps by up to about the tolerance. It needs the compiled kernel, or ``kernel="openmm"`` of

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import openmm
 
-#: Of `ewaldErrorTolerance`: a looser one shows beside the best schemes.
+#: Of ``ewaldErrorTolerance``: a looser one shows beside the best schemes.
 TIGHT = 1e-5
 
 

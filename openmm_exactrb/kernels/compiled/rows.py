@@ -6,6 +6,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
+__all__ = ["LANES"]  # numba's intrinsics have no signatures for documentation
+
 #: Numbers a vector register.
 LANES = 4
 
