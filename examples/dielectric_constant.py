@@ -12,7 +12,7 @@ and is good enough for weak ones (``--dipole2 1``).
 literature. It is dilute, and its short chains turn slowly: ``--duration 10000 --step 0.03``.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
+Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
 This page shows ``python examples/dielectric_constant.py --dipole2 1 --duration 150``, weak dipoles, for which a short
 run is enough. Without options the script takes mu² = 3 and 2000 ps.

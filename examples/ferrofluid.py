@@ -8,7 +8,7 @@ of all periodic images by an Ewald sum. With lambda = mu²/kT = 8 two particles 
 
 The picture shows the box at the end, a colour for each of the largest clusters, and how the mean size of clusters grew.
 Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
+Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
 This page shows ``python examples/ferrofluid.py -n 125 --duration 20``.
 """

@@ -4,7 +4,7 @@ Ions in rigid water
 
 Particles without constraints move beside the rigid bodies, by the same splitting: this script puts sodium and chloride
 into a box and changes nothing else. It writes a trajectory and its energies, and draws the temperatures of translation
-and rotation. After an accident the same command with ``--resume`` goes on.
+and rotation. After an accident the same command with ``--resume`` continues.
 
 This page shows ``python examples/ions_in_rigid_water.py --steps 100``.
 """

@@ -12,7 +12,7 @@ constant is about that of water. A box of a thousand holds correlations that a s
   fluctuation formula eps = 1 + 3 y G, where G counts all of the box.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` goes on.
+Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
 This page shows ``python examples/stockmayer_fluid.py -n 125 --duration 20``.
 """

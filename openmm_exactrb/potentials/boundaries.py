@@ -157,7 +157,7 @@ class Ewald(_Periodic):
         if self.method not in ("auto", "direct", "mesh"):
             raise ValueError(f"unknown method {self.method!r}: choose one of auto, direct, mesh")
         if self.method == "direct" and not (self.mesh is None and self.order is None):
-            raise ValueError("the direct sum has no mesh: leave mesh and order away, or take method='mesh'")
+            raise ValueError("the direct sum has no mesh: omit mesh and order, or take method='mesh'")
         if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
             raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
         if self.mesh is not None:
