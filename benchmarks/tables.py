@@ -189,6 +189,11 @@ def over_verlet(scheme: str) -> float:
     return found[scheme] / found["Verlet"]
 
 
+def asked(scheme: str) -> float:
+    """Return the force evaluations of a step through `Simulation.step`: benchmarks/outputs.py."""
+    return float(np.mean([float(row["asked per step"]) for row in rows("outputs") if row["scheme"] == scheme]))
+
+
 def rounded(value: float) -> str:
     """Return a number with two digits, below one with one."""
     return f"{float(f'{value:.{1 + (value >= 1.0)}g}'):g}"

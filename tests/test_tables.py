@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import openmm_exactrb as rb
 import tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -14,8 +15,10 @@ def test_the_readme_repeats_what_was_measured():
     """Markdown without substitutions has its figures typed."""
     readme = " ".join((ROOT / "README.md").read_text().split())
     figures = tables.figures()
-    assert f"{figures['W4_4_gain']} times less than `VerletIntegrator` over 30 ps" in readme
-    assert f"has {figures['default_over_verlet']} of its energy error" in readme
+    assert f"fluctuates {figures['W4_4_gain']} times less than with `VerletIntegrator`" in readme
+    assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
+    assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
+    assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
 
 
 def test_the_default_has_at_most_two_fifths_of_the_energy_error_of_verlet_for_one_force_a_step():
