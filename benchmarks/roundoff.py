@@ -12,6 +12,7 @@ folder of its own.
 from __future__ import annotations
 
 import argparse
+import csv
 import itertools
 import sys
 from dataclasses import dataclass, replace
@@ -40,12 +41,7 @@ TOP_SCHEME, TOP_STEP = rb.SCHEMES["SRKN6_11b"], 0.02
 DIPOLE_SCHEME, DIPOLE_STEP = rb.SCHEMES["SRKN6_14a"], 0.0025
 KT, TRAP = 0.1, 0.1  # kJ/mol and kJ/mol/nm²
 DOCS = Path("docs")
-QUANTITIES = {
-    "energy": "relative energy error",
-    "direction": "angular momentum:\nerror of its direction (rad)",
-    "momentum": "linear momentum:\nerror / sum of norms",
-}
-TITLES = {"top": "heavy tops", "dipoles": "27 dipoles, OpenMM Reference"}
+QUANTITIES = ("energy", "direction", "momentum")  # of the angular and the linear momentum
 
 
 def recorded_steps(last):
@@ -295,50 +291,51 @@ def truncation():
             print(f"{name}: h = {h:g}: {worst:.1e}; at {taken:g}: {worst * (taken / h) ** scheme.order:.1e}")
 
 
+VARIANTS = ("sums", "rounded", "settle")
 STYLES = {
-    "sums": ("#0072B2", "o", "openmm-exactrb: sums high + low"),
-    "rounded": ("#D55E00", "s", "the same, rounded at every stage"),
-    "settle": ("#000000", "^", "OpenMM Verlet + SETTLE"),
+    "sums": ("#0072B2", "o", "this package: state in double-doubles"),
+    "rounded": ("#D55E00", "s", "the same, state rounded at every stage"),
 }
 
 
-def draw(folder, fraction, csv, picture):
+def record(folder, fraction, table):
+    """Write the root mean squares, and print where they end and how they grow."""
     lines = ["system,variant,quantity,starts,step,rms"]
-    figure, axes = plt.subplots(2, 3, figsize=(13.0, 8.0), sharey="row", layout="constrained")
     for name, variant, quantity, starts, errors in curves(folder):
-        row, last = list(SYSTEMS).index(name), SYSTEMS[name][2] // fraction
-        steps, axis = recorded_steps(last), axes[row, list(QUANTITIES).index(quantity)]
+        last = SYSTEMS[name][2] // fraction
+        steps = recorded_steps(last)
         lines += [f"{name},{variant},{quantity},{starts},{n},{e:.4e}" for n, e in zip(steps, errors, strict=True)]
-        colour, marker, _ = STYLES[variant]
-        axis.loglog(steps[errors > 0.0], errors[errors > 0.0], color=colour, marker=marker, markersize=4)
         slope = exponent(steps, np.maximum(errors, 1e-20), last / 1000)
         print(f"{name:8} {variant:8} {quantity:10} {starts:4} starts  end {errors[-1]:.1e}  exponent {slope:.2f}")
-    for name, row in zip(SYSTEMS, axes, strict=True):
-        guide = np.array([10.0, SYSTEMS[name][2] // fraction])
-        for axis, label in zip(row, QUANTITIES.values(), strict=True):
-            if axis is axes[0, 2]:  # of the legend
-                continue
-            axis.loglog(guide, 1e-17 * np.sqrt(guide / 10.0), color="#999999", linestyle="--")
-            axis.set(title=TITLES[name], xlabel="steps n", ylabel=label)
-            axis.grid(alpha=0.3)
-    axes[0, 1].set(ylabel="angular momentum along the field:\nerror / norm")
-    axes[0, 2].axis("off")
-    for colour, marker, label in STYLES.values():
-        axes[0, 2].plot([], [], color=colour, marker=marker, label=label)
-    axes[0, 2].plot([], [], color="#999999", linestyle="--", label="growth as the square root of n")
-    axes[0, 2].legend(loc="center", title="root mean square over the starts")
-    csv.parent.mkdir(parents=True, exist_ok=True)
-    csv.write_text("\n".join(lines) + "\n")
-    figure.savefig(picture, dpi=110)
+    table.parent.mkdir(parents=True, exist_ok=True)
+    table.write_text("\n".join(lines) + "\n")
+
+
+def draw(table, picture):
+    """Draw how roundoff lets the energy of the dipoles drift, from the table."""
+    with table.open() as file:
+        rows = [row for row in csv.DictReader(file) if (row["system"], row["quantity"]) == ("dipoles", "energy")]
+    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    for variant, (colour, marker, label) in STYLES.items():
+        steps, errors = np.array([(row["step"], row["rms"]) for row in rows if row["variant"] == variant], float).T
+        axes.loglog(steps, errors, color=colour, marker=marker, markersize=4, label=label)
+    guide = steps[[0, -1]]
+    axes.loglog(guide, 1e-17 * np.sqrt(guide / guide[0]), color="#999999", linestyle="--", label="square root of n")
+    axes.set(
+        title="27 dipoles: roundoff in the energy", xlabel="number of steps n", ylabel="relative energy error (rms)"
+    )
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=9)
+    figure.savefig(picture, dpi=150)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--systems", nargs="+", choices=SYSTEMS, default=list(SYSTEMS))
-    parser.add_argument("--variants", nargs="+", choices=STYLES, default=list(STYLES))
+    parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=VARIANTS)
     parser.add_argument("--starts", type=int, default=8)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--draw", action="store_true", help="only draw what is there")
+    parser.add_argument("--draw", action="store_true", help="only draw the table that is there")
     parser.add_argument("--truncation", action="store_true", help="only measure the error of the scheme")
     options = parser.parse_args()
     fraction = 100 if options.quick else 1
@@ -349,7 +346,10 @@ def main():
     if not options.draw:
         compute(folder, options.systems, options.variants, options.starts, fraction)
     target = folder if options.quick else DOCS
-    draw(folder, fraction, target / "roundoff.csv", target / "roundoff.png")
+    table = target / "roundoff.csv"
+    if not options.draw:
+        record(folder, fraction, table)
+    draw(table, target / "roundoff.png")
 
 
 if __name__ == "__main__":
