@@ -1,4 +1,4 @@
-"""Rigid water in a periodic box with PME: the error of the total energy over 30 ps, compared with OpenMM's Verlet at the same cost.
+"""Rigid water in a periodic box with PME: the energy error over 30 ps, compared with OpenMM's Verlet at equal cost.
 
 216 molecules of each model on the CPU platform, whose forces are of single precision, with a switch before the cutoff
 and tight PME, so that the integrator is seen and not the cutoff; --loose takes neither, as createSystem does. Each run
