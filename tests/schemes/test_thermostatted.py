@@ -1,9 +1,14 @@
 """Schemes with a thermostat within them."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme, scheme_for_thermostat, shadow, stability_limit
+from openmm_exactrb.schemes.thermostatted import reading_point
+from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 
 @pytest.mark.parametrize(("name", "momenta", "places"), [("BAOAB", 1 / 6, -1 / 12), ("BAOA", -1 / 12, -1 / 12)])
@@ -20,6 +25,47 @@ def test_w2_3m_has_canonical_momenta_up_to_fast_librations():
         assert shadow(scheme, 0.018 * frequency).kinetic == pytest.approx(1.0, abs=0.005)
     assert stability_limit(scheme) == pytest.approx(4.807, abs=0.002)  # 267/ps
     assert shadow(WITH_THERMOSTAT["BAOA"], 0.006 * 130.0).kinetic < 0.95
+
+
+def canonical(scheme, step):
+    """Return w² <q²> / <p²> less 1 of an oscillator at the ends of steps."""
+    kinetic, potential = shadow(scheme, step)
+    return kinetic / potential - 1.0
+
+
+def test_the_places_of_w2_3m_are_canonical_in_the_fourth_order_where_a_step_ends():
+    """The place where it ends moves its places and nothing else: behind the next drift they are off in second order."""
+    scheme = WITH_THERMOSTAT["W2_3m"]
+    *_, (_, read) = scheme.sequence
+    assert scheme.sequence[0][1] + read == pytest.approx(0.135)  # the drift of the thermostat's other side
+    at_the_kick = replace(scheme, sequence=(*scheme.sequence[1:], scheme.sequence[0]))
+    steps = np.array([0.05, 0.1, 0.2])
+    for made, order in ((scheme, 4), (at_the_kick, 2)):
+        errors = [abs(canonical(made, step)) for step in steps]
+        assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx(order, abs=0.02)
+    assert canonical(scheme, 0.012 * 160.0) == pytest.approx(0.0036, abs=1e-4)  # 4 fs per force
+    assert canonical(at_the_kick, 0.012 * 160.0) == pytest.approx(0.0227, abs=1e-4)
+
+
+def test_places_are_canonical_with_friction_too():
+    """The stationary covariance of an oscillator with friction of 5/ps and 30/ps is that without."""
+    w, h, scheme = 160.0, 0.012, WITH_THERMOSTAT["W2_3m"]
+    for friction in (5.0, 30.0):
+        step, noise = np.eye(2), np.zeros((2, 2))
+        for substep, part in scheme.sequence:
+            matrix, added = np.array(substep.oscillator(part * w * h)), 0.0
+            if substep == HEAT_EXCHANGE:
+                matrix = np.diag([1.0, np.exp(-friction * h)])
+                added = np.diag([0.0, 1.0 - matrix[1, 1] ** 2])
+            step, noise = matrix @ step, matrix @ noise @ matrix.T + added
+        covariance = np.linalg.solve(np.eye(4) - np.kron(step, step), noise.ravel()).reshape(2, 2)
+        assert np.diag(covariance) - 1.0 == pytest.approx([canonical(scheme, w * h), 0.0], abs=1e-9)
+
+
+def test_the_reading_point_of_one_kick_is_the_kick():
+    """BAOA's steps end there."""
+    assert reading_point([(1.0, 0.5)]) == pytest.approx(0.5)
+    assert canonical(WITH_THERMOSTAT["BAOA"], 0.5) == pytest.approx(0.0, abs=1e-14)
 
 
 def test_names_are_looked_up_among_all_schemes_that_a_thermostat_can_be_joined_to():
