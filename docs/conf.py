@@ -49,7 +49,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_static", "examples/**/*.ipynb"]
+exclude_patterns = ["_build", "_static", "joss.md", "examples/**/*.ipynb"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
 myst_heading_anchors = 3
 
