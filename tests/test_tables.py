@@ -11,12 +11,14 @@ import tables
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def test_the_readme_repeats_what_was_measured():
-    """Markdown without substitutions has its figures typed."""
-    readme = " ".join((ROOT / "README.md").read_text().split())
+def test_figures_that_are_typed_are_those_that_were_measured():
+    """Pages that are also read as plain Markdown have no substitutions."""
+    readme, which = (" ".join((ROOT / page).read_text().split()) for page in ("README.md", "docs/which.md"))
     figures = tables.figures()
     assert f"fluctuates {figures['W4_4_gain']} times less than with `VerletIntegrator`" in readme
     assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
+    assert f"| {figures['W4_4_gain']} times less energy error over 30 ps" in which
+    assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
     assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
     assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
 
