@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 
 def number(value: Any, name: str, of: str = "") -> float:
-    """Return a finite number as a float; a ValueError with its name and unit (`of`) if it is none."""
+    """Return a finite number as a float; a ValueError with its name and unit (`of`) otherwise."""
     return _checked(value, name, of, "a finite number{}", lambda x: True)
 
 

@@ -39,9 +39,9 @@ Array = NDArray[np.float64]
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
-    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Beside them move particles
-    without constraints, and clusters whose constraints leave them a motion of their own, along these to roundoff. After
-    every step(n) the Context holds positions, velocities, time and step count, and changes made to it between calls are
+    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without
+    constraints move with them, and so do clusters whose constraints leave them internal motions, along these to
+    roundoff. After every step(n) the Context holds positions, velocities, time and step count, and changes made to it between calls are
     honoured. Each call evaluates the forces at its starting positions again; within a call no force is evaluated twice.
 
     Parameters
@@ -55,8 +55,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
-        Particles of rigid bodies beside those that constraints make. Their shape is that of the positions at the first
-        step; what acts within them only adds a constant to the energy.
+        Particles of rigid bodies in addition to those that constraints make. Their shape is that of the positions at
+        the first step; what acts within them only adds a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
         Forces that are integrated with inner steps within the drifts of the scheme: "bonded" ones, which are bonds,
         angles, torsions and pairs three bonds apart, or those of some force groups. The other forces, which are what
@@ -145,7 +145,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._thermostat
 
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies beside those that constraints make, as they were given."""
+        """Return the particles of the bodies passed as `bodies`, as they were given."""
         return copy.deepcopy(self._bodies)
 
     def getMultipleTimeSteps(self) -> MultipleTimeSteps | None:
@@ -230,7 +230,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._engine.note
 
     def bind(self, context: openmm.Context) -> None:
-        """Tell the integrator its Context.
+        """Bind the integrator to its Context.
 
         Only needed where `step` cannot find the Context that was made with this integrator. Positions may be set later.
 
@@ -347,7 +347,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
-        """Return what a copy is made with, beside the arguments that all have."""
+        """Return the arguments of a copy in addition to those that all have."""
         others = {"engine": self._engine.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 

@@ -109,7 +109,7 @@ def from_matrix(Q: Array) -> Array:
 
 
 def random(rng: np.random.Generator, n: int) -> Array:
-    """Return n attitudes (n, 4), uniform over all rotations."""
+    """Return n orientations (n, 4), uniform over all rotations."""
     q = rng.standard_normal((n, 4))
     unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit

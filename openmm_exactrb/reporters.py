@@ -67,7 +67,7 @@ class EnergyReporter(_Lines):
         Steps between two lines.
     append : bool, optional
         Append to the lines of an existing file, and write the names of the columns only if it is empty. A file that
-        ends within a line, left by a script that was killed, is refused.
+        ends within a line, left by a script that was killed, raises a ValueError.
 
     Notes
     -----

@@ -143,7 +143,7 @@ class GradientKick(Substep):
     than the one about the displaced centre, and in the axes of q: both parts are of second order in e but for the
     commutator of the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the
     linear momentum, and the angular momentum where all particles belong to bodies that turn about three axes; single
-    particles and linear bodies, which cannot take up such torques, lose some of it at those orders. For particles this
+    particles and linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this
     is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
     109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
     constraints: to first order this gives the covariant derivative of F along itself.

@@ -40,7 +40,7 @@ class Thermostat(ABC):
     on_device : bool
         Whether the program of a device has it.
     scheme : str
-        The scheme of an integrator with it, if none is named: "BAOA", the splitting of LangevinMiddleIntegrator, which
+        The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once a step.
     """
 
@@ -92,7 +92,7 @@ class Thermostat(ABC):
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def device_numbers(self) -> Mapping[str, float]:
-        """Return what a program on a device is told, by the names of its variables."""
+        """Return the numbers that a program on a device needs, by the names of its variables."""
         return {}
 
 
@@ -119,7 +119,7 @@ class Noise:
         return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
 
     def key(self, integrator: openmm.CustomIntegrator) -> int:
-        """Return the key of the random numbers; a seed is drawn if there is none."""
+        """Return the key of the random numbers; a seed is drawn unless one is set."""
         seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
         variables.put(integrator, variables.SEED, seed)
         self._drew = True

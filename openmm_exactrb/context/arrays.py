@@ -29,7 +29,7 @@ def forces(state: openmm.State) -> Array:
 
 
 def surroundings(state: openmm.State) -> tuple[tuple[float, ...], dict[str, float]]:
-    """Return the box and the parameters: what forces depend on beside positions."""
+    """Return the box and the parameters: what forces depend on apart from positions."""
     return box(state), dict(state.getParameters())
 
 

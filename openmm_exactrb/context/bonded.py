@@ -120,7 +120,7 @@ def acting(system: openmm.System) -> list[Any]:
 
 
 def others(system: openmm.System) -> bool:
-    """Tell whether a System has forces on particles that are not bonded ones."""
+    """Return whether a System has forces on particles that are not bonded ones."""
     return any(not isinstance(force, BONDED) for force in acting(system))
 
 

@@ -1,6 +1,6 @@
 """The bonded forces of a System, and pairs of atoms with numbers of their own, as a System of the particles they move.
 
-It is small beside one with solvent, and the System of the user stays as it is.
+It is small compared with one with solvent, and the System of the user stays as it is.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Excerpt:
 
 
 class _Moving:
-    """Tells which particles a force between them moves against each other."""
+    """Which particles a force between them moves relative to each other."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies) -> None:
         self._owner = bodies.owner
@@ -126,7 +126,7 @@ def _terms(tree: ElementTree.Element) -> Iterator[ElementTree.Element]:
 
 
 def _thinned(tree: ElementTree.Element, moving: _Moving) -> bool:
-    """Take the terms out of a force that move nothing; tell whether some are left."""
+    """Remove the terms of a force that move nothing; return whether some are left."""
     for holder in list(tree.iter()):
         for term in [child for child in holder if _particles(child) and not moving(_particles(child).values())]:
             holder.remove(term)

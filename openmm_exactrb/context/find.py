@@ -40,7 +40,7 @@ def find_bodies(
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        In nm. They tell a body from its mirror image, and give the shape where constraints do not.
+        In nm. They distinguish a body from its mirror image, and define the shape where constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
     box : (3, 3) array, optional

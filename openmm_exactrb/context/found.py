@@ -9,7 +9,7 @@ import openmm
 
 
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
-    """Find the Context that was made with an integrator; ValueError if there is none yet."""
+    """Find the Context that was made with an integrator; ValueError if there is no Context yet."""
     context = _referring(integrator)
     if context is None and gc.get_freeze_count():  # what is frozen refers to nothing, for the collector
         gc.unfreeze()

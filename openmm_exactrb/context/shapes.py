@@ -110,7 +110,7 @@ def _joined(kinds: list[Kind]) -> Kind:
 
 
 def held_rigid(distances: Array, x: Array) -> bool:
-    """Return whether constraints leave a cluster at places x (k, 3) no motion beside those of a rigid body.
+    """Return whether constraints leave a cluster at positions x (k, 3) only the motions of a rigid body.
 
     Of the distances (k, k) those that are constrained are numbers, the others nan: all are if a user named the body.
     """
@@ -132,7 +132,7 @@ def held_rigid(distances: Array, x: Array) -> bool:
 
 
 def _kept_flat(distances: Array, places: Array) -> bool:
-    """Tell whether constraints keep a body flat or straight, which its places (k, 1 or 2) along its axes are.
+    """Return whether constraints keep a body flat or straight, as its coordinates (k, 1 or 2) along its axes are.
 
     They do if some stress on them, which balances at each particle, resists all motions out of the plane: a positive
     definite matrix whose entries vanish where no distance is constrained. R. Connelly, Invent. Math. 66 (1982) 11. The

@@ -27,8 +27,8 @@ def fastest(system: openmm.System, groups: Sequence[int] = range(32)) -> float:
 def frequencies(system: openmm.System, groups: Sequence[int] = range(32)) -> Iterable[tuple[float, tuple[int, ...]]]:
     """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in some force groups, or all.
 
-    Each bond and angle is taken by itself, without those that constraints hold. A bond of a formula counts where it has
-    a minimum at the length of a chemical bond.
+    Each bond and angle is treated individually, without those that constraints hold. A bond of a formula counts where
+    it has a minimum at the length of a chemical bond.
 
     Yields
     ------

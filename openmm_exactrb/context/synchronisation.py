@@ -89,7 +89,7 @@ class Synchronisation:
     def pull(self) -> bool:
         """Bring the state up to date with what was set in the Context since it was pushed; return whether it changed.
 
-        Positions that were not quite rigid, or split by the periodic box, are put right in the Context too.
+        Positions that were not quite rigid, or split by the periodic box, are corrected in the Context too.
 
         Raises
         ------
@@ -171,7 +171,7 @@ class Synchronisation:
         self.inner, self._coordinates, self.memory = inner, coordinates, memory
 
     def refuse_others(self) -> None:
-        """Refuse variables that another kind of integrator wrote; ValueError."""
+        """Raise ValueError for variables that another kind of integrator wrote."""
         variables.refuse_others(self._integrator(), self._marks)
 
     @functools.cached_property
@@ -234,7 +234,7 @@ def _positions_and_velocities(context: Any) -> tuple[Array, Array]:
 
 
 def refuse_unset(context: openmm.Context) -> None:
-    """Raise ValueError if positions were never set: OpenMM tells only when it is asked for forces, here of no group."""
+    """Raise ValueError if positions were never set: OpenMM checks when it is asked for forces, here of no group."""
     try:
         context.getState(forces=True, groups=0)
     except openmm.OpenMMException as error:
@@ -244,7 +244,7 @@ def refuse_unset(context: openmm.Context) -> None:
 
 
 def _box(context: openmm.Context) -> Array | None:
-    """Return the vectors of the periodic box in nm, or None where there is none."""
+    """Return the vectors of the periodic box in nm, or None without a periodic box."""
     if not context.getSystem().usesPeriodicBoundaryConditions():
         return None
     return np.reshape(arrays.box(context.getState()), (3, 3))
@@ -281,7 +281,7 @@ def _watch(
     after: Callable[[], None] = _nothing,
     concerns: Callable[..., bool] = lambda *arguments, **options: True,
 ) -> None:
-    """Have it noticed when a method of the Context is called with arguments that concern us: OpenMM does not tell."""
+    """Notice calls of a method of the Context with arguments that concern us: OpenMM has no such callback."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 

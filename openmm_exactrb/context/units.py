@@ -58,7 +58,7 @@ def gas_constant_times(temperature: float | unit.Quantity) -> float:
 
 
 def refuse_temperature(step: Any, scheme: Any) -> None:
-    """Refuse the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    """Raise ValueError for the arguments of an integrator with a thermostat: temperature, friction, step size."""
     warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
         raise ValueError(

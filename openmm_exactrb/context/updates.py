@@ -63,7 +63,7 @@ class ContextUpdates:
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
     def refuse_other_temperatures(self, context: openmm.Context, temperature: float) -> None:
-        """Refuse what would bring bodies to another temperature (K) than the integrator's thermostat; ValueError."""
+        """Raise ValueError for what would bring bodies to another temperature (K) than the integrator's thermostat."""
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
@@ -149,7 +149,7 @@ def acting_updates(context: openmm.Context) -> list[Any]:
 
 
 def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
-    """Refuse bodies that a barostat would tear, since it moves particles, or OpenMM's molecules, each by itself."""
+    """Raise ValueError for bodies that a barostat would tear: it moves particles or OpenMM's molecules individually."""
     for barostat in barostats:
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__

@@ -90,7 +90,7 @@ def marks(own: Sequence[str] = ()) -> tuple[float, float, float]:
 
 
 def refuse_others(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
-    """Refuse variables that a checkpoint of another engine or format than the `known` marks brought; ValueError."""
+    """Raise ValueError for variables from a checkpoint of another engine or format than the `known` marks."""
     stored = get(integrator, _STORED)
     if stored in known:
         return

@@ -24,7 +24,7 @@ def load(name: str, which: Literal["fastest", "numpy", "numba"] = "fastest") -> 
         "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation) or "sums"
         (double-doubles); for numba only "clusters" (the free flow of constrained clusters) or "pairs" (dipoles).
     which : {"fastest", "numpy", "numba"}, optional
-        "fastest" is the compiled module where numba is installed and not refused by `SWITCH`.
+        "fastest" is the compiled module where numba is installed and not switched off by `SWITCH`.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def load(name: str, which: Literal["fastest", "numpy", "numba"] = "fastest") -> 
 
 
 def available() -> bool:
-    """Return whether numba is installed and not refused by `SWITCH`; it is not imported."""
+    """Return whether numba is installed and not switched off by `SWITCH`; it is not imported."""
     return os.environ.get(SWITCH, "1") != "0" and find_spec("numba") is not None
 
 

@@ -27,7 +27,7 @@ def compiled(arguments: str) -> Callable[[Function], Function]:
     """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
 
     `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
-    a capital letter is an array that the function writes to. "f2 F1" is a matrix and a vector for the result.
+    an uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result.
     """
     scalars = {"f": types.float64, "i": types.int64}
 

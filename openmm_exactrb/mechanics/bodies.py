@@ -1,6 +1,6 @@
 """Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
 
-Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no attitude. Of those,
+Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no orientation. Of those,
 the atoms of clusters that constraints hold without making them rigid come first, in the order of
 `openmm_exactrb.mechanics.clusters`.
 """
@@ -48,7 +48,7 @@ class Kind:
 
     @property
     def turns(self) -> bool:
-        """Whether the bodies have an attitude: all but single particles."""
+        """Whether the bodies have an orientation: all but single particles."""
         return bool(self.sites.shape[1] > 1)
 
     @property

@@ -40,7 +40,7 @@ class ClusterKind:
     masses : (n,) array
         In amu.
     pairs : (m, 2) array
-        The two members of each constraint, by their places in `particles`.
+        The two members of each constraint, by their indices in `particles`.
     lengths : (m,) array
         In nm.
     implied : (k, 2) array, optional
@@ -150,7 +150,7 @@ class ClusterKind:
     def refuse_unkept(self) -> None:
         """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
 
-        Or if one follows from the others wherever members are, as three random places tell.
+        Or if one follows from the others wherever members are, as three random configurations show.
         """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
@@ -179,7 +179,7 @@ class ClusterKind:
             )
 
     def refuse_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
-        """Refuse places (N, n, 3), of the chosen ones (N,), where a constraint follows from the others; ValueError."""
+        """Raise ValueError for positions (N, n, 3), of the chosen (N,), where a constraint follows from the others."""
         independence, constraint = self.most_dependent(x)
         independence = np.where(chosen, independence, 1.0)
         if (independence < _INDEPENDENT).any():

@@ -42,7 +42,7 @@ class NonFiniteError(IntegrationError):
 
 
 class DivergenceCheck:
-    """Looks at the states of a run: for numbers that are not finite, and for energy from nowhere.
+    """Checks the states of a run for numbers that are not finite and for energy that no force supplied.
 
     potential(state) -> kJ/mol is evaluated only when momenta have grown much; box() -> the vectors (3, 3) of the
     periodic box in nm, or None. Energies are compared if forces conserve them for all that is known, and a user wants

@@ -16,7 +16,7 @@ def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, 
 
     Next is always one of those that are coupled to the fewest others; a chain of constraints, or any tree, then has no
     fill at all. D. J. Rose, in Graph Theory and Computing (1972), 183. `coupled` are of each row of a symmetric matrix
-    the columns beside the diagonal that are not zero.
+    the columns off the diagonal that are not zero.
 
     Returns
     -------

@@ -46,7 +46,7 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     Warns
     -----
     ShapeWarning
-        If they are further than `RIGIDITY` from one; the best fit keeps centre and attitude. Constraints of clusters
+        If they are further than `RIGIDITY` from one; the best fit keeps centre and orientation. Constraints of clusters
         that are no rigid bodies may be missed by as much; their atoms are moved along the constraints.
     """
     every = np.arange(len(bodies))
@@ -58,7 +58,7 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
     """Find the state of bodies again, some of which were moved or pushed; other arguments and errors are as of `fit`.
 
-    A body that was only shifted keeps attitude and momenta.
+    A body that was only shifted keeps orientation and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
     residuals = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
@@ -93,7 +93,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
 
 
 def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
-    """Return the attitudes (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
+    """Return the orientations (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
     if len(sites) == 1:
         correlation = np.einsum("s,nsi,sj->nij", masses, relative, sites[0])
     else:
@@ -130,7 +130,7 @@ def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
 
 
 def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> None:
-    """Refuse positions that are no rigid bodies, and tell of those that are not quite."""
+    """Raise ValueError for positions that are no rigid bodies, and warn of those that are only close to them."""
     if not (distance > RIGIDITY).any():
         return
     worst = int(np.argmax(distance))
@@ -173,7 +173,7 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
 
 
 def _missed_by(left_out: int | None, masses: Array, sites: Array, x: Array) -> Array:
-    """Return the distances (k,) of particles from their places in the fit of a body to all but one of them."""
+    """Return the distances (k,) of particles from their positions in the fit of a body to all but one of them."""
     weights = masses.copy()
     weights[[] if left_out is None else left_out] = 0.0
     relative, about = (a - weights @ a / weights.sum() for a in (x, sites))

@@ -34,7 +34,7 @@ class MinimisationWarning(UserWarning):
 
 @dataclass
 class _Search:
-    """What one search hands over to the next: the best place with its energy, and how many iterations there were."""
+    """What one search passes to the next: the best position with its energy, and how many iterations there were."""
 
     state: BodyState
     energy: float = math.inf

@@ -1,4 +1,4 @@
-"""Some of the bodies of a System by themselves: their state, and its place in that of all."""
+"""Some of the bodies of a System: their state, and where it is in that of all."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class Part:
-    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) tells which of all they are."""
+    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) marks them among all."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies

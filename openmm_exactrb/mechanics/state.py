@@ -25,7 +25,7 @@ class BodyState(NamedTuple):
     R, P : (3, N) arrays
         Centres of mass (nm) and linear momenta (amu nm/ps).
     q : (4, K) array
-        Attitudes, scalar first, from the principal axes of the body into space.
+        Orientations, scalar first, from the principal axes of the body into space.
     m : (3, K) array
         Angular momenta in the principal axes of the body (amu nm²/ps).
     """

@@ -38,7 +38,7 @@ class Open:
     periodic: ClassVar[bool] = False
 
     def truncation(self, box: Edges | None, n: int = 1) -> None:
-        """Return that there is none, nor a box."""
+        """Return None; ValueError for a box."""
         if box is not None:
             raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
 
@@ -57,7 +57,7 @@ class _Periodic:
     periodic: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Refuse what fits no box."""
+        """Raise ValueError for what fits no box."""
         if self.cutoff is not None:
             checks.positive(self.cutoff, "cutoff", "nm")
         if self.switch is not None:
@@ -114,7 +114,7 @@ class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space goes over all waves, or over those of a mesh (smooth particle mesh Ewald). Whatever
-    is not given is chosen so that the sum is fast and meets the tolerance; ``getParameters`` tells it. The
+    is not given is chosen so that the sum is fast and meets the tolerance; ``getParameters`` returns it. The
     switch acts on the spheres and on next to nothing of the dipoles. Either sum has an exact gradient: whatever its
     tolerance, in a fixed box it is smooth, and a symplectic scheme keeps its energy. Where the box changes, the
     energy jumps by up to about the tolerance. It needs the compiled kernel, or ``kernel="openmm"`` of
@@ -150,7 +150,7 @@ class Ewald(_Periodic):
     order: int | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what fits no box."""
+        """Raise ValueError for what fits no box."""
         super().__post_init__()
         if not 1e-13 <= checks.number(self.tolerance, "tolerance") <= 1e-2:
             raise ValueError(f"tolerance must be between 1e-13 and 1e-2, not {self.tolerance!r}")
@@ -236,7 +236,7 @@ OPEN = Open()
 
 
 def checked(boundary: Boundary) -> Boundary:
-    """Return a boundary; a ValueError if it is none."""
+    """Return a boundary; a ValueError for anything else."""
     if not isinstance(boundary, Open | ReactionField | Ewald):
         raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {boundary!r}")
     return boundary

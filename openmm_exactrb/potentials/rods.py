@@ -33,7 +33,7 @@ def dipole_rod_forces(
 ) -> tuple[openmm.NonbondedForce, openmm.CustomHbondForce]:
     """Soft spheres with a point dipole and all periodic images, from OpenMM's own forces.
 
-    Two charges at the ends of a rod stand for each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
+    Two charges at the ends of a rod represent each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
     the cutoff a `CustomHbondForce` adds the spheres, and the difference between point dipoles and the Coulomb energy of
     the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the rods' octupoles are left: an error of the
     torques of 0.2 to 0.4 (length/cutoff)².

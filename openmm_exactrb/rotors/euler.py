@@ -75,7 +75,7 @@ Attitude = Callable[[Orbit], Array]
 
 
 def flow_of(inertia: Array, attitude: Attitude) -> Flow:
-    """Return the flow with the momentum of Jacobi's solution and a given attitude, for moments (3, 1) or (3, N).
+    """Return the flow with the momentum of Jacobi's solution and a given orientation, for moments (3, 1) or (3, N).
 
     Bodies for which that solution is singular take the exact flow: see `is_regular`.
     """

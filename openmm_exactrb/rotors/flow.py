@@ -18,7 +18,7 @@ _FLOAT = np.dtype(np.float64)
 
 
 def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
-    """Return a flow that refuses arrays of different numbers of bodies, beyond whose ends compiled code would write.
+    """Return a flow that raises ValueError for arrays of different numbers of bodies: compiled code would write past ends.
 
     `sums` says whether the flow takes double-doubles.
     """
@@ -42,7 +42,7 @@ def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
 def _check_one_number(
     moments: tuple[int, ...], q: tuple[int, ...], m: tuple[int, ...], t: tuple[int, ...], sums: bool
 ) -> None:
-    """Refuse shapes that are not of one number of bodies."""
+    """Raise ValueError for shapes that are not of one number of bodies."""
     n, kinds = m[-1:], ((), (1,), (2,)) if sums else ((),)
     alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):

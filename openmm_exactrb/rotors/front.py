@@ -22,7 +22,7 @@ def free_rotor(
     inertia : (3,) or (N, 3) array_like
         Principal moments of inertia, in any order.
     q0 : (4,) or (N, 4) array_like
-        Attitudes, scalar first, which turn body coordinates into space coordinates. They are normalised.
+        Orientations, scalar first, which turn body coordinates into space coordinates. They are normalised.
     m0 : (3,) or (N, 3) array_like
         Angular momenta in the body frame; zero is allowed.
     t : float or (N,) array_like
@@ -34,7 +34,7 @@ def free_rotor(
     -------
     q1 : (4,) or (N, 4) array
     m1 : (3,) or (N, 3) array
-        New arrays; those handed in are not changed. A body with a number that is not finite becomes nan,
+        New arrays; the arguments are not changed. A body with a number that is not finite becomes nan,
         its neighbours are not touched.
 
     Warns
@@ -46,7 +46,7 @@ def free_rotor(
     ------
     ValueError
         If what is given are no real numbers, shapes do not fit together, the method is unknown, moments are not
-        positive, or an attitude is zero.
+        positive, or a quaternion is zero.
 
     Examples
     --------
@@ -79,10 +79,10 @@ def _columns(rows: Array, n: int, k: int) -> Array:
 
 
 def _normalised(q: Array) -> Array:
-    """Return attitudes of norm one; those that are already are not touched."""
+    """Return quaternions of norm one; those that have it already are not changed."""
     largest = np.abs(q).max(axis=0, initial=0.0)
     if (largest == 0.0).any():
-        raise ValueError("an attitude q0 is zero: quaternions must have a direction, (1, 0, 0, 0) turns nothing")
+        raise ValueError("a quaternion of q0 is zero: it must have a direction, (1, 0, 0, 0) turns nothing")
     norm = np.sqrt(np.einsum("in,in->n", q, q))
     off = ~(np.abs(norm - 1.0) < 1e-12)
     if not off.any():

@@ -1,7 +1,7 @@
 """Flows of the free rigid body by name.
 
-A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `ROTORS`, or a `Rotor` that is handed
-over.
+A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `ROTORS`, or a `Rotor` that is passed
+to an integrator.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def look_up(rotor: str | Rotor) -> Rotor:
     Raises
     ------
     ValueError
-        If there is none of this name.
+        If the name is unknown.
     """
     if isinstance(rotor, Rotor):
         return rotor
@@ -155,7 +155,7 @@ def _columns(inertia: ArrayLike) -> Array:
 
 
 def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True) -> Flow:
-    """Prepare the flow of free bodies whose attitudes (2, 4, N) and momenta (2, 3, N) are double-doubles.
+    """Prepare the flow of free bodies whose orientations (2, 4, N) and momenta (2, 3, N) are double-doubles.
 
     Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` return rounded numbers. Unless shapes are
     `checked` at each call, compiled code writes beyond the ends of arrays that do not fit.

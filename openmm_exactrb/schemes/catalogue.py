@@ -321,7 +321,7 @@ def splitting(name: str | Scheme) -> Scheme:
     Raises
     ------
     ValueError
-        If there is none of this name, or it is processed: a thermostat acts on the true state, at every step.
+        If the name is unknown, or the scheme is processed: a thermostat acts on the true state, at every step.
     """
     found = scheme_for_thermostat(name)
     if found.processor:
@@ -333,7 +333,7 @@ def splitting(name: str | Scheme) -> Scheme:
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of some schemes, or one that can be generated; ValueError with the nearest name if there is none."""
+    """Return one of some schemes, or one that can be generated; ValueError with the nearest name if it is unknown."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):

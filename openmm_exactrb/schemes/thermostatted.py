@@ -103,6 +103,6 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
 
 
 def refuse_lopsided(scheme: Scheme | None, role: str = "scheme") -> None:
-    """Refuse a scheme, or an inner one, that makes proposals which are not symmetric in time; ValueError."""
+    """Raise ValueError for a scheme, or an inner one, whose proposals are not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")

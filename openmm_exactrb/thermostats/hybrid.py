@@ -41,7 +41,7 @@ class Tally(NamedTuple):
 def accepts(rise: float, kT: float, u: float) -> bool:
     """Return whether Metropolis's rule takes a proposal that raises the total energy so much; u is uniform on (0, 1).
 
-    A rise that is not a number is refused.
+    A rise that is not a number is rejected.
     """
     return bool(rise <= 0.0 or u < math.exp(-rise / kT))
 

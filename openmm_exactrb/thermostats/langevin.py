@@ -68,7 +68,7 @@ class Langevin(Thermostat):
         return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *self.frictions)
 
     def device_numbers(self) -> Mapping[str, float]:
-        """Return what a program on a device is told."""
+        """Return the numbers that a program on a device needs."""
         numbers = gas_constant_times(self.temperature), *self.frictions
         return dict(zip((names.KT, names.FRICTION, names.TURNING_FRICTION), numbers, strict=True))
 
@@ -125,7 +125,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
 
     Linear and angular momenta are damped and get noise, the angular ones in the principal axes of the body. Free
     particles and linear molecules take part with the degrees of freedom that they have. Everything else is as in
-    `ExactRigidBodyIntegrator`. A scheme of the catalogue stands between two halves of that flow: without friction it
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue is enclosed by two halves of that flow: without friction it
     gives the trajectory of that integrator, bit for bit.
 
     Parameters

@@ -32,7 +32,7 @@ class CanonicalMomenta:
     ------
     ValueError
         If the temperature is negative or not finite, or interval or seed are no whole numbers; at the first step, if
-        the integrator is none of this package or has a thermostat of its own.
+        the integrator is not of this package or has a thermostat of its own.
 
     Notes
     -----
@@ -50,12 +50,12 @@ class CanonicalMomenta:
         return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Tell OpenMM when momenta are due."""
+        """Return to OpenMM when momenta are due."""
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
             raise ValueError(
                 "CanonicalMomenta is the thermostat of an ExactRigidBodyIntegrator at constant energy: take it out of "
-                f"the reporters beside a {type(integrator).__name__}"
+                f"the reporters of a {type(integrator).__name__}"
             )
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": []}

@@ -51,9 +51,9 @@ def tune(
     """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies, and particles beside them). Survey runs are as long as `duration`, and their errors are extrapolated
+    (rigid bodies and single particles). Survey runs are as long as `duration`, and their errors are extrapolated
     from the growth of the variance with the length of the run. The recommended setting is run over the whole horizon
-    first, since the energy may wander for picoseconds. Costs are those of `Simulation.step`, which calls the
+    first, since the energy may drift for picoseconds. Costs are those of `Simulation.step`, which calls the
     integrator every ten steps. If the System has bonds and angles that move, schemes with
     ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 

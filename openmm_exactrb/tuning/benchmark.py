@@ -216,7 +216,7 @@ class Benchmark:
 
     @functools.cached_property
     def nests(self) -> bool:
-        """Whether there are bonded forces to be nested, beside others."""
+        """Whether there are bonded forces to be nested, and others."""
         integrator, _context = self.state.probe(fast="bonded")
         try:
             integrator.bodyState()

@@ -20,7 +20,7 @@ Edges = tuple[float, float, float]
 
 
 def number_of_waves(edges: Edges, k_max: float) -> float:
-    """Return about how many wave vectors the sum has, of which each stands for its opposite too."""
+    """Return about how many wave vectors the sum has, each of which represents its opposite too."""
     return math.prod(edges) * k_max**3 / (12.0 * math.pi**2)
 
 

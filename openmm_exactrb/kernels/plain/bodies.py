@@ -49,7 +49,7 @@ def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Arra
 
 
 def turned(Q: Array, sites: Array) -> Array:
-    """Return Q b for attitudes (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
+    """Return Q b for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
     n, (shapes, k, _) = len(Q), sites.shape
     if shapes > 1:
         own: Array = np.einsum("nij,nsj->nsi", Q, sites)

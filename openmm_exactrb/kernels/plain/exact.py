@@ -1,7 +1,7 @@
 """The exact flow of the free rigid body in numpy, any number of bodies at once.
 
 Euler's equations are solved without a phase and without an inverse function: the addition theorem of Jacobi's
-functions carries the momentum itself from 0 to h. The attitude follows from one incremental integral of the
+functions carries the momentum itself from 0 to h. The orientation follows from one incremental integral of the
 third kind and the argument of a complex number.
 
 With inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
@@ -15,7 +15,7 @@ axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwi
 
 Exchanging two axes mirrors the body, so angles change sign where j = 1.
 
-A short step computes changes, with an error in proportion to them. Attitudes and momenta may be double-doubles
+A short step computes changes, with an error in proportion to them. Orientations and momenta may be double-doubles
 (`openmm_exactrb.compensated`), to which the changes are added: then a run has no other roundoff.
 """
 
