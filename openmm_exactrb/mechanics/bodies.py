@@ -1,7 +1,7 @@
 """Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
 
-Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no orientation. Of those,
-the atoms of clusters that constraints hold without making them rigid come first, in the order of
+Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no orientation. Of
+those, the atoms of clusters that constraints hold without making them rigid come first, in the order of
 `openmm_exactrb.mechanics.clusters`.
 """
 

@@ -18,7 +18,7 @@ _FLOAT = np.dtype(np.float64)
 
 
 def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
-    """Return a flow that raises ValueError for arrays of different numbers of bodies: compiled code would write past ends.
+    """Return a flow that raises ValueError for arrays of different lengths: compiled code would write past their ends.
 
     `sums` says whether the flow takes double-doubles.
     """

@@ -50,7 +50,8 @@ class Run:
     every : float, optional
         Seconds between two checkpoints; infinite for a single one at the end.
     settings : mapping, optional
-        Further values that must be the same when the run is resumed, in addition to System, integrator, platform and reporters.
+        Further values that must be the same when the run is resumed, in addition to System, integrator, platform
+        and reporters.
 
     Attributes
     ----------
