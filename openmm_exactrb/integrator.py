@@ -39,11 +39,10 @@ Array = NDArray[np.float64]
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
-    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without
-    constraints move with them, and so do clusters whose constraints leave them internal motions, along these to
-    roundoff. After every step(n) the Context holds positions, velocities, time and step count, and changes made to it
-    between calls are honoured. Each call evaluates the forces at its starting positions again; within a call no force
-    is evaluated twice.
+    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints
+    move with them, and so do clusters that their constraints leave internal motions. After every step(n) the Context
+    holds positions, velocities, time and step count, and changes made to it between calls are honoured. Each call
+    evaluates the forces at its starting positions again; within a call no force is evaluated twice.
 
     Parameters
     ----------

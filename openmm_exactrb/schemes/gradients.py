@@ -4,8 +4,8 @@ A kick over b h by the forces at places that the forces themselves have displace
 V - (e/2) h² f . M^-1 f up to higher orders: with it, schemes of order 4 need no negative coefficient.
 
 Those higher orders are no gradient of a potential, and the energy drifts because of them. Here positions are
-displaced by a part of e h² F/M, and what the forces change by is multiplied: the same term, at the same cost, with an error that much
-smaller. What forces are rounded to is multiplied too, so that the part is not a small one.
+displaced by a part of e h² F/M, and the change of the forces is multiplied: the same term, at the same cost, with an
+error that much smaller. Rounding errors of the forces are multiplied too, so that the part is not a small one.
 """
 
 from __future__ import annotations
