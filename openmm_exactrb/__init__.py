@@ -5,6 +5,7 @@ from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
@@ -50,6 +51,7 @@ __all__ = [
     "dipole_strength",
     "ensemble",
     "free_rotor",
+    "heavy_hydrogens",
     "loadState",
     "rigid_water",
     "separate_bonded",

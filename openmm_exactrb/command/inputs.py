@@ -14,6 +14,7 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.command import arguments
+from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.states import loadState, read_xml
 from openmm_exactrb.systems import rigid_water
 
@@ -59,6 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
     add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
     add("--constraints", choices=CONSTRAINTS, help=f"beside rigid water {shown['constraints']}")
+    add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
 
 
 def load(args: argparse.Namespace) -> Box:
@@ -80,12 +82,17 @@ def load(args: argparse.Namespace) -> Box:
     modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
     create = partial(force_field.createSystem, modeller.topology)
-    return Box(modeller.topology, _system(args, create, modeller.topology.getPeriodicBoxVectors()), modeller.positions)
+    system = _system(args, create, modeller.topology, modeller.topology.getPeriodicBoxVectors())
+    return Box(modeller.topology, system, modeller.positions)
 
 
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
         raise ValueError("--forcefield and --solvate go with a PDB or PDBx file: a System has its forces already")
+    if args.hydrogen_mass is not None:
+        raise ValueError(
+            "leave out --hydrogen-mass: a System has its masses, which heavy_hydrogens() in Python changes"
+        )
     system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
     if not state.getDataTypes() & openmm.State.Positions:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
@@ -113,7 +120,8 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
             f"{places} has {len(start.positions)} particles, but {topology} {content.topology.getNumAtoms()}: they do "
             "not belong together"
         )
-    return Box(content.topology, _system(args, content.createSystem, vectors), start.positions)
+    system = _system(args, content.createSystem, content.topology, vectors)
+    return Box(content.topology, system, start.positions)
 
 
 def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller:
@@ -150,7 +158,9 @@ def _water(args: argparse.Namespace) -> str:
     return named[0]
 
 
-def _system(args: argparse.Namespace, create: Callable[..., openmm.System], vectors: Any) -> openmm.System:
+def _system(
+    args: argparse.Namespace, create: Callable[..., openmm.System], topology: app.Topology, vectors: Any
+) -> openmm.System:
     options: dict[str, Any] = {"nonbondedMethod": app.NoCutoff}
     if vectors is not None:
         width = min(vectors[i][i].value_in_unit(unit.nanometer) for i in range(3))
@@ -165,7 +175,7 @@ def _system(args: argparse.Namespace, create: Callable[..., openmm.System], vect
             "switchDistance": max(args.cutoff * unit.nanometer - _SWITCH, 0.5 * args.cutoff * unit.nanometer),
             "ewaldErrorTolerance": args.ewald_tolerance,
         }
-    return _understood(
+    system: openmm.System = _understood(
         "the force field",
         create,
         constraints=CONSTRAINTS[args.constraints],
@@ -173,6 +183,9 @@ def _system(args: argparse.Namespace, create: Callable[..., openmm.System], vect
         removeCMMotion=False,
         **options,
     )
+    if args.hydrogen_mass is not None:
+        heavy_hydrogens(system, topology, args.hydrogen_mass)
+    return system
 
 
 def _understood(what: str, function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:

@@ -122,3 +122,16 @@ def test_what_acts_between_steps_is_named():
 def test_files_that_say_nothing_together_are_refused(files, capsys):
     assert main(["info", *files]) == 2
     assert "give one file, of PDB" in capsys.readouterr().err
+
+
+def test_heavy_hydrogens_have_longer_periods(droplet, serialised, capsys):
+    """The moments of TIP3P, and a System that is given keeps its masses."""
+    plain = [str(droplet), "--forcefield", "tip3p.xml"]
+    moments = []
+    for options in (plain, [*plain, "--hydrogen-mass", "3"]):
+        assert main(["info", *options]) == 0
+        line = next(line for line in capsys.readouterr().out.splitlines() if "moments" in line)
+        moments.append([float(word) for word in line.split("moments ")[1].split()[:3]])
+    assert (2.0 * np.array(moments[0]) < moments[1]).all()
+    assert main(["info", *map(str, serialised), "--hydrogen-mass", "3"]) == 2
+    assert "leave out --hydrogen-mass: a System has its masses" in capsys.readouterr().err
