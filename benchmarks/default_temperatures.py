@@ -109,6 +109,11 @@ class Estimator:
 
     def _of_solute(self, x: np.ndarray, v: np.ndarray) -> tuple[float, float]:
         """Return the kinetic energies of velocities without their parts along constraints, and of all of them."""
+        m, before, after = self.mass[self.solute][:, None], v[self.solute], self.projected(x, v)
+        return 0.5 * float((m * after * after).sum()), 0.5 * float((m * before * before).sum())
+
+    def projected(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the velocities of the solute without their parts along constraints."""
         first, second = self.constraints
         m = np.repeat(self.mass[self.solute], 3)
         gradient = np.zeros((len(first), len(self.solute), 3))
@@ -118,8 +123,7 @@ class Estimator:
         gradient = gradient.reshape(len(first), -1)
         before = v[self.solute].ravel()
         along = np.linalg.solve((gradient / m) @ gradient.T, gradient @ before)
-        after = before - gradient.T @ along / m
-        return 0.5 * float((m * after * after).sum()), 0.5 * float((m * before * before).sum())
+        return (before - gradient.T @ along / m).reshape(-1, 3)
 
 
 def means_of(method: str, step: float, seed: int, picoseconds: float) -> dict[str, float]:

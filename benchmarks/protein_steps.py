@@ -1,0 +1,368 @@
+"""How rarely a protein in water may ask for forces: temperatures by group, energies by kind, density, torsions.
+
+Alanine dipeptide (amber14) in 212 molecules of TIP3P, or a solvated PDB file with --pdb: PME with a switch, bonds to
+hydrogen held, on the CPU platform with one thread. Masses are plain, or hydrogens of the solute, or all of them, have
+3 amu. One estimator judges all integrators, by constrained velocities: linear and angular momenta of each molecule of
+water; the solute as a whole; of its groups X-H, X-H2 and X-H3, which constraints hold, the centres and what turns
+about them. "Reported" are the temperatures of the velocities as a State has them.
+
+Every point has runs with seeds of their own, whose scatter gives its errors. Runs that docs/protein_steps.csv has are
+not run again, so that the command continues where it stopped and the record grows; a run that diverged has nan.
+
+    python benchmarks/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
+    python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10
+    python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --ensemble NPT
+    python benchmarks/protein_steps.py --finished
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from default_temperatures import BOX, BURN, LOOKED, TEMPERATURE, Estimator, R
+from one_line import simulation_of
+from openmm_exactrb import ensemble
+from openmm_exactrb.files import written_whole
+from openmm_exactrb.schemes import splitting
+from peptide import PEPTIDE
+from protein import FORCE_FIELD
+
+TABLE = Path(__file__).resolve().parents[1] / "docs" / "protein_steps.csv"
+OUT = Path("out/protein_steps")
+OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}
+HEAVY, BAROSTAT = 3.0, 0.02  # amu of heavy hydrogens; ps between two moves of the barostat
+KINDS = {
+    "bonds": openmm.HarmonicBondForce,
+    "angles": openmm.HarmonicAngleForce,
+    "torsions": openmm.PeriodicTorsionForce,
+}
+TEMPERATURES = ("T_tr", "T_rot", "T_solute", "T_centres", "T_XH", "T_rot reported", "T_solute reported")
+TORSIONS = {"phi": ("C", "N", "CA", "C"), "psi": ("N", "CA", "C", "N")}
+# Of the torsions: parts of the time in the helix, with phi > 0 and, the rest, stretched; and how often psi went.
+CONFORMATIONS = ("helical", "left", "psi crossings")
+MEASURED = (*TEMPERATURES, "U", *KINDS, "density", "peak", "D", *CONFORMATIONS, "ms")
+POINT = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds")
+COLUMNS = (*POINT, "seed", *MEASURED)
+EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
+
+
+@cache
+def molecules(pdb: Path | None, masses: str, constraints: str) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Return the solvated solute, with a force group for each kind of bonded force."""
+    force_field = app.ForceField(*FORCE_FIELD)
+    content = app.PDBFile(str(pdb or PEPTIDE))
+    modeller = app.Modeller(content.topology, content.positions)
+    if pdb is None:
+        modeller.addSolvent(force_field, boxSize=openmm.Vec3(BOX, BOX, BOX) * unit.nanometer)
+    system = force_field.createSystem(
+        modeller.topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=0.8 * unit.nanometer,
+        switchDistance=0.7 * unit.nanometer,
+        ewaldErrorTolerance=1e-4,
+        constraints=getattr(app, constraints),
+        removeCMMotion=False,
+    )
+    if masses != "plain":
+        rb.heavy_hydrogens(system, modeller.topology, HEAVY, water=masses == "all")
+    for force in system.getForces():
+        force.setForceGroup(next((n for n, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
+    return modeller.topology, system, modeller.positions
+
+
+def pressed(system: openmm.System, frequency: int, seed: int) -> openmm.System:
+    """Return a System with a barostat of 1 bar."""
+    system = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, frequency)
+    barostat.setRandomNumberSeed(seed)
+    system.addForce(barostat)
+    return system
+
+
+@cache
+def start_of(pdb: Path | None) -> openmm.State:
+    """Return a start in the box that a barostat has made, kept in a file."""
+    file = OUT / f"start_{'peptide' if pdb is None else pdb.stem}.xml"
+    if not file.exists():
+        topology, system, positions = molecules(pdb, "plain", "HBonds")
+        integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
+        integrator.setRandomNumberSeed(1)
+        run = simulation_of(topology, pressed(system, 10, 1), integrator)
+        run.context.setPositions(positions)
+        run.minimizeEnergy(maxIterations=200)
+        run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
+        run.step(15_000)
+        state = run.context.getState(positions=True, velocities=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(file) as out:
+            out.write(openmm.XmlSerializer.serialize(state))
+    return openmm.XmlSerializer.deserialize(file.read_text())
+
+
+class Groups(Estimator):
+    """Temperatures of `Estimator`, and of what is held together in the solute: its centres, and about them.
+
+    A group is an atom with the hydrogens that constraints hold at it, and no other constraints.
+    """
+
+    def __init__(self, topology: app.Topology, system: openmm.System) -> None:
+        super().__init__(topology, system)
+        bearer = np.arange(len(self.mass))
+        light = {atom.index for atom in topology.atoms() if atom.element is app.element.hydrogen}
+        pairs = [(i, j) if j in light else (j, i) for i, j in self.constraints.T.tolist()]
+        self.separate = all(j in light and i not in light for i, j in pairs)  # not with AllBonds
+        for i, j in pairs:
+            bearer[j] = i
+        _, self.group = np.unique(bearer[self.solute], return_inverse=True)
+        self.centres = 3 * (1 + int(self.group.max()))
+
+    def __call__(self, x: np.ndarray, v: np.ndarray) -> dict[str, float]:
+        """Return the temperatures by name."""
+        found = super().__call__(x, v)
+        if not self.separate:
+            return found | {"T_centres": math.nan, "T_XH": math.nan}
+        m = self.mass[self.solute]
+        momenta = [np.bincount(self.group, m * part) for part in self.projected(x, v).T]
+        centres = float((np.square(momenta) / np.bincount(self.group, m)).sum())
+        about = R * self.freedom * found["T_solute"] - centres
+        return found | {
+            "T_centres": centres / (R * self.centres),
+            "T_XH": about / (R * (self.freedom - self.centres)),
+        }
+
+
+def dihedral(x: np.ndarray) -> float:
+    """Return the torsion (degrees) of four places, IUPAC's sign."""
+    b0, b1, b2 = x[0] - x[1], x[2] - x[1], x[3] - x[2]
+    normal, other = np.cross(b0, b1), np.cross(b1, b2)
+    along = np.cross(normal, other) @ b1 / np.linalg.norm(b1)
+    return -math.degrees(math.atan2(along, -(normal @ other)))
+
+
+def backbone(topology: app.Topology) -> dict[str, list[int]] | None:
+    """Return the atoms of phi and psi of the peptide's one residue between two caps; None for other solutes."""
+    chain = next(topology.chains())
+    residues = [{atom.name: atom.index for atom in residue.atoms()} for residue in chain.residues()]
+    if [residue.name for residue in chain.residues()] != ["ACE", "ALA", "NME"]:
+        return None
+    before, alanine, after = residues
+    return {
+        "phi": [before["C"], *(alanine[name] for name in ("N", "CA", "C"))],
+        "psi": [*(alanine[name] for name in ("N", "CA", "C")), after["N"]],
+    }
+
+
+def conformations(torsions: list[tuple[float, float]]) -> dict[str, float]:
+    """Return the parts of samples of (phi, psi) in two regions, and the crossings of the helix's border."""
+    if not torsions:
+        return dict.fromkeys(CONFORMATIONS, math.nan)
+    phi, psi = np.array(torsions).T
+    left = phi > 0.0
+    helical = ~left & (psi > -120.0) & (psi < 50.0)
+    # A crossing is from within one region to within the other, 20 degrees behind the border.
+    inside, outside = helical & (psi > -100.0) & (psi < 30.0), ~helical & (np.abs(psi - 150.0) % 360.0 < 80.0)
+    visits = [bool(a) for a, b in zip(inside, outside, strict=True) if a or b]
+    crossings = sum(a != b for a, b in itertools.pairwise(visits))
+    return dict(zip(CONFORMATIONS, (helical.mean(), left.mean(), crossings), strict=True))
+
+
+def distances(x: np.ndarray, edge: float) -> np.ndarray:
+    """Return the histogram of the distances between places in a cube."""
+    counts = np.zeros(len(EDGES) - 1)
+    for i in range(len(x) - 1):
+        apart = x[i + 1 :] - x[i]
+        apart -= edge * np.round(apart / edge)
+        counts += np.histogram(np.sqrt((apart * apart).sum(axis=1)), EDGES)[0]
+    return counts
+
+
+def peak_of(counts: np.ndarray, frames: int, n: int, volume: float) -> float:
+    """Return the first maximum of g(r), from the counts of so many frames of n oxygens."""
+    shells = 4.0 / 3.0 * np.pi * np.diff(EDGES**3)
+    return float((counts / (frames * 0.5 * n * (n - 1) / volume * shells)).max())
+
+
+def diffusion(centres: list[np.ndarray], lag: float) -> float:
+    """Return the coefficient (1e-5 cm²/s) of places a lag (ps) apart, by displacements of about 2 ps and of 8 ps."""
+    short, long = max(1, round(2.0 / lag)), max(2, round(8.0 / lag))
+    if len(centres) < 3 * long:
+        return math.nan
+    x = np.array(centres)
+    x -= x.mean(axis=1, keepdims=True)
+    squares = [((x[k:] - x[:-k]) ** 2).sum(axis=2).mean() for k in (short, long)]
+    return float((squares[1] - squares[0]) / (6.0 * (long - short) * lag) * 1e3)
+
+
+def integrator_of(name: str, interval: float, friction: float) -> openmm.Integrator:
+    """Return what evaluates the nonbonded forces every `interval` ps."""
+    if name in OPENMM:
+        return OPENMM[name](TEMPERATURE, friction, interval)
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, splitting(name).forces * interval, scheme=name)
+
+
+def means_of(
+    pdb: Path | None,
+    integrator: str,
+    masses: str,
+    constraints: str,
+    fs: float,
+    friction: float,
+    ensemble: str,
+    picoseconds: float,
+    seed: int,
+) -> dict[str, float]:
+    """Return the means over a run.
+
+    Temperatures are in K, U in kJ/mol per molecule of water, energies by kind in kJ/mol, densities in kg/m³, and ms of
+    processor time are those of a nonbonded force.
+    """
+    topology, system, _ = molecules(pdb, masses, constraints)
+    mover = integrator_of(integrator, 0.001 * fs, friction)
+    mover.setRandomNumberSeed(seed)
+    step = mover.getStepSize()._value
+    if ensemble == "NPT":
+        system = pressed(system, max(1, round(BAROSTAT / step)), seed)
+    run = simulation_of(topology, system, mover, start_of(pdb))
+    run.context.applyConstraints(1e-9)
+    run.context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    try:
+        run.step(max(1, round(BURN / step)))
+        return sampled(run, Groups(topology, system), backbone(topology), picoseconds, 0.001 * fs)
+    except (openmm.OpenMMException, rb.IntegrationError, np.linalg.LinAlgError):
+        return dict.fromkeys(MEASURED, math.nan)
+
+
+def sampled(
+    run: app.Simulation, groups: Groups, torsions: dict[str, list[int]] | None, picoseconds: float, interval: float
+) -> dict[str, float]:
+    """Return the means over a run from its present state on; NonFiniteError if something is not finite."""
+    step = run.integrator.getStepSize()._value
+    every = max(1, math.ceil(LOOKED / step - 1e-9))
+    n, often = len(groups.water), max(1, round(1.0 / (every * step)))  # samples a look at all of the water
+    total = groups.mass.sum() * 1.66053906892  # in kg/m³ nm³
+    samples, angles, centres, counts, spent = [], [], [], np.zeros(len(EDGES) - 1), 0.0
+    for k in range(max(1, round(picoseconds / (every * step)))):
+        begin = time.process_time()
+        run.step(every)
+        spent += time.process_time() - begin
+        state = run.context.getState(positions=True, velocities=True, energy=True)
+        x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
+        volume = state.getPeriodicBoxVolume()._value
+        sample = groups(x, v) | {"U": state.getPotentialEnergy()._value / n, "density": total / volume}
+        for group, kind in enumerate(KINDS, 1):
+            sample[kind] = run.context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
+        if not np.isfinite([sample["U"], sample["T_tr"], sample["T_solute"]]).all():
+            raise rb.NonFiniteError("a temperature or the energy is not finite")
+        samples.append(sample)
+        if torsions is not None:
+            angles.append((dihedral(x[torsions["phi"]]), dihedral(x[torsions["psi"]])))
+        if k % often == 0:
+            centres.append(np.einsum("k,nki->ni", groups.mass[groups.water[0]], x[groups.water]))
+            counts += distances(x[groups.water[:, 0]], state.getPeriodicBoxVectors()[0][0]._value)
+    means = {name: float(np.mean([sample[name] for sample in samples])) for name in samples[0]}
+    of_water = float(groups.mass[groups.water[0]].sum())
+    still = len({sample["density"] for sample in samples}) == 1  # a barostat moves what diffuses
+    return {
+        **means,
+        "peak": peak_of(counts, len(centres), n, total / means["density"]),
+        "D": diffusion([x / of_water for x in centres], often * every * step) if still else math.nan,
+        **conformations(angles),
+        "ms": 1000.0 * spent / (len(samples) * every * step / interval),
+    }
+
+
+Row = dict[str, str]
+
+
+def read(file: Path) -> dict[tuple[str, ...], Row]:
+    """Return the rows of the record by point and seed."""
+    if not file.exists():
+        return {}
+    with file.open(newline="") as lines:
+        return {key_of(row): row for row in csv.DictReader(lines)}
+
+
+def key_of(row: Row) -> tuple[str, ...]:
+    return tuple(row[name] for name in (*POINT, "seed"))
+
+
+def write(file: Path, rows: dict[tuple[str, ...], Row]) -> None:
+    with written_whole(file) as out:
+        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows[key] for key in sorted(rows))
+
+
+def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
+    """Yield means and errors of each point, from the scatter of its runs, those that diverged left out."""
+    for point, some in itertools.groupby(sorted(rows.values(), key=key_of), lambda row: key_of(row)[:-1]):
+        runs = list(some)
+        held = [row for row in runs if math.isfinite(float(row["U"]))]
+        yield f"{' '.join(point)} ps, {len(runs)} runs" + (
+            f", {len(runs) - len(held)} diverged" if len(held) < len(runs) else ""
+        )
+        for name in MEASURED:
+            values = np.array([float(row[name]) for row in held])
+            if len(values) and np.isfinite(values).all():
+                error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+                yield f"    {name:18} {values.mean():10.4f} +- {error:.4f}"
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
+    add("--integrators", nargs="+", default=["LangevinMiddle", "W2_3m"], help="LangevinMiddle, or names of splittings")
+    add("--masses", nargs="+", choices=["plain", "solute", "all"], default=["all"], help="whose hydrogens have 3 amu")
+    add("--constraints", choices=["HBonds", "AllBonds"], default="HBonds", help="%(default)s")
+    add("--fs", nargs="+", type=float, default=[2.0, 4.0, 6.0, 8.0, 10.0], help="between two nonbonded forces")
+    add("--friction", nargs="+", type=float, default=[5.0], metavar="1/PS")
+    add("--ensemble", choices=["NVT", "NPT"], default="NVT", help="NPT at 1 bar (%(default)s)")
+    add("--runs", type=int, default=10, help="runs a point, each with its own seed (%(default)s)")
+    add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
+    add("--workers", type=int, default=1, help="processes (%(default)s)")
+    add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
+    add("--finished", action="store_true", help="run nothing: means and errors of the record")
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = parse()
+    rows = read(args.record)
+    if args.finished:
+        print("\n".join(summary(rows)))
+        return
+    axes = itertools.product(range(1, args.runs + 1), args.integrators, args.masses, args.fs, args.friction)
+    jobs = {}
+    for seed, integrator, masses, fs, friction in axes:
+        point = {"integrator": integrator, "masses": masses, "constraints": args.constraints, "fs": fs}
+        point |= {"friction": friction, "ensemble": args.ensemble, "picoseconds": args.picoseconds, "seed": seed}
+        job = ensemble.Job(means_of, pdb=args.pdb, **point)
+        jobs[job] = {"solute": "peptide" if args.pdb is None else args.pdb.stem} | {k: f"{v}" for k, v in point.items()}
+    start_of(args.pdb)  # before workers ask for it
+    new = [job for job, row in jobs.items() if key_of(row) not in rows]
+    for result in ensemble.as_completed(new, OUT, workers=args.workers):
+        if result.error is not None:
+            raise SystemExit(result.error)
+        row = jobs[result.job] | {name: f"{result.value[name]:.7g}" for name in MEASURED}
+        rows = {**read(args.record), key_of(row): row}
+        write(args.record, rows)
+        print(*row.values(), flush=True)
+    wanted = {key_of(row)[:-1] for row in jobs.values()}
+    print("\n".join(summary({key: row for key, row in rows.items() if key[:-1] in wanted})))
+
+
+if __name__ == "__main__":
+    main()
