@@ -203,6 +203,29 @@ def _lattice(n: int) -> Array:
     return np.argwhere(np.ones(3 * (_places_a_side(n),)))[:n].astype(np.float64)
 
 
+def _filling(n: int) -> tuple[Array, float]:
+    """Return n places (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
+
+    They are a cubic lattice where n is a cube; else the multiples of a vector (1, a, b)/n of the edge, the first ones
+    found that are as far apart as in a cubic lattice, or the farthest. With many places b = a² is taken (N. M. Korobov;
+    I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
+    """
+    k = _places_a_side(n)
+    if k**3 == n:
+        return _lattice(n), float(k)
+    edge, half = float(np.cbrt(n)), np.arange(1, n // 2 + 1)[:, None]
+    farthest, best = -1.0, (1, 1)
+    for a in range(1 if n < _MANY else k, n // 2 + 1):
+        for b in range(a, n // 2 + 1) if n < _MANY else [a * a % n]:
+            away = half * (1, a, b) % n
+            apart = edge / n * float(np.sqrt((np.minimum(away, n - away) ** 2).sum(axis=1).min()))
+            if apart > farthest:
+                farthest, best = apart, (a, b)
+        if farthest >= 1.0:
+            break
+    return edge / n * (np.arange(n)[:, None] * (1, *best) % n), edge
+
+
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
     """Return the positions of molecules with this shape (k, 3) at these centres, each turned at random."""
     Q = quaternions.rotation_matrix(quaternions.random(rng, len(centres)))
@@ -274,6 +297,9 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
 _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 
+# Number of places from which on a lattice is looked for among fewer vectors.
+_MANY = 100
+
 # Force field file, O-H distance in nm and H-O-H angle in degrees.
 _WATER_MODELS: dict[str, tuple[str, float, float]] = {
     "tip3p": ("tip3p.xml", 0.09572, 104.52),
@@ -287,20 +313,22 @@ _WATER_MODELS: dict[str, tuple[str, float, float]] = {
 def rigid_water(
     n: int = 64, seed: int = 0, *, model: str = "tip3p", spacing: float | unit.Quantity = 0.3104, **options: Any
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
-    """Build rigid water on a cubic lattice with random orientations.
+    """Build rigid water on a lattice with random orientations.
 
     Parameters
     ----------
     n : int
-        Number of molecules, on the first places of the lattice.
+        Number of molecules: a droplet on the first places of a cubic lattice, or a periodic cube that they fill without
+        vacancies.
     seed : int
     model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
         A force field file that comes with OpenMM, or with this package (TIP4P/2005, doi:10.1063/1.2121687).
     spacing : float or Quantity
-        Lattice constant in nm; the default has the density of water.
+        Lattice constant in nm, the cube root of the volume of a molecule: the default has 1.000 g/cm³, the density of
+        water, in a periodic box of any number of molecules.
     **options
         For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
-        periodic nonbondedMethod gets the cube of the lattice as its box.
+        periodic nonbondedMethod makes a periodic cube.
 
     Returns
     -------
@@ -326,12 +354,14 @@ def rigid_water(
         oxygen = topology.addAtom("O", app.element.oxygen, residue)
         for name in ("H1", "H2"):
             topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
+    places = _lattice(n)
     if options.get("nonbondedMethod", app.NoCutoff) not in (app.NoCutoff, app.CutoffNonPeriodic):
-        topology.setUnitCellDimensions(openmm.Vec3(*3 * [_places_a_side(n) * spacing]) * unit.nanometer)
+        places, edge = _filling(n)
+        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
     half = np.radians(angle) / 2.0
     x, z = distance * np.sin(half), distance * np.cos(half)
     shape = np.array([[0.0, 0.0, 0.0], [x, 0.0, z], [-x, 0.0, z]])
-    positions = _turned(np.random.default_rng(seed), spacing * (_lattice(n) + 0.5), shape)
+    positions = _turned(np.random.default_rng(seed), spacing * (places + 0.5), shape)
     force_field = app.ForceField(file)
     modeller = app.Modeller(topology, positions)
     modeller.addExtraParticles(force_field)

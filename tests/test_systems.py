@@ -222,3 +222,42 @@ def test_tip4p_2005_does_not_bend(options):
         rb.rigid_water(2, model="tip4p2005", **options)
     assert rb.rigid_water(2, model="tip4pew", **options)[1].getNumConstraints() < 6
     assert rb.rigid_water(2, model="tip4p2005", rigidWater=True)[1].getNumConstraints() == 6
+
+
+def nearest(x, edge):
+    """Return the smallest distance between places in a periodic cube."""
+    apart = x[:, None] - x[None]
+    apart -= edge * np.round(apart / edge)
+    return np.sqrt((apart**2).sum(axis=2))[np.triu_indices(len(x), 1)].min()
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 7, 8, 12, 26, 27, 28, 63, 65, 90, 99, 100, 101, 128, 217, 250, 251, 500])
+def test_water_fills_a_periodic_box_at_its_density_for_every_number(n):
+    """No molecules are nearer to each other than two of ice, but for two to five in a box."""
+    _, system, positions = rb.rigid_water(n, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.19)
+    edge = system.getDefaultPeriodicBoxVectors()[0][0]._value
+    assert n * 18.01528 / 0.602214076 / edge**3 == pytest.approx(1000.0, rel=1e-3)
+    assert nearest(positions._value[::3], edge) > (0.276 if n > 5 else 0.258)
+
+
+def test_as_many_molecules_as_a_cube_has_are_where_they_were():
+    """On the cubic lattice, with and without a box."""
+    _, _, droplet = rb.rigid_water(27)
+    _, system, box = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+    assert (box._value == droplet._value).all()
+    assert system.getDefaultPeriodicBoxVectors()[0][0]._value == pytest.approx(3 * 0.3104, abs=1e-15)
+
+
+def test_a_box_that_is_no_cube_of_molecules_is_easy_to_minimise():
+    """No molecules overlap at the start, and a few iterations bind them, in kJ/mol per molecule; the liquid has -47."""
+    options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": 0.6}
+    _, system, positions = rb.rigid_water(70, model="spce", **options)
+    platform = openmm.Platform.getPlatform("CPU")
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Threads": "1"})
+    context.setPositions(positions)
+    energies = []
+    for iterations in (1, 100):
+        openmm.LocalEnergyMinimizer.minimize(context, 10.0, iterations)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value / 70)
+    assert energies[0] < 10.0
+    assert energies[1] < -30.0
