@@ -223,7 +223,8 @@ def _filling(n: int) -> tuple[Array, float]:
                 farthest, best = apart, (a, b)
         if farthest >= 1.0:
             break
-    return edge / n * (np.arange(n)[:, None] * (1, *best) % n), edge
+    multiples: Array = np.arange(n)[:, None] * np.array([1, *best]) % n * (edge / n)
+    return multiples, edge
 
 
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
