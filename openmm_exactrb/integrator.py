@@ -176,7 +176,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is no time, or so long that it needs inner steps, which engine="device" does not support.
+            If it is no time, or needs what engine="device" does not support.
         """
         before, self._h = self._h, picoseconds(size)
         super().setStepSize(self._h)
@@ -360,7 +360,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return propagator
 
     def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
-        if self._propagator is None or self._propagator.sync.outdated:
+        if self._propagator is None or self._propagator.sync.outdated or self._engine.outdated:
             return True
         return self._engine.open and self.getGlobalVariable(0) not in self._engine.marks
 

@@ -115,8 +115,13 @@ def pairs_by_formula(force: openmm.NonbondedForce, pairs: Iterable[tuple[Any, ..
 
 def acting(system: openmm.System) -> list[Any]:
     """Return the forces of a System that act on particles within a step."""
-    forces = [(type(force).__name__, force) for force in system.getForces()]
-    return [force for name, force in forces if name not in _NO_FORCES and "Barostat" not in name]
+    return [force for force in system.getForces() if acts(force)]
+
+
+def acts(force: Any) -> bool:
+    """Tell whether a force acts on particles within a step: no thermostat or barostat does."""
+    name = type(force).__name__
+    return name not in _NO_FORCES and "Barostat" not in name
 
 
 def others(system: openmm.System) -> bool:

@@ -113,6 +113,11 @@ def _particles_and_constraints(system: openmm.System, particles: Indices, number
 # -- forces as trees of XML: the same for bonds, angles and torsions of all kinds --------------------------------------
 
 
+def members(force: Any) -> Iterator[tuple[int, ...]]:
+    """Yield the particles of each bond, angle or torsion of a force."""
+    return (tuple(_particles(term).values()) for term in _terms(_tree(force)))
+
+
 def _tree(force: Any) -> ElementTree.Element:
     return ElementTree.fromstring(openmm.XmlSerializer.serialize(force))
 

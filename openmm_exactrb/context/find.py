@@ -31,6 +31,7 @@ def find_bodies(
     positions: Array,
     bodies: Sequence[Sequence[int]] | None = None,
     box: Array | None = None,
+    pairs: bool = False,
 ) -> RigidBodies:
     """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
 
@@ -45,6 +46,8 @@ def find_bodies(
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
     box : (3, 3) array, optional
         Vectors of the periodic box in nm, which may have split bodies.
+    pairs : bool, optional
+        Whether two particles with a constraint between them are a cluster, and not a linear body.
 
     Raises
     ------
@@ -64,7 +67,8 @@ def find_bodies(
         body_masses = np.frombuffer(mass_bytes)
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
         particles = np.stack(members)
-        if not held_rigid(distances, positions[members[0]]):
+        pair = pairs and len(distances) == 2 and not np.isnan(distances).any()
+        if pair or not held_rigid(distances, positions[members[0]]):
             flexible.append(_flexible(particles, body_masses, distances, positions, box))
             continue
         whole = positions if box is None else joined(positions, particles, box, distances[None])

@@ -17,7 +17,7 @@ from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import rejoined
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.substeps import Remembered
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class Synchronisation:
 
     Holds no strong reference to the Context and its integrator, which own this. The variables of the integrator take
     the full state along in checkpoints and States. ValueError if there are no positions, nothing can move, bodies
-    cannot be served, or positions do not fit them.
+    cannot be served, or positions do not fit them. `pairs` is an argument of `find_bodies`.
 
     Attributes
     ----------
@@ -52,12 +52,16 @@ class Synchronisation:
     """
 
     def __init__(
-        self, context: openmm.Context, integrator: openmm.CustomIntegrator, named: Sequence[Sequence[int]] | None
+        self,
+        context: openmm.Context,
+        integrator: openmm.CustomIntegrator,
+        named: Sequence[Sequence[int]] | None,
+        pairs: bool = False,
     ) -> None:
         x, v = _positions_and_velocities(context)
         refuse_unset(context)
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
-        self.bodies = find_bodies(context.getSystem(), x, named, _box(context))
+        self.bodies = find_bodies(context.getSystem(), x, named, _box(context), pairs)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
@@ -133,8 +137,12 @@ class Synchronisation:
         """Return a known state, but for the bodies whose particles are not where it says."""
         rounded = known.rounded
         moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), _SAME, _SAME_PART)
-        pushed = _differs(self.bodies, v, self.bodies.velocities(rounded, v.copy()), _SAME, _SAME_PART)
+        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), _SAME, _SAME_PART)
         return self._refitted(known, x, v, moved, pushed)
+
+    def _velocities(self, rounded: BodyState, v: Array) -> Array:
+        """Write the velocities that a state has in the Context into v (n_particles, 3)."""
+        return self.bodies.velocities(rounded, v)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
         """Return a known state, but for bodies that were moved or pushed."""

@@ -57,8 +57,12 @@ class DevicePropagator:
         selection: Selection,
     ) -> None:
         system = context.getSystem()
-        selection.install_device(context, integrator, Synchronisation(context, integrator, named).bodies)
-        self.sync, self.updates = ParticleCopies(context, integrator, named), ContextUpdates(context, named or [])
+        pairs = selection.table.constrained
+        selection.install_device(context, integrator, Synchronisation(context, integrator, named, pairs).bodies)
+        self.sync, self.updates = (
+            ParticleCopies(context, integrator, named, pairs),
+            ContextUpdates(context, named or []),
+        )
         self._integrator, self._timings = weakref.ref(integrator), timings
         timings.evaluations += 1  # OpenMM makes its kernels where it evaluates an energy
         self._table, self._scheme = selection.table, selection.scheme
@@ -148,6 +152,7 @@ class DevicePropagator:
                     self._aside(integrator)
                 else:
                     openmm.CustomIntegrator.step(integrator, part.steps)
+                self._timings.fast_evaluations += part.steps * self._table.fast_kicks(part.begin, part.end)
             x, v = self.sync.moved_on()
             finite = bool(np.isfinite(x).all() and np.isfinite(v).all())
         except openmm.OpenMMException as error:
@@ -221,7 +226,7 @@ class DevicePropagator:
             return []
         if not self._continues:
             return _Pass.steps_of(n, _Pass(1, *self._whole))
-        first = _Pass(1, "enter", "step") if known is None else _Pass(1, "step", "step", returns=True)
+        first = _Pass(1, "enter", "step") if known is None else _Pass(1, "again", "step", returns=True)
         steps = [first, *_Pass.steps_of(n - 1, _Pass(1, "step", "step"))]
         steps[-1] = steps[-1]._replace(asks=True)
         then = (before + n * more for before, more in zip(known or (0, 0), self._table.remembered(), strict=True))

@@ -17,7 +17,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.bonded import acting, groups_of
-from openmm_exactrb.device import names
+from openmm_exactrb.device import fast_group, names
 from openmm_exactrb.mechanics.bodies import RigidBodies
 
 #: Positions are summed where the sum of their squares, in nm², is smaller.
@@ -41,28 +41,29 @@ def install(system: openmm.System, bodies: RigidBodies, group: int) -> None:
 
 
 def remove(system: openmm.System) -> None:
-    """Leave a System without these forces."""
+    """Leave a System without these forces, and forces in their own groups."""
+    fast_group.restore(system)
     indices = [index for index, force in enumerate(system.getForces()) if force.getName().startswith(_NAME)]
     for index in reversed(indices):
         system.removeForce(index)
 
 
 def without(system: openmm.System) -> openmm.System:
-    """Return a System as it was before it got these forces: itself, or a copy."""
-    if _present(system):
+    """Return a System as it was before a program was made for it: itself, or a copy."""
+    if _present(system) or fast_group.any_moved(system):
         system = copy.deepcopy(system)
         remove(system)
     return system
 
 
-def make_kernels(context: Any) -> None:
+def make_kernels(context: Any, clusters: bool) -> None:
     """Make the kernels of a Context's program, which has none yet.
 
     The program makes virtual sites by ``addConstrainPositions``. OpenMM asks, when it makes the kernels, whether the
-    System has constraints; as it has none then, they are not applied to what is rigid anyway.
+    System has constraints; if it has no `clusters` it has none then, and they are not applied to what is rigid anyway.
     """
     system = context.getSystem()
-    kept = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    kept = [] if clusters else [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
     for i in reversed(range(len(kept))):
         system.removeConstraint(i)
     try:

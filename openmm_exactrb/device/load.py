@@ -30,14 +30,21 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         if kind.turns:
             attitudes = matrix(state.q[0][:, kind.bodies]).transpose(2, 0, 1)
             values["d"][kind.particles] = turned(attitudes, kind.sites)
-    known = map(integrator.getPerDofVariableName, range(integrator.getNumPerDofVariables()))
+    known, nothing = _variables(integrator), np.zeros((bodies.n_particles, 3))
     if names.DISPLACED[0] in known:
-        nothing = np.zeros((bodies.n_particles, 3))
         values |= dict(zip(names.DISPLACED, (values["q"], values["w"], nothing), strict=True))
+    if names.PENDING in known:
+        values |= {names.PENDING: nothing, names.CLUSTERED: nothing.copy(), "y": nothing.copy()}
+        values[names.CLUSTERED][bodies.clusters.particles] = 1.0
+        bodies.velocities(state.rounded, values["y"])
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
     tell(integrator, {names.KNOWN: 0.0, names.LOADED: names.HELD, names.CHANGED: 1.0})
     variables.put(integrator, variables.COORDINATES, 0.0)  # an inner state that was kept is another one's
+
+
+def _variables(integrator: openmm.CustomIntegrator) -> list[str]:
+    return [integrator.getPerDofVariableName(i) for i in range(integrator.getNumPerDofVariables())]
 
 
 def tell(integrator: openmm.CustomIntegrator, numbers: Mapping[str, float]) -> None:
@@ -87,14 +94,18 @@ def refuse_others(integrator: openmm.CustomIntegrator) -> None:
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
-    """Return the state of the bodies, each where its first particle is; None if none was loaded."""
+    """Return the state of the bodies, each where its first particle is; None if none was loaded.
+
+    The momenta of clusters are those that are shown: the program's may have parts along the bonds.
+    """
     if not integrator.getGlobalVariableByName(names.LOADED):
         return None
     first, k = bodies.first_particle, bodies.n_turning
-    R, image, P, L, q, w = (
+    R, image, P, L, q, w, y = (
         np.array(integrator.getPerDofVariableByName(name), dtype=np.float64)[first].T
-        for name in ("R", "image", "P", "L", "q", "w")
+        for name in ("R", "image", "P", "L", "q", "w", "y")
     )
+    P[:, bodies.clustered] = (bodies.mass * y)[:, bodies.clustered]
     attitudes = np.concatenate([w[:1, :k], q[:, :k]])
     if not attitudes.any(axis=0).all():  # `reinitialize` keeps numbers, but no vectors
         return None

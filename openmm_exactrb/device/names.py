@@ -19,6 +19,8 @@ FORCES = ("F", "N")
 #: The turn of the loop, and the first and the last one of a step; the last number of "shape" is one over the rotations
 #: that a drift is made of. What the device knows of itself it need not be sent.
 SPAN = "at"
+#: Where OpenMM's constraints close drifts: the time of one whose end is in x alone; and 1 where they hold the particle.
+PENDING, CLUSTERED = "tau", "clustered"
 #: For what is soon forgotten; velocities are one more, until they are shown.
 TEMPORARY = ("a", "g", "y", "c", "p", "n")
 #: Where forces are taken at displaced places: the attitude that is not, and how far the centre is displaced.
@@ -53,6 +55,8 @@ ASKED, FASTEST = f"{_PREFIX}asked", f"{_PREFIX}fastest"
 INDEX, ROW, NEEDED, SHIFTED, WAS, MOVED = (
     f"{_PREFIX}{name}" for name in ("index", "row", "needed", "shifted", "was", "moved")
 )
+#: Rotations that were made of a drift of rigid bodies.
+TURN = f"{_PREFIX}turn"
 #: Three tables whose sum is the table of rows, since devices keep tables in single precision.
 TABLES = tuple(f"{_PREFIX}rows{i}" for i in range(3))
 #: The force group that the sums over bodies have to themselves, unless forces of the System are in it.
@@ -70,5 +74,6 @@ def last(k: int) -> tuple[str, str]:
 
 def has(name: str) -> bool:
     """Return whether the program of some scheme has a variable of this name."""
-    vectors = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, *INNER, LAG, THERMOSTAT, *STREAMS)
+    of_step = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, PENDING, CLUSTERED)
+    vectors = (*of_step, *INNER, LAG, THERMOSTAT, *STREAMS)
     return name in vectors or name.startswith((_PREFIX, _LAST))

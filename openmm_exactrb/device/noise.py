@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.device import names
-from openmm_exactrb.device.program import AXES, BEGINS, INVERSE_INERTIA, Program
+from openmm_exactrb.device.program import AXES, INVERSE_INERTIA, Program
 from openmm_exactrb.device.rows import Table
 
 #: Multipliers and moduli: r <- multiplier r mod modulus, and the sum of r/modulus without its whole part is uniform.
@@ -29,8 +29,8 @@ def streams(n_bodies: int, seed: int, drawn: int = 0) -> NDArray[np.float64]:
 
 
 def draws(table: Table, sites: bool) -> int:
-    """Return how many numbers each generator draws in a step: two for each thermostat column of each row made."""
-    return 2 * (table.has("before") + table.has("after")) * (table.step + sites)
+    """Return how many numbers each generator draws in a step."""
+    return 2 * table.heat_exchanges(sites)
 
 
 def exchange(program: Program, part: str) -> None:
@@ -40,7 +40,7 @@ def exchange(program: Program, part: str) -> None:
     every row, however many turns it has. The variables a, g, n, p and y change.
     """
     program.times("n", ((part, "begins"),) * 3)
-    program.let("p", BEGINS)
+    program.let("p", program.begins)
     program.let("a", _uniform(program))
     program.let("y", _uniform(program))
     program.let("g", "sqrt(-2*log(1-a))")

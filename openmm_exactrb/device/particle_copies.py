@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.device import load
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import BodyState, State
 
 Array = NDArray[np.float64]
 
@@ -69,6 +69,13 @@ class ParticleCopies(Synchronisation):
                 known = known.renewed(state._replace(R=state.R + shifts.T))
         self._copied = known
         return known
+
+    def _velocities(self, rounded: BodyState, v: Array) -> Array:
+        """Write the velocities of a state that was read; those of clusters are constrained by OpenMM."""
+        bodies = self.bodies
+        bodies.velocities(rounded, v)
+        v[bodies.clusters.particles] = (rounded.P / bodies.mass)[:, bodies.clustered].T
+        return v
 
     def _read_inner(self) -> None:
         """Leave an inner state where it is: in the program."""

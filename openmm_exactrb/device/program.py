@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import openmm
 
@@ -17,15 +18,39 @@ ALONE = "_y(shape)"
 #: The inverse principal moments of inertia.
 INVERSE_INERTIA = "vector(_x(inverse)+_x(abc),_x(inverse)+_x(abc)*_z(abc),_x(inverse))"
 _ROW = "floor((_x(at)+0.5)*_z(shape))"
-#: 1 in the first turn of a row, else 0.
-BEGINS = f"step(_z(shape)-(_x(at)+0.5)*_z(shape)+{_ROW})"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What a program is made for.
+
+    Attributes
+    ----------
+    table : Table
+    sums : int
+        The force group of the sums over bodies.
+    fast : int or None
+        The force group of the fast forces.
+    slow : tuple of int
+        The force groups of the others, where there are fast ones. OpenMM's minimiser and barostats take the groups of
+        an integrator, so that these still are all groups that act.
+    clusters : bool
+        Whether OpenMM's constraints hold particles that are no rigid bodies.
+    """
+
+    table: Table
+    sums: int
+    fast: int | None = None
+    slow: tuple[int, ...] = ()
+    clusters: bool = False
 
 
 class Program:
     """Adds computations to an integrator that has no Context yet, where sums over bodies are in a force group."""
 
-    def __init__(self, integrator: openmm.CustomIntegrator, table: Table, group: int) -> None:
-        self.integrator, self.table, self.group = integrator, table, group
+    def __init__(self, integrator: openmm.CustomIntegrator, layout: Layout) -> None:
+        self.integrator, self.table, self.group = integrator, layout.table, layout.sums
+        self.fast, self.slow, self.clusters = layout.fast, layout.slow, layout.clusters
 
     def vectors(self, *particles: str) -> None:
         """Declare per-DOF variables, all zero."""
@@ -69,6 +94,10 @@ class Program:
         Each part comes with the turns of the row that have it: "begins" is the first one, "ends" the last one, "1" any.
         """
         n = len(self.table.rows)
+        if self.table.constrained:
+            self.let("p", f"vector({','.join(f'{self.table.column(part) * n}+_x(at)' for part, _ in parts)})")
+            self.let(name, f"dt*({'+'.join(f'{function}(p)' for function in names.TABLES)})")
+            return
         entries = (f"{self.table.column(part) * n}+select({turn},row,{n - 1})" for part, turn in parts)
         self.let(
             "p",
@@ -77,6 +106,28 @@ class Program:
             f"row={_ROW}",
         )
         self.let(name, f"dt*({'+'.join(f'{function}(p)' for function in names.TABLES)})")
+
+    def place(self, expression: str, group: int | None) -> None:
+        """Write positions in a kernel that needs the forces of a group, which count as zero; "a" and "n" change.
+
+        Statements before it that need no forces are of this kernel too. The Reference platform knows the force of a
+        group in statements without vectors only.
+        """
+        if group is None:
+            self.let("x", expression)
+            return
+        self.let("a", f"{ALONE}*_x(inverse)")  # zero, for single particles have no moment of inertia
+        self.let("n", expression)
+        self.let("x", f"n+a*f{group}")
+
+    @property
+    def begins(self) -> str:
+        """The expression that is 1 in the first turn of a row, else 0."""
+        return "1" if self.table.constrained else f"step(_z(shape)-(_x(at)+0.5)*_z(shape)+{_ROW})"
+
+    def is_zero(self, part: str) -> str:
+        """Return the expression that is 1 where a part of the present row is zero, else 0."""
+        return f"delta({names.TABLES[0]}({names.ROW}+{self.table.column(part) * len(self.table.rows)}))"
 
 
 def turned(q: str, w: str, vector: str) -> str:

@@ -240,18 +240,7 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     assert slip < 1e-13
 
 
-def test_the_device_is_refused_for_clusters_and_for_multiple_time_steps():
-    _, system, x = peptide()
-    integrator = rb.ExactRigidBodyIntegrator(0.0005, engine="device")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    with pytest.raises(ValueError, match="a motion of its own"):
-        integrator.step(1)
-    with pytest.raises(ValueError, match="fast="):
-        rb.ExactRigidBodyIntegrator(0.0005, fast="bonded", engine="device")
-
-
-def test_steps_with_inner_steps_on_the_host_are_not_made_on_the_device_silently():
+def test_the_device_makes_the_inner_steps_of_the_host():
     system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
     for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
         system.addParticle(mass)
@@ -262,13 +251,13 @@ def test_steps_with_inner_steps_on_the_host_are_not_made_on_the_device_silently(
     for force in (bond, charges):
         system.addForce(force)
     x = np.array([[0.0, 0, 0], [0.109, 0, 0], [0, 0.5, 0], [0.109, 0.5, 0]])
-    none, _context = moving(system, x, engine="device", fast=None)
-    none.setStepSize(0.002)  # who nests nothing may have them
-    none.step(1)
-    integrator, _other = moving(system, x, engine="device")
-    with pytest.raises(ValueError, match=r"bonded forces have inner steps .* fast=None"):
-        integrator.setStepSize(0.002)
-    assert integrator.getStepSize()._value == 0.0005
-    integrator.step(1)
-    with pytest.raises(ValueError, match="bonded forces have inner steps at this step"):
-        moving(system, x, 0.002, engine="device")
+    ends = []
+    for engine in ("host", "device"):
+        integrator, context = moving(openmm.XmlSerializer.clone(system), x, engine=engine)
+        for h in (0.0005, 0.002, 0.004):
+            integrator.setStepSize(h)
+            integrator.step(2)
+        assert integrator.getEngine() == engine
+        assert integrator.timings.fast_evaluations > 0
+        ends.append(positions_of(context))
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-13)

@@ -1,0 +1,93 @@
+"""The force group that the fast forces have to themselves while a program needs it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import openmm
+
+from openmm_exactrb.context.bonded import BONDED, acts, groups_of
+from openmm_exactrb.context.excerpt import members
+from openmm_exactrb.mechanics.bodies import RigidBodies
+
+# The name of a force that was moved ends with the group that it came from.
+_MOVED = " [of force group {}]"
+_OWN = re.compile(r"^(.*) \[of force group (\d+)\]$", re.DOTALL)
+
+
+def fast_forces(system: openmm.System, groups: Sequence[int] | None, active: int = -1) -> list[int]:
+    """Return the indices of the forces of some groups, or without groups of bonded ones, in `active` groups (bits)."""
+    named = _named(groups, active)
+    wanted = acts if groups is not None else lambda force: isinstance(force, BONDED)
+    return [i for i, force in enumerate(system.getForces()) if wanted(force) and groups_of(force) & named]
+
+
+def group_of(
+    system: openmm.System, fast: Sequence[int], groups: Sequence[int] | None, active: int, sums: int
+) -> int | None:
+    """Return the force group that these forces have to themselves, or one that is free for them; None without any.
+
+    `groups` and `active` are those of `fast_forces`, `sums` is the group of the sums over bodies.
+    """
+    forces = [(i, groups_of(force)) for i, force in enumerate(system.getForces()) if acts(force)]
+    own = {group for i, of_force in forces if i in fast for group in of_force & _named(groups, active)}
+    others = {group for i, of_force in forces if i not in fast for group in of_force}
+    if len(own) == 1 and not own & others:
+        return own.pop()
+    if any(len(of_force) > 1 for i, of_force in forces if i in fast):  # of which only one could be moved
+        return None
+    return max(set(range(32)) - own - others - {sums}, default=None)
+
+
+def slow_groups(system: openmm.System, fast: Sequence[int], group: int, active: int) -> list[int]:
+    """Return the groups of all other forces, or parts of forces, than those that are fast in a group."""
+    forces = [(i, groups_of(force)) for i, force in enumerate(system.getForces()) if acts(force)]
+    slow = {g for i, of_force in forces if i not in fast or group in of_force for g in of_force} - {group}
+    return sorted(g for g in slow if active >> g & 1)
+
+
+def _named(groups: Sequence[int] | None, active: int) -> set[int]:
+    return {group for group in (range(32) if groups is None else groups) if active >> group & 1}
+
+
+def move(system: openmm.System, fast: Sequence[int], group: int) -> None:
+    """Give forces a group, and names that tell from where they came."""
+    for force in map(system.getForce, fast):
+        if force.getForceGroup() != group:
+            force.setName(force.getName() + _MOVED.format(force.getForceGroup()))
+            force.setForceGroup(group)
+
+
+def restore(system: openmm.System) -> None:
+    """Give forces their own groups and names back."""
+    for force in system.getForces():
+        if moved := _OWN.match(force.getName()):
+            force.setName(moved[1])
+            force.setForceGroup(int(moved[2]))
+
+
+def any_moved(system: openmm.System) -> bool:
+    """Return whether forces of a System are in another group than their own."""
+    return any(_OWN.match(force.getName()) for force in system.getForces())
+
+
+def unsupported(system: openmm.System, bodies: RigidBodies, fast: Sequence[int]) -> str | None:
+    """Return why forces cannot be the fast ones of a program, or None: they act on rigid bodies or virtual sites."""
+    sites = {i for i in range(system.getNumParticles()) if system.isVirtualSite(i)}
+    owner, rigid = bodies.owner, bodies.n_turning
+    if not (rigid or sites):
+        return None
+    for force in map(system.getForce, fast):
+        if not isinstance(force, BONDED):
+            return (
+                f"the fast forces include a {type(force).__name__}, which may act on rigid bodies: the device has "
+                "inner steps for bonds, angles and torsions between other particles only"
+            )
+        for particles in members(force):
+            touched = {int(owner[i]) for i in particles}
+            turning = [body for body in touched if 0 <= body < rigid]
+            if (turning and len(touched) > 1) or sites & set(particles):
+                where = bodies.name(turning[0]) if turning else f"virtual site {min(sites & set(particles))}"
+                return f"fast forces act on {where}, and the device has no inner steps for rigid bodies"
+    return None
