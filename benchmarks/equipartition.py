@@ -173,7 +173,7 @@ def of_ours(integrator: rb.ExactRigidBodyLangevinIntegrator):
     """Return what looks at the temperatures of an integrator of ours."""
 
     def look() -> dict[str, float]:
-        at_end, around = integrator.temperatures(), integrator.temperaturesAroundBath()
+        at_end, around = integrator.temperatures(), integrator.temperaturesAroundThermostat()
         names = ("T_tr", "T_rot", "T_tr, other", "T_rot, other")
         return {name: T._value for name, T in zip(names, (*at_end, *around), strict=True)}
 

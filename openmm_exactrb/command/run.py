@@ -36,7 +36,7 @@ _DEFAULTS: dict[str, Any] = {
     "friction": 1.0,
     "pressure": 1.0,
     "target": 1e-3,
-    "equilibrate": None,  # `equilibration.length_of` tells
+    "equilibrate": None,  # see `equilibration.length_of`
 }
 
 

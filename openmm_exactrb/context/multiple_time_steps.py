@@ -66,7 +66,7 @@ class MultipleTimeSteps:
                 raise ValueError('inner and innerSteps are for fast forces: name these with fast="bonded", for example')
             return None
         if isinstance(fast, str) and fast == AUTO and (scheme or steps):
-            fast = BONDED  # inner steps that somebody tells are wanted
+            fast = BONDED  # somebody who gives a number of inner steps wants them
         return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
 
     @property

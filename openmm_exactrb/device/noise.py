@@ -20,12 +20,12 @@ GENERATORS = ((11600, 2147483579), (47003, 2147483543), (23000, 2147483423), (33
 
 
 def streams(n_bodies: int, seed: int, drawn: int = 0) -> NDArray[np.float64]:
-    """Return where the generators of a number of bodies stand when each has drawn so many numbers, (4, n_bodies, 3)."""
+    """Return the states of the generators of all bodies when each has drawn so many numbers, (4, n_bodies, 3)."""
     rng = np.random.default_rng(seed)
     begin = [rng.integers(1, modulus, (n_bodies, 3)) for _, modulus in GENERATORS]
     factors = [pow(multiplier, drawn, modulus) for multiplier, modulus in GENERATORS]
-    stand = [r * k % modulus for r, k, (_, modulus) in zip(begin, factors, GENERATORS, strict=True)]
-    return np.array(stand, dtype=np.float64)
+    states = [r * k % modulus for r, k, (_, modulus) in zip(begin, factors, GENERATORS, strict=True)]
+    return np.array(states, dtype=np.float64)
 
 
 def draws(table: Table, sites: bool) -> int:
@@ -34,7 +34,7 @@ def draws(table: Table, sites: bool) -> int:
 
 
 def exchange(program: Program, part: str) -> None:
-    """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time that a column of the rows tells.
+    """Write the exact Ornstein-Uhlenbeck flow of the momenta over the time in a column of the rows.
 
     As `openmm_exactrb.thermostats.langevin.ornstein_uhlenbeck`, but for the random numbers, which are drawn once in
     every row, however many turns it has. The variables a, g, n, p and y change.

@@ -30,7 +30,7 @@ class Kind:
     particles : (n, k) array
         The k particles with mass of each of the n bodies.
     bodies : slice
-        Where they stand among all bodies.
+        Their indices among all bodies.
     masses : (k,) array
     sites : (1, k, 3) or (n, k, 3) array
         Places of the particles in the principal axes of the body, about the centre of mass: of all bodies, or of each.
@@ -79,7 +79,7 @@ class RigidBodies:
         K, the number of bodies that turn.
     clusters : Clusters
     clustered : slice
-        Where the atoms of clusters stand among all bodies.
+        Indices of the atoms of clusters among all bodies.
     """
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:

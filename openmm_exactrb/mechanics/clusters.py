@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 
 #: Constraints that a cluster may have.
 LARGEST = 3000
-# Constraints less independent than this, as `ClusterKind.most_dependent` tells, are refused.
+# Constraints less independent than this, as `ClusterKind.most_dependent` measures, are refused.
 _INDEPENDENT = 1e-9
 
 

@@ -12,7 +12,11 @@ Array = NDArray[np.float64]
 
 
 class Part:
+<<<<<<< HEAD
     """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) marks them among all."""
+=======
+    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) are their indices among all."""
+>>>>>>> 58ad5cc (getThermostat says what getBathSettings said; temperaturesAroundThermostat; one test of a barostat for both Ewald sums)
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies

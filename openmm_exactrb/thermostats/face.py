@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
@@ -68,11 +68,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """
         self._change(temperature=temperature)
 
-    def getBathSettings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run, beside those of `ExactRigidBodyIntegrator`."""
-        return {**self._thermostat.settings(), "seed": self.getRandomNumberSeed() or "random"}
-
-    def temperaturesAroundBath(self) -> tuple[unit.Quantity, unit.Quantity]:
+    def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and rotational temperatures, means of before and after the last heat exchange.
 
         With "BAOAB" and "ABOBA" the thermostat is in the middle of a step, where momenta are nearer to canonical

@@ -150,7 +150,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
         As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise
-        of a step depends on the seed and the number of the step alone. It has no `temperaturesAroundBath`.
+        of a step depends on the seed and the number of the step alone. It has no `temperaturesAroundThermostat`.
 
     Raises
     ------

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 #: A run is unstable once its total energy is off by this fraction of the kinetic energy.
 LOST = 0.1
 
-# Extent in nm that stands for the shape of a particle, which has none.
+# Extent in nm that a particle is given, which has no shape.
 _EXTENT = 0.1
 
 # Of the Langevin dynamics that brings a start to a temperature: step and friction over the characteristic time, steps

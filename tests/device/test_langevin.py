@@ -259,7 +259,7 @@ def test_refusals():
     context = langevin(system, positions)
     context.getIntegrator().step(1)
     with pytest.raises(ValueError, match="momenta within a step are not available"):
-        context.getIntegrator().temperaturesAroundBath()
+        context.getIntegrator().temperaturesAroundThermostat()
 
 
 def test_copies_keep_the_engine():

@@ -127,25 +127,6 @@ def test_a_restart_goes_on_bit_for_bit_and_a_serialised_system_has_the_same_mesh
     assert_same(evaluated(context_of(system, positions_of(context))), evaluated(context), 0.0)
 
 
-def test_a_barostat_changes_the_box_of_the_mesh():
-    _, system, positions = rb.dipole_fluid(64, 3, density=0.6, boundary=rb.Ewald(**MESH))
-    barostat = openmm.MonteCarloBarostat(20.0, 120.0, 2)
-    barostat.setRandomNumberSeed(1)
-    system.addForce(barostat)
-    integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
-    integrator.setVelocitiesToTemperature(120.0, 1)
-    volume = context.getState().getPeriodicBoxVolume()
-    integrator.step(40)
-    state = context.getState(positions=True, energy=True)
-    assert abs(state.getPeriodicBoxVolume() / volume - 1.0) > 1e-3
-    again = context_of(system, state.getPositions())
-    again.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-    assert again.getState(energy=True).getPotentialEnergy() == state.getPotentialEnergy()
-
-
 @pytest.mark.parametrize("scheme", ["S2_2", "S6_10", "SRKN6_14a"])
 def test_the_energy_error_of_a_scheme_is_that_of_the_direct_sum(scheme):
     R = []

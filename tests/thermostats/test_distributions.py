@@ -236,7 +236,7 @@ def test_baoab_is_right_around_its_thermostat_and_cold_at_the_end_of_its_step():
     for _ in range(1000):
         simulation.step(1)
         ends.append(integrator.temperatures()[0]._value / 300.0)
-        middles.append(integrator.temperaturesAroundBath()[0]._value / 300.0)
+        middles.append(integrator.temperaturesAroundThermostat()[0]._value / 300.0)
     (end, width), (middle, width_of_middle) = mean_and_error(ends), mean_and_error(middles)
     assert abs(end - 0.75) < 4.0 * width
     assert abs(middle - 1.0) < 4.0 * width_of_middle

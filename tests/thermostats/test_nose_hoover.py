@@ -515,7 +515,6 @@ def test_copies_have_all_settings(copied):
     twin = copied(integrator)
     assert type(twin) is type(integrator)
     assert twin.getThermostat() == integrator.getThermostat()
-    assert twin.getBathSettings() == integrator.getBathSettings()
     assert twin.getSettings() == integrator.getSettings()
     assert twin.getSettings()["arguments"]["chainLength"] == 4
     assert rb.ExactRigidBodyNoseHooverIntegrator(**twin.getSettings()["arguments"]).getThermostat().together

@@ -116,7 +116,7 @@ def test_copies_have_all_settings(name, copied):
     integrator.setRandomNumberSeed(7)
     twin = copied(integrator)
     assert type(twin) is type(integrator)
-    assert twin.getBathSettings() == integrator.getBathSettings()
+    assert twin.getThermostat() == integrator.getThermostat()
     for question in ("getScheme", "getRotor", "getStepSize", "getNamedBodies", "getRandomNumberSeed", "getSeedInUse"):
         assert getattr(twin, question)() == getattr(integrator, question)()
 
@@ -218,21 +218,21 @@ def test_a_cold_start_may_be_heated_by_any_friction():
 def test_temperatures_around_the_thermostat_need_a_step():
     simulation = droplet_of(langevin(30.0, 1.0, 0.01, scheme="BAOAB"))
     with pytest.raises(ValueError, match="make a step first"):
-        simulation.integrator.temperaturesAroundBath()
+        simulation.integrator.temperaturesAroundThermostat()
     simulation.step(1)
-    assert all(0.0 < T._value < 100.0 for T in simulation.integrator.temperaturesAroundBath())
+    assert all(0.0 < T._value < 100.0 for T in simulation.integrator.temperaturesAroundThermostat())
     checkpoint = simulation.context.createCheckpoint()
     simulation.step(2)
     simulation.context.loadCheckpoint(checkpoint)
     with pytest.raises(ValueError, match="make a step first"):
-        simulation.integrator.temperaturesAroundBath()
+        simulation.integrator.temperaturesAroundThermostat()
     simulation.step(1)
     simulation.integrator.setVelocitiesToTemperature(3000.0, 1)
     with pytest.raises(ValueError, match="make a step first"):
-        simulation.integrator.temperaturesAroundBath()
+        simulation.integrator.temperaturesAroundThermostat()
     simulation.integrator.step(0)
     with pytest.raises(ValueError, match="make a step first"):
-        simulation.integrator.temperaturesAroundBath()
+        simulation.integrator.temperaturesAroundThermostat()
 
 
 def test_reporters_and_velocities_tell_the_temperature_of_the_step_s_end(tmp_path):
