@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+import compilation
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
+from openmm_exactrb import kernels, quaternions
 
 # The same examples every time: whether a change passes is no matter of luck.
 settings.register_profile("fast", max_examples=50, deadline=None, derandomize=True)
@@ -19,6 +20,8 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if workers := config.getoption("numprocesses", None):  # they share the cores, and inherit this
         os.environ.setdefault("OPENMM_CPU_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
+        if not config.option.collectonly and kernels.available():
+            compilation.at_once()
     settings.load_profile("thorough" if config.getoption("--validate") else "fast")
 
 

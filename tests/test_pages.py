@@ -1,4 +1,4 @@
-"""The Python in the README runs as it is printed; that of the other pages compiles, and `make docs` runs it."""
+"""The Python in the README and on the pages compiles, and takes names that exist; `make docs` runs it as printed."""
 
 import ast
 import doctest
@@ -21,11 +21,8 @@ def name_of(page):
     return str(page.relative_to(ROOT))
 
 
-@pytest.mark.parametrize(
-    "page",
-    [pytest.param(p, marks=[] if p.name == "README.md" else pytest.mark.validate) for p in WITH_PYTHON],
-    ids=name_of,
-)
+@pytest.mark.validate
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=name_of)
 def test_pieces_run_as_they_are_printed(page, monkeypatch):
     monkeypatch.setenv("OPENMM_DEFAULT_PLATFORM", "CPU")  # on whatever device a machine has, some drivers fail
     with mpl.rc_context({"backend": "agg"}):

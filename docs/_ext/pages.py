@@ -1,7 +1,7 @@
 """Run every piece of Python of the README and of the documentation as it is printed, page by page.
 
-What a piece prints is compared with the `{testoutput}` behind it. `make docs` runs the documentation; the tests run
-the README and only read the other pages.
+What a piece prints is compared with the `{testoutput}` behind it. `make docs` runs README and documentation; the
+tests only read them.
 """
 
 from __future__ import annotations

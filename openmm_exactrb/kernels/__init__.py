@@ -21,8 +21,8 @@ def load(name: str, which: Literal["fastest", "numpy", "numba"] = "fastest") -> 
     Parameters
     ----------
     name : str
-        "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation) or "sums"
-        (double-doubles); for numba only "clusters" (the free flow of constrained clusters) or "pairs" (dipoles).
+        "bodies" (positions of the particles of rigid bodies, forces and torques) or "exact" (the free rotation); for
+        numba only "clusters" (the free flow of constrained clusters) or "pairs" (dipoles).
     which : {"fastest", "numpy", "numba"}, optional
         "fastest" is the compiled module where numba is installed and not switched off by `SWITCH`.
 

@@ -92,7 +92,7 @@ def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None)
 
 def advancing() -> Callable[[Array, Array, float], Array]:
     """Return advance(x, rate, tau) -> x + tau rate for a sum x (2, k, N) and rates (k, N)."""
-    kernel = kernels.load("sums").advance
+    kernel = kernels.load("bodies").advance
 
     def advance(x: Array, rate: Array, tau: float) -> Array:
         if not x.size:

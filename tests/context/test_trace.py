@@ -13,8 +13,11 @@ from peptides import peptide
 PACKAGE = str(Path(rb.__file__).parent)
 
 
-def trace(integrator):
-    """Return the files that a step enters, and the number of calls outside its substeps."""
+def trace_of(system, positions, integrator):
+    """Return the files that the sixth step enters, and the number of calls outside its substeps."""
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.step(5)
     files, within, outside = set(), 0, 0
 
     def noticed(frame, event, arg):
@@ -50,23 +53,25 @@ def trace(integrator):
 def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
     _, system, positions = rb.rigid_water(2)
-    integrator = make()
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    integrator.step(5)
-    files, outside = trace(integrator)
+    files, outside = trace_of(system, positions, make())
     assert len(files) <= most, sorted(files)
     assert outside <= 143
 
 
-@pytest.mark.parametrize(("options", "most"), [({"fast": None}, 18), ({"fast": "bonded"}, 24)], ids=["plain", "nested"])
-def test_a_step_of_a_peptide_passes_few_files(options, most):
-    pytest.importorskip("numba")
+@pytest.mark.parametrize("which", ["numpy", "numba"])
+@pytest.mark.parametrize(
+    ("make", "most"),
+    [
+        (lambda: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast=None), 18),
+        (lambda: rb.ExactRigidBodyLangevinIntegrator(100.0, 1.0, 0.0005, "S2_2", fast=None), 22),
+        (lambda: rb.ExactRigidBodyIntegrator(0.0005, "S2_2", fast="bonded"), 24),
+    ],
+    ids=["plain", "Langevin", "nested"],
+)
+def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, make, most):
+    pytest.importorskip("numba")  # of its constraints
+    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
     _, system, positions = peptide()
-    integrator = rb.ExactRigidBodyIntegrator(0.0005, "S2_2", **options)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    integrator.step(5)
-    files, outside = trace(integrator)
+    files, outside = trace_of(system, positions, make())
     assert len(files) <= most, sorted(files)
     assert outside <= 143

@@ -317,7 +317,9 @@ def test_the_motion_remover_of_create_system_changes_nothing_but_the_drift():
     np.testing.assert_allclose(state.P.sum(axis=1), 0.0, atol=1e-11)
 
 
+@pytest.mark.parametrize("scheme", ["V2", "PEFRL", "Chin4A", "V2_C17", "W4_4"])
 def test_parameters_of_the_context_count_from_the_next_step_on(scheme):
+    """With a scheme for each structure of steps: kick first, drift first, displaced forces, a processor, and both."""
     topology, system, positions = rb.rigid_water(4)
     pull = openmm.CustomExternalForce("-strength*x")
     pull.addGlobalParameter("strength", 0.0)
@@ -326,7 +328,7 @@ def test_parameters_of_the_context_count_from_the_next_step_on(scheme):
     system.addForce(pull)
     momenta = []
     for strength in (0.0, 7.0):
-        simulation = start(topology, system, positions, scheme=scheme.name)
+        simulation = start(topology, system, positions, scheme=scheme)
         simulation.context.setVelocities(np.zeros((12, 3)))
         simulation.step(1)
         simulation.context.setParameter("strength", strength)

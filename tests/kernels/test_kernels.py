@@ -103,7 +103,7 @@ def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path):
     copied = shutil.copytree(PACKAGE, tmp_path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
     code = "from openmm_exactrb.kernels.build import sources; print(sources())"
     keys = []
-    for file in ("kernels/compiled/sums.py", "kernels/compiled/sums.py", "elliptic.py"):
+    for file in ("kernels/compiled/bodies.py", "kernels/compiled/bodies.py", "elliptic.py"):
         keys.append(python(code, tmp_path, PYTHONPATH=str(tmp_path)).stdout)
         (copied / file).write_text((copied / file).read_text() + "\n")
     assert len(set(keys)) == 3

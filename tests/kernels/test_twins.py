@@ -23,7 +23,8 @@ def sums_of(rng, k, n):
 
 
 def of_bodies(rng):
-    cases = {"place": [], "collect": []}
+    sums = [(sums_of(rng, k, n), columns(rng, k, n), 0.3, np.zeros((2, k, n))) for k, n in ((3, N), (4, 0))]
+    cases = {"place": [], "collect": [], "advance": sums}
     R, q = columns(rng, 3, N), np.ascontiguousarray(quaternions.random(rng, N).T)
     for first, n, k, own in ((0, N, 3, False), (7, 40, 5, True), (N - 1, 1, 2, False), (3, 0, 3, True)):
         particles = rng.permutation(n * k + 4)[: n * k].reshape(n, k).astype(np.int64)
@@ -43,13 +44,7 @@ def of_exact(rng):
     return {"advance": cases}
 
 
-def of_sums(rng):
-    return {
-        "advance": [(sums_of(rng, k, n), columns(rng, k, n), 0.3, np.zeros((2, k, n))) for k, n in ((3, N), (4, 0))]
-    }
-
-
-INPUTS = {"bodies": of_bodies, "exact": of_exact, "sums": of_sums}
+INPUTS = {"bodies": of_bodies, "exact": of_exact}
 #: Differences of the results allowed, relative to their size; what is not named agrees to the bit.
 TOLERANCES = {"bodies.place": 2e-15, "bodies.collect": 2e-15, "exact.advance": 3e-14}
 

@@ -5,7 +5,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from force_laws import REFERENCE, assert_gradient, context_of, evaluated, positions_of
+from force_laws import assert_gradient, context_of, evaluated, positions_of
 from openmm_exactrb.potentials import ewald, ewald_errors
 from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of, summed
 

@@ -8,8 +8,8 @@ import oracle
 
 
 @pytest.mark.parametrize("regime", oracle.REGIMES)
-def test_oracle_solves_the_differential_equations(regime):
-    inertia, m = oracle.random_bodies(regime, 2, seed=7)
+def test_oracle_solves_the_differential_equations(regime, pytestconfig):
+    inertia, m = oracle.random_bodies(regime, 2 if pytestconfig.getoption("--validate") else 1, seed=7)
     rng = np.random.default_rng(3)
     for I, m0 in zip(inertia, m, strict=True):
         q, rate = rng.standard_normal(4), max(1.0, np.linalg.norm(m0 / I))

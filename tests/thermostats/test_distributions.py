@@ -35,13 +35,14 @@ def hybrid(h, scheme="S2_2", **options):
 # -- a dipole in a field ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scheme", ["W2_3m", "BAOAB"])
+@pytest.mark.parametrize("scheme", ["W2_3m", pytest.param("BAOAB", marks=pytest.mark.validate)])
 def test_dipoles_in_a_field_obey_langevin(scheme):
     error, width = mean_and_error(reduced_energies(langevin(0.008, scheme), 500, FIELD, 200, 1000, 5))
     assert width < 0.012
     assert abs(error) < 0.005 + 3.0 * width
 
 
+@pytest.mark.validate  # test_ornstein_uhlenbeck has the same without OpenMM
 def test_a_splitting_that_is_biased_is_seen_to_be():
     """O V2 O, also known as OBABO: 0.09 kT too much at 8 fs."""
     error, width = mean_and_error(reduced_energies(langevin(0.008, "V2"), 500, FIELD, 200, 1000, 5))
@@ -121,16 +122,8 @@ def stationary(scheme, angle, friction, n=10_000):
 #: Four standard errors of a variance from 30 000 numbers: a false alarm in 16 000.
 FOUR_SIGMA = 4.0 * np.sqrt(2.0 / 30_000)
 
-OF_TRAPS = [
-    ("V2", 1.0),
-    ("S2_2", 2.2),
-    ("W2_3", 2.2),
-    ("W2_3", 4.2),
-    ("W2_3m", 2.2),
-    ("W2_3m", 4.2),
-    ("W2_4g", 3.4),
-    ("BAOA", 1.0),
-]
+OF_TRAPS = [("V2", 1.0), ("W2_3m", 4.2), ("W2_4g", 3.4), ("BAOA", 1.0)]
+MORE_TRAPS = [("S2_2", 2.2), ("W2_3", 2.2), ("W2_3", 4.2), ("W2_3m", 2.2)]
 
 
 def test_baoab_has_the_places_of_a_trap_at_any_step():
@@ -177,7 +170,7 @@ def test_a_run_of_baoab_has_the_places_of_a_trap():
 
 
 @pytest.mark.validate
-@pytest.mark.parametrize(("scheme", "angle"), OF_TRAPS)
+@pytest.mark.parametrize(("scheme", "angle"), OF_TRAPS + MORE_TRAPS)
 def test_a_run_in_a_trap_is_as_wide_as_the_shadow_energy_says(scheme, angle):
     (place, width), (momentum, other) = trapped_ions(langevin(0.02, scheme, friction=1.0), angle, 200, 400)
     kinetic, potential = shadow(scheme_for_thermostat(scheme), angle)
@@ -243,6 +236,7 @@ def test_baoab_is_right_around_its_thermostat_and_cold_at_the_end_of_its_step():
     assert max(width, width_of_middle) < 0.006
 
 
+@pytest.mark.validate
 def test_the_canonical_state_has_no_direction_in_time():
     """<A(0)² A(t)> = <A(0) A(t)²> in equilibrium, here of the cosine of dipoles in a field."""
     integrator, n = langevin(0.008), 400

@@ -130,7 +130,9 @@ def quadratic_clusters(n):
     return system, np.tile(places, (n, 1))
 
 
-@pytest.mark.parametrize(("kind", "n", "samples"), [("Langevin", 40, 80), ("hybrid", 4, 200)])
+@pytest.mark.parametrize(
+    ("kind", "n", "samples"), [("Langevin", 40, 80), pytest.param("hybrid", 4, 200, marks=pytest.mark.validate)]
+)
 def test_equipartition_of_a_constrained_cluster_with_inner_steps(kind, n, samples):
     """Twice the kinetic energy is kT for each degree of freedom, with steps that only inner steps bear.
 

@@ -1,9 +1,9 @@
-"""Particles of rigid bodies of one kind, compiled: the twin of `plain.bodies`."""
+"""Rigid bodies, compiled: the twin of `plain.bodies`."""
 
 from __future__ import annotations
 
 from openmm_exactrb.kernels.build import compiled
-from openmm_exactrb.kernels.compiled.formulas import matrix_entries
+from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
 
 
 @compiled("f2 f2 i2 f3 i F2")
@@ -64,3 +64,13 @@ def collect(q, particles, sites, first, forces, total, torque):
             N0, N1, N2 = N0 + (s1 * f2 - s2 * f1), N1 + (s2 * f0 - s0 * f2), N2 + (s0 * f1 - s1 * f0)
         total[0, body], total[1, body], total[2, body] = T0, T1, T2
         torque[0, body], torque[1, body], torque[2, body] = N0, N1, N2
+
+
+@compiled("f3 f2 f F3")
+def advance(x, rate, t, total):
+    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N)."""
+    rows, n = rate.shape
+    for row in range(rows):
+        for i in range(n):
+            step = t * rate[row, i] + x[1, row, i]
+            total[0, row, i], total[1, row, i] = two_sum(x[0, row, i], step)

@@ -1,10 +1,11 @@
-"""Particles of rigid bodies of one kind in numpy: their positions, and the sums of their forces and torques."""
+"""Rigid bodies in numpy: the places of their particles, the sums of forces and torques, and double-doubles that move."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.compensated import add
 from openmm_exactrb.quaternions import matrix
 
 Array = NDArray[np.float64]
@@ -46,6 +47,11 @@ def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Arra
     torque[0, bodies] = (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
     torque[1, bodies] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
     torque[2, bodies] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
+
+
+def advance(x: Array, rate: Array, t: float, total: Array) -> None:
+    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N) into `total`."""
+    total[...] = add(x, t * rate)
 
 
 def turned(Q: Array, sites: Array) -> Array:

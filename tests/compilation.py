@@ -1,0 +1,39 @@
+"""Kernels that are compiled before the tests begin: else each worker would compile all of them by itself."""
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+
+
+def of_bodies():
+    """Compile what moves rigid bodies and constrained clusters."""
+    from openmm_exactrb import kernels
+
+    for name in ("bodies", "exact", "clusters"):
+        kernels.load(name, "numba")
+
+
+def of_dipoles():
+    """Compile the sums over soft dipoles: of the soft spheres, with an attraction and cut off, and all boundaries."""
+    import openmm_exactrb as rb
+    from soft_dipoles import arrows, summed
+
+    x, box = arrows(64, np.random.default_rng(1))
+    around = [
+        (rb.Open(), None),
+        (rb.ReactionField(), box),
+        (rb.ReactionField(cutoff=0.3 * box), box),
+        (rb.Ewald(method="direct", tolerance=1e-2), box),
+        (rb.Ewald(method="mesh", tolerance=1e-2, cutoff=0.3 * box), box),
+    ]
+    for boundary, edge in around:
+        for spheres in ({}, {"soft_attraction": 3.0}, {"soft_attraction": 3.0, "wca": True}):
+            summed(x, boundary, edge and 3 * [edge], **spheres)
+
+
+def at_once():
+    """Fill numba's cache, in two processes."""
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        for done in [pool.submit(of_dipoles), pool.submit(of_bodies)]:
+            done.result()
