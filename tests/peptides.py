@@ -8,6 +8,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.context.bonded import interacting_exceptions, pairs_by_formula
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
@@ -26,6 +27,18 @@ def peptide(constraints="HBonds", **options):
     context.setPositions(pdb.positions)
     context.applyConstraints(1e-9)
     return pdb.topology, system, positions_of(context)
+
+
+def bonded_apart(system):
+    """Give bonded forces, and exceptions of NonbondedForces as pairs by a formula, a force group; return it."""
+    for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
+        pairs = pairs_by_formula(force, interacting_exceptions(force))
+        if pairs.getNumBonds():
+            for number in range(force.getNumExceptions()):
+                i, j, _, sigma, _ = force.getExceptionParameters(number)
+                force.setExceptionParameters(number, i, j, 0.0, sigma, 0.0)
+            system.addForce(pairs)
+    return rb.separate_bonded(system)
 
 
 @cache

@@ -104,7 +104,7 @@ def test_a_command_ends_with_a_status_and_its_line(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-LARGE = pytest.mark.validate  # minimises a box of water; `make docs` runs it too
+LARGE = pytest.mark.validate  # seconds, and `make docs` runs it too
 
 
 @pytest.mark.parametrize(
@@ -114,12 +114,13 @@ LARGE = pytest.mark.validate  # minimises a box of water; `make docs` runs it to
         pytest.param("ions_in_rigid_water.py", ["--steps", "20"], ["temperatures.png"], marks=LARGE),
         pytest.param("solvated_peptide.py", ["--steps", "20"], ["energy.png"], marks=LARGE),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["cluster.png"]),
-        (
+        pytest.param(
             "stockmayer_fluid.py",
             ["-n", "27", "--equilibration", "0.6", "--duration", "1.8"],
             ["moments.csv", "stockmayer_fluid.png"],
+            marks=LARGE,
         ),
-        ("ferrofluid.py", ["-n", "27", "--duration", "1"], ["ferrofluid.png"]),
+        pytest.param("ferrofluid.py", ["-n", "27", "--duration", "1"], ["ferrofluid.png"], marks=LARGE),
     ],
 )
 def test_the_other_examples_leave_their_files(run, tmp_path, example, arguments, files):

@@ -69,12 +69,12 @@ def test_contexts_that_take_turns_or_run_in_threads_end_in_the_bits_of_runs_alon
     pairs = [(kind, seed) for kind in KINDS for seed in (1, 2)]
     alone = [context_of(*pair) for pair in pairs]
     for context in alone:
-        context.getIntegrator().step(40)
+        context.getIntegrator().step(20)
     by_turns, threaded = ([context_of(*pair) for pair in pairs] for _ in range(2))
     for _ in range(4):
         for context in by_turns:
-            context.getIntegrator().step(10)
-    together(*(lambda c=context: [c.getIntegrator().step(10) for _ in range(4)] for context in threaded))
+            context.getIntegrator().step(5)
+    together(*(lambda c=context: [c.getIntegrator().step(5) for _ in range(4)] for context in threaded))
     for one, others in zip(alone, zip(by_turns, threaded, strict=True), strict=True):
         for other in others:
             np.testing.assert_array_equal(result(other), result(one))

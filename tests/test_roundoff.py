@@ -105,20 +105,25 @@ def test_dipoles_over_a_hundred_thousand_steps():
 # -- reversibility --------------------------------------------------------------------------------------------------
 
 
-def test_ten_thousand_steps_of_tops_and_back():
+THOUSANDS = pytest.mark.parametrize("n", [2_000, pytest.param(10_000, marks=pytest.mark.validate)])
+
+
+@THOUSANDS
+def test_thousands_of_steps_of_tops_and_back(n):
     """A potential a thousandth of the kinetic energy leaves the tops almost integrable."""
     top, (q, m) = problems.HeavyTop.random(np.random.default_rng(3), 1e-3, 1.0, 8)
     scheme = rb.SCHEMES["S2_2"]
-    q1, m1 = problems.integrate(top, (q, m), 0.02, 10_000, scheme)
+    q1, m1 = problems.integrate(top, (q, m), 0.02, n, scheme)
     assert np.abs(m1 - m).max() > 0.1
-    q2, m2 = problems.integrate(top, (q1, -m1), 0.02, 10_000, scheme)
+    q2, m2 = problems.integrate(top, (q1, -m1), 0.02, n, scheme)
     np.testing.assert_allclose(-m2, m, rtol=0.0, atol=1e-10)
     np.testing.assert_allclose(
         quaternions.rotation_matrix(q2.T), quaternions.rotation_matrix(q.T), rtol=0.0, atol=1e-10
     )
 
 
-def test_ten_thousand_steps_of_dipoles_and_back():
+@THOUSANDS
+def test_thousands_of_steps_of_dipoles_and_back(n):
     """A cold cluster swings about its minimum, almost as a harmonic oscillator: it is not chaotic."""
     topology, system, positions = rb.dipole_fluid(4, seed=2, trap=0.5)
     simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.02, scheme="V2"), REFERENCE)
@@ -127,11 +132,11 @@ def test_ten_thousand_steps_of_dipoles_and_back():
     simulation.minimizeEnergy(tolerance=1e-4)
     integrator.setVelocitiesToTemperature(0.1, 1)
     _, start = integrator.bodyState()
-    integrator.step(10_000)
+    integrator.step(n)
     _, there = integrator.bodyState()
     assert np.abs(there.R - start.R).max() > 1e-3
     context.setVelocities(-context.getState(velocities=True).getVelocities(asNumpy=True))
-    integrator.step(10_000)
+    integrator.step(n)
     _, back = integrator.bodyState()
     for a, b in zip(back, (start.R, -start.P, start.q, -start.m), strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-10)

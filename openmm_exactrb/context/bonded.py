@@ -28,8 +28,8 @@ _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
 
 
-def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
-    """Give the bonded forces of a System a force group of their own, for ``fast="bonded"``.
+def separate_bonded(system: openmm.System) -> int:
+    """Give the bonded forces of a System a force group of their own, for OpenMM's ``MTSIntegrator`` and ``fast=(1,)``.
 
     Bonded are bonds, angles and torsions, also those of formulas: HarmonicBondForce, HarmonicAngleForce,
     PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce, CustomBondForce, CustomAngleForce and CustomTorsionForce.
@@ -39,10 +39,6 @@ def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
     ----------
     system : openmm.System
         Is changed: its bonded forces get the first group that no other force is in.
-    exceptions : bool, optional
-        Whether the exceptions of NonbondedForces, pairs of atoms three bonds apart in most force fields, become bonded
-        forces too. Each of them is then one of a CustomBondForce, and for the NonbondedForce a pair that does not
-        interact: what it has to say of these pairs moves with them.
 
     Returns
     -------
@@ -52,18 +48,12 @@ def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
     Raises
     ------
     ValueError
-        If it is no System, the other forces are in all groups, or exceptions to be moved depend on parameters of the
-        Context.
+        If it is no System, or the other forces are in all groups.
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
             f"separate_bonded() takes an openmm.System, before a Simulation is made of it, not {type(system).__name__}"
         )
-    if not isinstance(exceptions, bool):
-        raise ValueError(f"exceptions must be True or False, not {exceptions!r}")
-    if exceptions:
-        for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
-            _move_exceptions(system, force)
     others = {group for force in system.getForces() if not isinstance(force, BONDED) for group in groups_of(force)}
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
@@ -72,23 +62,6 @@ def separate_bonded(system: openmm.System, exceptions: bool = False) -> int:
         if isinstance(force, BONDED):
             force.setForceGroup(free[0])
     return free[0]
-
-
-def _move_exceptions(system: openmm.System, force: openmm.NonbondedForce) -> None:
-    """Make a CustomBondForce of the pairs of a NonbondedForce that interact by numbers of their own."""
-    if force.getNumExceptionParameterOffsets():
-        raise ValueError(
-            "exceptions of the NonbondedForce have parameter offsets, which a CustomBondForce cannot follow: leave "
-            "exceptions=True away"
-        )
-    apart = pairs_by_formula(force, interacting_exceptions(force))
-    if not apart.getNumBonds():
-        return
-    for number in range(force.getNumExceptions()):
-        i, j, charges, sigma, epsilon = force.getExceptionParameters(number)
-        if charges._value or epsilon._value:
-            force.setExceptionParameters(number, i, j, 0.0, sigma, 0.0)
-    system.addForce(apart)
 
 
 def interacting_exceptions(force: openmm.NonbondedForce) -> list[tuple[Any, ...]]:

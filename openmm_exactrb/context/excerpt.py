@@ -16,8 +16,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.bonded import BONDED, interacting_exceptions, pairs_by_formula
-from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.part import Part
+from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 
 Indices = NDArray[np.intp]
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context import arrays
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.part import Part
+from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.mechanics.state import BodyState, Flow, State
 from openmm_exactrb.substeps import Force, Remembered
 

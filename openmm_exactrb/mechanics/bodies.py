@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
-from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.mechanics.state import BodyState, State
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -208,6 +208,27 @@ class RigidBodies:
             if kind.bodies.start <= body < kind.bodies.stop:
                 return f"body {body} (particles {', '.join(map(str, kind.particles[body - kind.bodies.start]))})"
         raise IndexError(f"there is no body {body}")
+
+
+class Part:
+    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) marks them among all."""
+
+    def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
+        self.bodies = bodies
+        self.columns = np.flatnonzero(chosen)
+        self.turning = self.columns[: bodies.n_turning]
+        self._places = self.columns, self.columns, self.turning, self.turning
+
+    def of(self, state: State) -> State:
+        """Return the state of these bodies from that of all."""
+        return State(*(np.ascontiguousarray(a[..., i]) for a, i in zip(state, self._places, strict=True)))
+
+    def into(self, state: State, own: State) -> State:
+        """Return the state of all with that of these bodies in it."""
+        after = State(*(a.copy() for a in state))
+        for a, b, i in zip(after, own, self._places, strict=True):
+            a[..., i] = b
+        return after
 
 
 def _moments(turning: Sequence[Kind]) -> Array:

@@ -172,10 +172,6 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
         thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
 
-    def getStepsPerProposal(self) -> int:
-        """Return how many steps of the scheme a proposal is made of."""
-        return self._thermostat.stepsPerProposal
-
     @property
     def forceEvaluationsPerStep(self) -> int:
         """Force evaluations that a proposal costs; one more after a refusal, and with schemes that begin with a drift.

@@ -197,10 +197,6 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         """Set the relaxation time of the kinetic energy, in ps if it has no unit."""
         self._change(relaxationTime=time)
 
-    def scalesTogether(self) -> bool:
-        """Return whether one number multiplies the momenta of translation and rotation."""
-        return self._thermostat.together
-
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat gave to the bodies since the integrator was made."""
         return variables.get(self, variables.HEAT) * unit.kilojoule_per_mole

@@ -19,7 +19,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from orders import slope
-from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, end_of, moving, peptide, positions_of
+from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, bonded_apart, end_of, moving, peptide, positions_of
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def test_bonded_forces_need_no_group_of_their_own(scheme):
     _, system, x = peptide()
     before = openmm.XmlSerializer.serialize(system)
     taken, apart = (copy.deepcopy(system) for _ in range(2))
-    group = rb.separate_bonded(apart, exceptions=True)
+    group = bonded_apart(apart)
     ends = []
     for own, fast in ((taken, "bonded"), (apart, (group,))):
         integrator, _context = moving(own, x, 0.002, scheme, fast=fast, inner="S2_2", innerSteps=4)
@@ -137,11 +137,6 @@ def test_only_a_system_has_bonded_forces(given, name):
 def test_groups_may_be_whole_numbers_of_numpy():
     integrator = rb.ExactRigidBodyIntegrator(0.001, fast=np.array([2, 1, 2]))
     assert integrator.getMultipleTimeSteps().fast == (1, 2)
-
-
-def test_exceptions_are_moved_or_not():
-    with pytest.raises(ValueError, match="exceptions must be True or False, not 'yes'"):
-        rb.separate_bonded(peptide()[1], exceptions="yes")
 
 
 def test_copies_nest_as_the_original_does():
@@ -235,7 +230,7 @@ def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
 def test_forces_that_do_not_act_are_not_nested():
     """The forces between atoms act alone: the motion is theirs, whether others would be nested or not."""
     _, system, x = peptide()
-    group = rb.separate_bonded(system, exceptions=True)
+    group = bonded_apart(system)
     ends = []
     for fast in (None, "bonded"):
         integrator, context = moving(system, x, 0.001, "SRKN4_6b", fast=fast)
@@ -258,7 +253,7 @@ def test_nested_forces_follow_parameters_and_the_box():
     force.setUsesPeriodicBoundaryConditions(True)
     system.addForce(force)
     system.setDefaultPeriodicBoxVectors(*(0.6 * np.eye(3)))
-    group = rb.separate_bonded(system, exceptions=True)
+    group = bonded_apart(system)
     ends = {}
     for change, fast in itertools.product(("nothing", "length", "box"), ("bonded", (group,))):
         integrator, context = moving(system, x, 0.002, fast=fast, inner="S2_2", innerSteps=4)
@@ -354,25 +349,13 @@ def test_exceptions_become_bonded_forces_of_the_same_energy(method, periodic):
         for force in system.getForces():
             getattr(force, "setUsesPeriodicBoundaryConditions", lambda _: None)(True)
     before = energy_and_forces(system, x)
-    group = rb.separate_bonded(system, exceptions=True)
+    group = bonded_apart(system)
     pairs = system.getForce(system.getNumForces() - 1)
     assert isinstance(pairs, openmm.CustomBondForce)
     assert (pairs.getNumBonds(), pairs.getForceGroup()) == (41, group)
     for after in (energy_and_forces(system, x), energy_and_forces(copy.deepcopy(system), x)):
         assert after[0] == pytest.approx(before[0], rel=1e-10)
         np.testing.assert_allclose(after[1], before[1], rtol=1e-9, atol=1e-7)
-    assert rb.separate_bonded(system, exceptions=True) == group  # there is nothing left to move
-    assert pairs.getNumBonds() == 41
-    assert system.getForce(system.getNumForces() - 1).getNumBonds() == 41
-
-
-def test_exceptions_with_parameters_of_the_context_stay():
-    _, system, _ = peptide()
-    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
-    nonbonded.addGlobalParameter("scale", 1.0)
-    nonbonded.addExceptionParameterOffset("scale", 0, 0.1, 0.0, 0.0)
-    with pytest.raises(ValueError, match=r"parameter offsets.*exceptions=True"):
-        rb.separate_bonded(system, exceptions=True)
 
 
 def test_the_device_has_inner_steps_exactly_where_the_host_has_them():
@@ -455,7 +438,7 @@ def test_pairs_are_not_taken_from_a_force_without_direct_space():
     nonbonded.setIncludeDirectSpace(False)
     before = energy_and_forces(system, x)
     forces = system.getNumForces()
-    rb.separate_bonded(system, exceptions=True)
+    bonded_apart(system)
     assert system.getNumForces() == forces
     assert energy_and_forces(system, x)[0] == pytest.approx(before[0], rel=1e-12)
     excerpt = bonded_excerpt(system, find_bodies(system, x))

@@ -58,7 +58,7 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     assert outside <= 143
 
 
-@pytest.mark.parametrize("which", ["numpy", "numba"])
+@pytest.mark.parametrize(("which", "more"), [("numpy", 1), ("numba", 0)])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -68,10 +68,11 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     ],
     ids=["plain", "Langevin", "nested"],
 )
-def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, make, most):
+def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, more, make, most):
+    """In numpy one more file and call: rigid bodies are in numpy then, and clusters are compiled."""
     pytest.importorskip("numba")  # of its constraints
     monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
     _, system, positions = peptide()
     files, outside = trace_of(system, positions, make())
-    assert len(files) <= most, sorted(files)
-    assert outside <= 143
+    assert len(files) <= most + more, sorted(files)
+    assert outside <= 143 + more

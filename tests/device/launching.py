@@ -1,4 +1,4 @@
-"""Makes steps on OpenCL and says on standard error where they begin and end: kind, scheme."""
+"""Makes steps on OpenCL and says on standard error where they begin and end: kinds and schemes, by turns."""
 
 import sys
 
@@ -6,17 +6,17 @@ import openmm
 
 import openmm_exactrb as rb
 
-kind, scheme = sys.argv[1:]
-_, system, positions = rb.rigid_water(4)
-if kind == "remover":
-    system.addForce(openmm.CMMotionRemover())
-if kind == "langevin":
-    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, scheme, engine="device")
-else:
-    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device")
-platform = openmm.Platform.getPlatform("OpenCL")
-context = openmm.Context(system, integrator, platform, {"Precision": "mixed"})
-context.setPositions(positions)
-for steps in (3, 5, 15):
-    integrator.step(steps)
-    print(f"steps {steps}", file=sys.stderr, flush=True)
+for kind, scheme in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
+    _, system, positions = rb.rigid_water(4)
+    if kind == "remover":
+        system.addForce(openmm.CMMotionRemover())
+    if kind == "langevin":
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, scheme, engine="device")
+    else:
+        integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device")
+    platform = openmm.Platform.getPlatform("OpenCL")
+    context = openmm.Context(system, integrator, platform, {"Precision": "mixed"})
+    context.setPositions(positions)
+    for steps in (3, 5, 15):
+        integrator.step(steps)
+        print(f"steps {steps}", file=sys.stderr, flush=True)

@@ -1,6 +1,7 @@
 """What a step on the device enqueues: kernels, and nothing that is sent or waited for."""
 
 import collections
+import itertools
 import os
 import shutil
 import subprocess
@@ -28,28 +29,29 @@ def shim(tmp_path_factory):
     return library
 
 
-def enqueued(shim, kind, scheme):
-    """Return how often each thing is enqueued in a step, from two calls that differ by ten steps."""
+RUNS = (("langevin", "S2_2"), ("remover", "S2_2"), ("plain", "Chin4A"))
+
+
+@pytest.fixture(scope="module")
+def enqueued(shim):
+    """Return how often each thing is enqueued in a step of each run, from two calls that differ by ten steps."""
     paths = [str(Path(rb.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     environment = os.environ | {"LD_PRELOAD": str(shim), "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    done = subprocess.run(
-        [sys.executable, HERE / "launching.py", kind, scheme],
-        env=environment,
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    _, few, many, _ = done.stderr.split("steps ")
-    few, many = (collections.Counter(line for line in part.splitlines()[1:]) for part in (few, many))
-    many.subtract(few)
-    return {name.removeprefix("launch "): count / 10.0 for name, count in many.items() if count}
+    command = [sys.executable, HERE / "launching.py", *itertools.chain(*RUNS)]
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    calls, found = done.stderr.split("steps ")[1:], {}
+    for run, few, many in zip(RUNS, calls[0::3], calls[1::3], strict=True):
+        few, many = (collections.Counter(line for line in call.splitlines()[1:]) for call in (few, many))
+        many.subtract(few)
+        found[run] = {name.removeprefix("launch "): count / 10.0 for name, count in many.items() if count}
+    return found
 
 
-@pytest.mark.parametrize(("kind", "scheme"), [("langevin", "S2_2"), ("remover", "S2_2"), ("plain", "Chin4A")])
-def test_three_kernels_and_two_sums_for_each_force_one_kernel_a_step_and_nothing_sent(shim, kind, scheme):
+@pytest.mark.parametrize("run", RUNS, ids="-".join)
+def test_three_kernels_and_two_sums_for_each_force_one_kernel_a_step_and_nothing_sent(enqueued, run):
     """The remover of the motion of the centre of mass costs a sum, and two kernels for it."""
-    counts, forces = enqueued(shim, kind, scheme), rb.SCHEMES[scheme].forces
-    removes = kind == "remover"
+    counts, (kind, scheme) = enqueued[run], run
+    forces, removes = rb.SCHEMES[scheme].forces, kind == "remover"
     assert counts["computePerDof"] == 3 * forces + 1 + 2 * removes
     assert counts["computeBondedForces"] == 2 * forces + removes
     assert counts["computeNonbonded"] == forces

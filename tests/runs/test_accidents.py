@@ -61,7 +61,7 @@ def wait_until_stepping(process, folder):
 def test_a_run_killed_at_random_moments_joins_to_the_bit(tmp_path, whole, pytestconfig):
     folder, kills = tmp_path / "out", 0
     dice = random.Random(os.environ.get("KILL_SEED", 8))
-    wanted = 40 if pytestconfig.getoption("--validate") else 10
+    wanted = 40 if pytestconfig.getoption("--validate") else 6
     places = set()
     while kills < wanted:
         often = dice.choice((0.0, 0.01, 60.0))

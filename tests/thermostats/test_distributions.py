@@ -309,7 +309,7 @@ def test_rescaling_leaves_directions_and_a_body_at_rest_alone():
     ratio = after.P / before.P
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-13)
     assert abs(ratio[0, 0] - 1.0) > 1e-3
-    assert integrator.scalesTogether()
+    assert integrator.getThermostat().together
 
 
 # -- decisions --------------------------------------------------------------------------------------------------

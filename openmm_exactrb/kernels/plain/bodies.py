@@ -1,4 +1,4 @@
-"""Rigid bodies in numpy: the places of their particles, the sums of forces and torques, and double-doubles that move."""
+"""Rigid bodies in numpy: places of their particles, sums of forces and torques, and double-doubles that move."""
 
 from __future__ import annotations
 
