@@ -187,7 +187,11 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
             "all forces of the System are bonded, so there is nothing left for longer steps: omit fast=, inner= and "
             "innerSteps="
         )
-    _refuse_unknown(frequency, settings, "bonded forces")
+    if settings.steps is None and not frequency:
+        raise ValueError(
+            "the bonded forces have no bonds or harmonic angles from which the fastest period follows: set the number "
+            "of inner steps per step with innerSteps="
+        )
     return FastForces(settings, frequency, excerpt)
 
 
@@ -201,11 +205,3 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
         raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
     frequency = fastest(system, groups)
     return FastForces(settings, frequency) if frequency or settings.steps else None
-
-
-def _refuse_unknown(frequency: float, settings: MultipleTimeSteps, what: str) -> None:
-    if settings.steps is None and not frequency:
-        raise ValueError(
-            f"the {what} have no bonds or harmonic angles from which the fastest period follows: set the number of "
-            "inner steps per step with innerSteps="
-        )

@@ -58,10 +58,10 @@ class Synchronisation:
         named: Sequence[Sequence[int]] | None,
         pairs: bool = False,
     ) -> None:
-        x, v = _positions_and_velocities(context)
-        refuse_unset(context)
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
-        self.bodies = find_bodies(context.getSystem(), x, named, _box(context), pairs)
+        x, v = self.held()
+        refuse_unset(context)
+        self.bodies = find_bodies(context.getSystem(), x, named, self.box(), pairs)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
@@ -131,7 +131,10 @@ class Synchronisation:
 
     def box(self) -> Array | None:
         """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
-        return _box(self.context)
+        context: Any = self._context()
+        if not context.getSystem().usesPeriodicBoundaryConditions():
+            return None
+        return np.reshape(arrays.box(context.getState()), (3, 3))
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""
@@ -226,19 +229,15 @@ class Synchronisation:
 
     def held(self) -> tuple[Array, Array]:
         """Return positions (nm) and velocities (nm/ps) of all particles, as the Context has them."""
-        return _positions_and_velocities(self._context())
+        context: Any = self._context()
+        state = context.getState(positions=True, velocities=True)
+        return arrays.positions(state), arrays.velocities(state)
 
     def replace(self, state: State) -> None:
         """Give the bodies another state and push it."""
         self.state = state
         self.keep(None)
         self.push()
-
-
-def _positions_and_velocities(context: Any) -> tuple[Array, Array]:
-    """Return positions (nm) and velocities (nm/ps) of all particles."""
-    state = context.getState(positions=True, velocities=True)
-    return arrays.positions(state), arrays.velocities(state)
 
 
 def refuse_unset(context: openmm.Context) -> None:
@@ -249,13 +248,6 @@ def refuse_unset(context: openmm.Context) -> None:
         if "positions" not in str(error):
             raise
         raise ValueError("the Context has no positions yet: call setPositions first") from None
-
-
-def _box(context: openmm.Context) -> Array | None:
-    """Return the vectors of the periodic box in nm, or None without a periodic box."""
-    if not context.getSystem().usesPeriodicBoundaryConditions():
-        return None
-    return np.reshape(arrays.box(context.getState()), (3, 3))
 
 
 def _is_small(change: Array, size: Any) -> bool:

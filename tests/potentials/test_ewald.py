@@ -154,7 +154,7 @@ def gas(n):
     return R, rng.standard_normal((n, 3)), box
 
 
-@pytest.mark.parametrize("switch", [0.5, 0.75, 0.9])
+@pytest.mark.parametrize("switch", [0.5, 0.9])
 @pytest.mark.parametrize(
     ("dipoles", "cutoff"),
     [
