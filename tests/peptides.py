@@ -60,6 +60,16 @@ def _in_water(constraints, waters):
     return modeller.topology, system, positions_of(context)
 
 
+def in_box(edge=2.1, cutoff=0.85):
+    """Return topology, System and positions (nm) of alanine dipeptide in a box of rigid TIP3P, with PME."""
+    pdb = app.PDBFile(str(PEPTIDE))
+    modeller = app.Modeller(pdb.topology, pdb.positions)
+    modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(edge, edge, edge) * unit.nanometer)
+    options = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "removeCMMotion": False}
+    system = FORCE_FIELD.createSystem(modeller.topology, constraints=app.HBonds, **options)
+    return modeller.topology, system, np.array(modeller.positions.value_in_unit(unit.nanometer))
+
+
 def in_water(constraints="HBonds", waters=6):
     """Return topology, System and positions (nm) of alanine dipeptide with its nearest molecules of rigid TIP3P."""
     topology, system, x = _in_water(constraints, waters)

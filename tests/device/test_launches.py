@@ -57,3 +57,22 @@ def test_three_kernels_and_two_sums_for_each_force_one_kernel_a_step_and_nothing
     assert counts["computeNonbonded"] == forces
     assert "upload" not in counts
     assert "read" not in counts
+
+
+def test_an_inner_step_takes_seven_kernels_and_nothing_is_sent(shim):
+    """Of a peptide in water; what is read is the size of the neighbour list, once an evaluation as in Verlet's steps.
+
+    S2_3 has 13 kicks by bonded forces in the six inner steps of three evaluations, the two at the ends of a step apart.
+    """
+    counts, forces = enqueued(shim, "nested", "S2_3"), 3
+    bonded = counts["applyShakeToPositions"]
+    assert bonded == 13.0
+    assert counts["computeNonbonded"] == forces
+    assert counts.pop("read") == forces
+    assert "upload" not in counts
+    assert sum(counts.values()) / forces <= 66.0
+    other = {"computePerDof": 6 * forces + 1}
+    each = ("clearFourBuffers", "computeBondedForces", "reduceForces", "applySettleToPositions", "applyShakeToPositions")
+    inner = sum(counts[name] for name in (*each, "applyPositionDeltas"))
+    sums_and_slow = 3 * 3 * forces
+    assert inner - sums_and_slow + counts["computePerDof"] - other["computePerDof"] == 7.0 * bonded
