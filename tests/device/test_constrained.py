@@ -57,10 +57,13 @@ def difference(system, x, n=20, **options):
     return np.abs(ends[1] - ends[0]).max(), device
 
 
-@pytest.mark.parametrize(("scheme", "steps"), [("S2_2", 8), ("S2_3", 9), ("W4_5", 10)])
-def test_a_peptide_with_inner_steps_moves_as_on_the_host(scheme, steps):
+@pytest.mark.parametrize(
+    ("scheme", "steps", "friction"),
+    [("S2_2", 8, None), ("S2_3", 9, None), ("W4_5", 10, None), ("BAOA", 8, 0.0), ("W2_3m", 9, 0.0)],
+)
+def test_a_peptide_with_inner_steps_moves_as_on_the_host(scheme, steps, friction):
     _, system, x = peptide()
-    options = {"fast": (1,), "inner": "S2_2", "innerSteps": steps}
+    options = {"fast": (1,), "inner": "S2_2", "innerSteps": steps, "friction": friction}
     apart, device = difference(separated(system), x, scheme=scheme, **options)
     assert apart <= RATTLE
     length, slip = violations(system, *shown(device))
@@ -194,6 +197,21 @@ def test_energy_and_temperature_are_those_of_the_host():
     state = contexts[1].getState(energy=True)
     assert state.getKineticEnergy()._value + state.getPotentialEnergy()._value == pytest.approx(other, abs=1e-6)
     assert sum(integrators[0].degreesOfFreedom()) == sum(integrators[1].degreesOfFreedom())
+
+
+@pytest.mark.parametrize(("scheme", "rate"), [("S2_2", 500.0), ("W2_1", 250.0)])
+def test_the_energy_error_over_half_a_picosecond_is_that_of_the_host(scheme, rate):
+    _, system, x = in_water()
+    h = rb.SCHEMES[scheme].forces / rate
+    spread = []
+    for engine in ("host", "device"):
+        context = moving(separated(copy.deepcopy(system)), x, engine, fast=(1,), scheme=scheme, stepSize=h)
+        energies = []
+        for _ in range(round(0.5 / h) // 3):
+            context.getIntegrator().step(3)
+            energies.append(context.getIntegrator().totalEnergy()._value)
+        spread.append(np.std(energies))
+    assert spread[1] <= 1.25 * spread[0], spread
 
 
 def test_the_remover_of_the_motion_of_the_centre_of_mass():

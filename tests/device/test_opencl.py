@@ -7,6 +7,7 @@ from devices import REFERENCE, all_kinds, context_of, opencl, pair, seeded, show
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from peptides import PEPTIDE, in_water, violations
 
 pytestmark = pytest.mark.opencl
 
@@ -132,3 +133,51 @@ def test_a_barostat_moves_whole_bodies(platform):
         edges.append(context.getState().getPeriodicBoxVectors()[0][0] / unit.nanometer)
         np.testing.assert_allclose(np.linalg.norm(x[1::3] - x[::3], axis=1), 0.09572, rtol=0.0, atol=1e-7)
     assert len(set(edges)) > 2
+
+
+def test_a_peptide_in_water_in_mixed_precision(platform):
+    """Water stays rigid; OpenMM's constraints have lengths in single precision."""
+    _, system, x = in_water()
+    options = {"platform": platform, "precision": "mixed", "kelvin": 0.0, "scheme": "S2_3", "h": 0.003}
+    ends = []
+    for engine in ("host", "device"):
+        context = context_of(system, x, engine, fast="bonded", **options)
+        ends.append(stepped(context, 20))
+    assert context.getIntegrator().timings.fast_evaluations > 0
+    assert np.abs(ends[0][0] - x).max() > 1e-3
+    np.testing.assert_allclose(ends[1][0], ends[0][0], rtol=0.0, atol=1e-4)
+    water = ends[1][0][22:].reshape(-1, 3, 3)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert np.ptp(np.linalg.norm(water[:, i] - water[:, j], axis=1)) <= 1e-13
+    length, slip = violations(system, *ends[1])
+    assert length <= 5e-8 * 0.1
+    assert slip <= 1e-6
+
+
+def test_virtual_sites_beside_a_peptide(platform):
+    """With a barostat, whose moves leave water rigid and bonds to hydrogen long as they are."""
+    modeller = app.Modeller(app.PDBFile(str(PEPTIDE)).topology, app.PDBFile(str(PEPTIDE)).positions)
+    field = app.ForceField("amber14-all.xml", "amber14/tip4pew.xml")
+    modeller.addSolvent(field, model="tip4pew", boxSize=openmm.Vec3(1.9, 1.9, 1.9) * unit.nanometer)
+    options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": 0.8, "removeCMMotion": False}
+    system = field.createSystem(modeller.topology, constraints=app.HBonds, **options)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    context.setPositions(modeller.positions)
+    context.applyConstraints(1e-9)
+    x, _ = shown(context)
+    ends = []
+    for engine in ("host", "device"):
+        context = context_of(
+            system, x, engine, platform=platform, precision="double", kelvin=0.0, scheme="S2_2", fast="bonded"
+        )
+        ends.append(stepped(context, 5)[0])
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-5)
+    context.getSystem().addForce(seeded(openmm.MonteCarloBarostat(500.0, 300.0, 2)))
+    context.reinitialize(preserveState=True)
+    for _ in range(5):
+        stepped(context, 4)
+    state = context.getState(positions=True)
+    assert state.getPeriodicBoxVectors()[0][0] != system.getDefaultPeriodicBoxVectors()[0][0]
+    water = state.getPositions(asNumpy=True)._value[22:].reshape(-1, 4, 3)
+    for i, j in ((0, 1), (0, 2), (1, 2), (0, 3)):
+        assert np.ptp(np.linalg.norm(water[:, i] - water[:, j], axis=1)) <= (1e-13 if j < 3 else 1e-8)

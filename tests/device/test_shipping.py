@@ -11,6 +11,7 @@ import pytest
 from devices import REFERENCE, context_of, opencl, shown, stepped
 
 import openmm_exactrb as rb
+from peptides import in_water
 
 
 def written(context, folder):
@@ -48,6 +49,18 @@ def test_the_same_steps_in_plain_openmm(scheme, tmp_path):
         np.testing.assert_allclose(there, after, rtol=0.0, atol=1e-12)
     else:
         np.testing.assert_array_equal(there, after)
+
+
+def test_a_peptide_with_inner_steps_in_plain_openmm(tmp_path):
+    """Its bonded forces have a force group of their own there, which acts within the drifts alone."""
+    _, system, positions = in_water()
+    context = context_of(system, positions, "device", scheme="S2_3", h=0.003, fast="bonded")
+    context.getIntegrator().step(3)
+    written(context, tmp_path)
+    before = shown(context)
+    after = stepped(context, 4)
+    assert np.abs(after - before).max() > 1e-4
+    np.testing.assert_array_equal(continued(tmp_path, "Reference", "-", 4), after)
 
 
 @pytest.mark.opencl
