@@ -227,8 +227,13 @@ def end_under_a_force_of_time(scheme, n, **inner):
     return state.getPositions(asNumpy=True)._value[0]
 
 
-@pytest.mark.parametrize("inner", [{}, {"fast": (1,), "inner": "S6_10", "innerSteps": 4}], ids=["plain", "nested"])
-@pytest.mark.parametrize(("scheme", "order"), [("V2", 2), ("V2_drift", 2), ("SRKN4_6b", 4), ("S6_10", 6)])
+NESTED = {"fast": (1,), "inner": "S6_10", "innerSteps": 4}
+
+
+@pytest.mark.parametrize(
+    ("scheme", "order", "inner"),
+    [("V2", 2, {}), ("V2_drift", 2, {}), ("S6_10", 6, {}), ("V2_drift", 2, NESTED), ("SRKN4_6b", 4, NESTED)],
+)
 def test_forces_that_depend_on_time_keep_the_order(scheme, order, inner):
     """Within a call of `step` too time goes on, with the drifts."""
     start = [0.1, 0.2, -0.1, 0.0, 0.0, 0.0]

@@ -55,7 +55,7 @@ def test_a_simulation_costs_what_the_name_of_the_scheme_says(scheme, most, remov
 
 
 @pytest.mark.opencl
-@pytest.mark.parametrize(("scheme", "most"), [("W2_1", 1.02), ("W4_4", 4.25)])
+@pytest.mark.parametrize(("scheme", "most"), [("W4_4", 4.25)])
 def test_opencl_costs_the_same_and_shows_what_the_host_shows(water, scheme, most):
     platform, (_, system, positions) = opencl(), water
     simulation = simulation_of(*water, scheme, platform, {"Precision": "double"})
@@ -66,13 +66,13 @@ def test_opencl_costs_the_same_and_shows_what_the_host_shows(water, scheme, most
 
 
 @pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
-def test_ten_calls_of_ten_steps_are_a_hundred_steps_of_the_inner_state(water, scheme):
+def test_calls_of_ten_steps_are_one_call_of_the_inner_state(water, scheme):
     """Bit by bit where a drift is one rotation at all times: how many it is depends on where a call begins."""
     _, system, positions = water
     h = min(step_of(scheme), 0.004)
     one, ten = (context_of(system, positions, "device", scheme=scheme, h=h) for _ in range(2))
-    stepped(one, 100)
-    for _ in range(10):
+    stepped(one, 30)
+    for _ in range(3):
         stepped(ten, 10)
     np.testing.assert_array_equal(inner_of(one), inner_of(ten))
     assert (one.getStepCount(), one.getTime()) == (ten.getStepCount(), ten.getTime())

@@ -116,7 +116,7 @@ def test_the_floor_of_the_energy_error_in_mixed_precision_is_that_of_the_host(pl
     for engine in ("host", "device"):
         context = context_of(system, positions, engine, platform=platform, precision="mixed", scheme="S4_6", h=0.0005)
         integrator, energies = context.getIntegrator(), []
-        for _ in range(300):
+        for _ in range(200):
             integrator.step(1)
             energies.append(integrator.totalEnergy()._value)
         floors.append(np.std(np.diff(energies)))

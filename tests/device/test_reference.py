@@ -36,12 +36,12 @@ def droplet():
 def test_every_structure_of_rows_moves_as_on_the_host(name, droplet):
     """The device shows what the inverse processor makes of its state, and no cheaper output."""
     host, device = pair(*droplet, scheme=replace(rb.SCHEMES[name], output=()))
-    (x, v), (x1, v1) = stepped(host, 20), stepped(device, 20)
+    (x, v), (x1, v1) = stepped(host, 10), stepped(device, 10)
     assert np.abs(x1 - x).max() <= 1e-13
     assert np.abs(v1 - v).max() <= 1e-12
     assert np.abs(x - droplet[1]._value).max() > 1e-3
-    assert device.getTime()._value == pytest.approx(0.02)
-    assert device.getStepCount() == 20
+    assert device.getTime()._value == pytest.approx(0.01)
+    assert device.getStepCount() == 10
 
 
 def test_all_kinds_of_bodies_move_as_on_the_host():
@@ -186,7 +186,7 @@ def test_a_body_beyond_the_range_of_the_series_is_noticed(droplet):
     before, time = shown(device), device.getTime()
     device.setParameter("push", 1e6)
     with pytest.raises(rb.NonFiniteError, match="fewer steps a call"):
-        integrator.step(50)
+        integrator.step(20)
     np.testing.assert_allclose(shown(device), before, rtol=0.0, atol=1e-12)
     assert (device.getTime(), device.getStepCount()) == (time, 2)
     device.setParameter("push", 0.0)
@@ -512,7 +512,7 @@ def group_of_sums(context):
     return own, {group for name, group in groups.items() if not name.startswith("openmm-exactrb")}
 
 
-@pytest.mark.parametrize(("taken", "free"), [([31], 30), ([31, 30, 12], 29), (range(1, 32), 0)])
+@pytest.mark.parametrize(("taken", "free"), [([31, 30, 12], 29), (range(1, 32), 0)])
 def test_a_force_group_that_is_free_is_found(taken, free, droplet):
     system, positions = droplet
     system = in_groups(system, list(taken))

@@ -79,7 +79,7 @@ def momenta(clusters, state):
 # -- against 30 digits ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("t", [0.0005, -0.002, 0.02])
+@pytest.mark.parametrize("t", [pytest.param(0.0005, marks=pytest.mark.validate), -0.002, 0.02])
 def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, pytestconfig):
     if name == "peptide" and t == 0.02 and not pytestconfig.getoption("--validate"):
         pytest.skip("half a minute of mpmath: run with --validate")

@@ -126,12 +126,6 @@ def test_the_shadow_is_that_of_a_positive_step(step):
         shadow(rb.SCHEMES["V2"], step)
 
 
-@pytest.mark.parametrize("resolution", [0.0, -1e-4, float("nan"), float("inf")])
-def test_the_limit_is_sought_in_positive_steps(resolution):
-    with pytest.raises(ValueError, match="resolution must be a positive number, not"):
-        stability_limit(rb.SCHEMES["V2"], resolution)
-
-
 @pytest.mark.parametrize(
     "sequence",
     [

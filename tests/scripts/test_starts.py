@@ -26,7 +26,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 
 CPU = openmm.Platform.getPlatform("CPU")
-MODELS = ["tip3p", "spce", "tip4pew"]
+MODELS = ["spce", "tip4pew"]
 
 
 def steadier_than_verlet(simulation):

@@ -36,7 +36,7 @@ def single(f, kT, time):
     return moments, rescaling(np.zeros(0), moments, kT, time, (0, f))
 
 
-@pytest.mark.parametrize("f", [1, 2, 3, 4, 60])
+@pytest.mark.parametrize("f", [1, 2, 60])
 @pytest.mark.parametrize("elapsed", [0.01, 1.0])
 def test_the_kinetic_energy_later_has_the_exact_law(f, elapsed):
     """From K the law of 2 K'/(kT (1 - c)) is chi-squared, shifted by 2 K c/(kT (1 - c)), with c = exp(-elapsed)."""
