@@ -13,7 +13,7 @@ for kind, scheme in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
         from peptides import in_box
 
         _, system, positions = in_box()
-        fast = (rb.separate_bonded(system, exceptions=True),)
+        fast = (rb.separate_bonded(system),)
         integrator = rb.ExactRigidBodyIntegrator(0.002, scheme, fast=fast, innerSteps=6, engine="device")
     else:
         _, system, positions = rb.rigid_water(4)
