@@ -1,6 +1,8 @@
 """``exactrb info FILE``: what is found in files of each format, the steps that suit it, and what is refused."""
 
 import itertools
+import shutil
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -11,6 +13,8 @@ import openmm_exactrb as rb
 from openmm_exactrb.command.description import described
 from openmm_exactrb.command.main import main
 from peptides import in_water
+
+DATA = Path(__file__).parent.parent / "data"
 
 TOP = """[ defaults ]
 1 2 no 1.0 1.0
@@ -74,6 +78,26 @@ def test_a_topology_of_gromacs_is_read_with_its_positions_in_either_order(tmp_pa
     files[1].write_text(TOP.removesuffix("2\n") + "3\n")
     assert main(["info", *map(str, files)]) == 2
     assert "has 6 particles, but" in capsys.readouterr().err
+
+
+def test_a_topology_of_amber_is_read_with_its_positions_in_either_order(tmp_path, capsys):
+    """Two of TIP3P as LEaP writes them, with a bond between the hydrogens."""
+    files = [DATA / "two_waters.prmtop", DATA / "two_waters.rst7"]
+    for order in (files, files[::-1]):
+        lines = said(capsys, *order)
+        assert "6 particles, 6 constraints" in lines
+        assert "periodic box, 2.5 x 2.5 x 2.5 nm" in lines
+        assert "2 rigid bodies of 3 particles (HOH): 6 degrees of freedom, moments 0.006149 0.01155 0.0177" in lines
+        assert "nothing is refused" in lines
+    short = tmp_path / "one.rst7"
+    header, count, *rows, box = files[1].read_text().splitlines()
+    short.write_text("\n".join([header, count.replace("6", "5", 1), *rows[:2], rows[2][:36], box, ""]))
+    assert main(["info", str(files[0]), str(short)]) == 2
+    assert "has 5 particles, but" in capsys.readouterr().err
+    assert main(["info", str(files[0])]) == 2
+    assert "a prmtop and an inpcrd" in capsys.readouterr().err
+    assert main(["info", str(shutil.copy(short, tmp_path / "no.prmtop")), str(files[1])]) == 2
+    assert "no.prmtop" in capsys.readouterr().err
 
 
 def test_a_system_alone_is_described_by_its_constraints(serialised, capsys):

@@ -120,6 +120,30 @@ def test_it_moves_as_the_same_body_named_by_hand(molecule):
     np.testing.assert_allclose(*ends, rtol=0.0, atol=2e-13)
 
 
+@pytest.mark.parametrize(
+    ("name", "without", "freedom"),
+    [
+        ("methane", [], 6),
+        ("methane", [(1, 2)], 6),
+        ("formate", [], 6),
+        ("formate", [(1, 2)], 7),  # a hinge about the line of C and H
+        ("CO2", [], 5),
+    ],
+)
+def test_the_molecules_of_openmms_issue_move_as_the_how_to_says(name, without, freedom):
+    masses, x, _ = MOLECULES[name]
+    pairs = [pair for pair in every_pair(len(x)) if pair not in without]
+    integrator = rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2")
+    context = moving(system_of(masses, x, pairs), x, integrator)
+    integrator.setVelocitiesToTemperature(300, 1)
+    integrator.step(200)
+    assert sum(integrator.degreesOfFreedom()) == freedom
+    moved = context.getState(positions=True).getPositions(asNumpy=True)._value
+    missed = [abs(np.linalg.norm(moved[i] - moved[j]) - np.linalg.norm(x[i] - x[j])) for i, j in every_pair(len(x))]
+    for pair, error in zip(every_pair(len(x)), missed, strict=True):
+        assert bool(error < 1e-13) is (freedom < 7 or pair not in without)
+
+
 # -- flat and straight ones, of which some distances are not constrained -----------------------------------------------
 
 SQUARE = 0.3 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
