@@ -4,6 +4,7 @@ from openmm_exactrb import ensemble
 from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.files import written_whole
+from openmm_exactrb.gay_berne import ellipsoids
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
@@ -49,6 +50,7 @@ __all__ = [
     "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",
+    "ellipsoids",
     "ensemble",
     "free_rotor",
     "heavy_hydrogens",

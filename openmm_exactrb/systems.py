@@ -171,12 +171,12 @@ def dipole_fluid(
     if isinstance(boundary, Ewald) and kernel == "openmm":
         rod = rod_length(n, spheres["box"], boundary)
         places = {"P": 0.5 * rod * (vector / strength), "N": -0.5 * rod * (vector / strength)} | places
-        added = [_add_molecule(system, topology, chain, mass, sites, places) for _ in range(n)]
+        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
         ends = [(plus, minus) for plus, minus, *_ in added]
         for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, **spheres):
             system.addForce(part)
     else:
-        added = [_add_molecule(system, topology, chain, mass, sites, places) for _ in range(n)]
+        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
         arrows = [(centre, tip) for centre, tip in added]
         system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
     if box is not None:
@@ -255,10 +255,11 @@ def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternal
     return force
 
 
-def _add_molecule(
+def add_molecule(
     system: openmm.System,
     topology: app.Topology,
     chain: app.topology.Chain,
+    name: str,
     mass: float,
     sites: Array,
     places: Mapping[str, Array],
@@ -266,16 +267,16 @@ def _add_molecule(
     """Add a rigid molecule with virtual sites at places; return their particles. The last two are bound."""
     first, k = system.getNumParticles(), len(sites)
     particles = list(range(first, first + k))
-    residue = topology.addResidue("DIP", chain)
+    residue = topology.addResidue(name, chain)
     for i, particle in enumerate(particles):
         system.addParticle(mass / k)
         topology.addAtom(f"M{i + 1}", None, residue)
         for j in range(i):
             system.addConstraint(first + j, particle, float(np.linalg.norm(sites[i] - sites[j])))
-    for name, place in places.items():
+    for label, place in places.items():
         site = system.addParticle(0.0)
         system.setVirtualSite(site, _body_fixed_site(particles, sites, place))
-        topology.addAtom(name, None, residue)
+        topology.addAtom(label, None, residue)
     topology.addBond(*list(residue.atoms())[-2:])
     return tuple(range(first + k, first + k + len(places)))
 

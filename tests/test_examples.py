@@ -121,6 +121,12 @@ LARGE = pytest.mark.validate  # seconds, and `make docs` runs it too
             marks=LARGE,
         ),
         pytest.param("ferrofluid.py", ["-n", "27", "--duration", "1"], ["ferrofluid.png"], marks=LARGE),
+        pytest.param(
+            "ellipsoids.py",
+            ["--pressures", "2", "5", "--duration", "3"],
+            ["ellipsoids.csv", "ellipsoids.png"],
+            marks=LARGE,
+        ),
     ],
 )
 def test_the_other_examples_leave_their_files(run, tmp_path, example, arguments, files):

@@ -25,7 +25,7 @@ BAROSTATS = (
     "MonteCarloFlexibleBarostat",
     "MonteCarloMembraneBarostat",
 )
-_OURS = "SoftDipoleForce"  # a PythonForce of this package, which has an energy
+_OURS = ("SoftDipoleForce", "GayBernePotential")  # PythonForces of this package, which have an energy
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps: without them a System conserves its energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
@@ -135,7 +135,7 @@ def conserve_energy(system: openmm.System) -> bool:
     A PythonForce, but for ours, may depend on time or have no energy, and a plugin's force, a mere Force here, do work.
     """
     return not any(
-        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() != _OURS)
+        type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
         for force in system.getForces()
     )
 

@@ -93,10 +93,15 @@ def truncated(r2, uv, energy, a, b, c, coupling, truncation):
     _, _, _, end, rate, reaction = truncation
     b -= coupling * reaction
     energy -= coupling * reaction * uv
+    S, slope = switched(r2, end, rate)
+    return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
+
+
+@inlined
+def switched(r2, end, rate):
+    """Return S(r²) and its derivative."""
     s = min(1.0, max(0.0, (end - r2) * rate))
     t = 2.0 * s - 1.0
     u = t * t
     odd = 3003.0 - u * (6006.0 - u * (9009.0 - u * (8580.0 - u * (5005.0 - u * (1638.0 - u * 231.0)))))
-    S = 0.5 + t * odd / 2048.0
-    slope = -12012.0 * rate * (s * (1.0 - s)) ** 6
-    return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
+    return 0.5 + t * odd / 2048.0, -12012.0 * rate * (s * (1.0 - s)) ** 6
