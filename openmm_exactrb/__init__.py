@@ -9,6 +9,7 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.fit import ShapeWarning
+from openmm_exactrb.mechanics.overheating import StepSizeWarning
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
@@ -47,6 +48,7 @@ __all__ = [
     "ReactionField",
     "Run",
     "ShapeWarning",
+    "StepSizeWarning",
     "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",

@@ -50,6 +50,11 @@ class Thermostat(ABC):
     scheme: ClassVar[str] = "BAOA"
 
     @property
+    def relaxation(self) -> float | None:
+        """The time in ps in which it takes heat away, if a run that stays hot for longer is an error of its step."""
+        return None
+
+    @property
     def own_numbers(self) -> tuple[str, ...]:
         """Persistent numbers that no other thermostat has: checkpoints with them are for this one alone."""
         return ()

@@ -16,6 +16,7 @@ import openmm
 from openmm_exactrb.context.excerpt import Excerpt
 from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
 from openmm_exactrb.context.multiple_time_steps import FastForces
+from openmm_exactrb.context.resonance import Resonances
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -40,6 +41,11 @@ class InnerDrift:
         self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync, positions)
         self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
         self._free = free_motion(self._part, rotor)
+        groups = [group for group in range(32) if fast.groups >> group & 1]
+        if fast.excerpt is None:
+            self._resonances = Resonances(sync.context.getSystem(), groups)
+        else:
+            self._resonances = Resonances(fast.excerpt.system, names=fast.excerpt.particles.tolist())
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False), rotor.order)
 
     def split(
@@ -57,6 +63,7 @@ class InnerDrift:
         """
         inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
         repetitions = self.fast.repetitions(scheme, h)
+        self._resonances.warn(scheme, abs(h))
         if self._own is None:
             fast = forces.of(self.fast.groups, _COUNTER)
             drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)

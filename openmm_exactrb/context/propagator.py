@@ -25,10 +25,12 @@ from openmm_exactrb.context.inner_drift import InnerDrift, free_motion
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
+from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
@@ -111,6 +113,7 @@ class Propagator:
         self._surroundings: object = None  # box and parameters at the end of the last call
         self.environment: ContextEnvironment
         self._memory: Memory
+        self._overheating: Overheating | None = None
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. Whatever happens, the Context is left at the last valid state.
@@ -132,6 +135,8 @@ class Propagator:
         environment.numbers.load(integrator)
         if changed:
             environment.divergence.begin(self.sync.state)
+            if self._overheating is not None:
+                self._overheating.begin(self._clock.time)
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 self._make(n)
@@ -141,6 +146,8 @@ class Propagator:
             self.sync.push()
             if self._processed:
                 self._surroundings = self._present_surroundings()
+        if self._overheating is not None:
+            self._overheating.see(self._clock.time, self.sync.state)
 
     def _present_surroundings(self) -> object:
         return arrays.surroundings(self.sync.context.getState(parameters=True))
@@ -249,6 +256,7 @@ class Propagator:
         scheme, bodies = settings.scheme, sync.bodies
         self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
         slow.memory = self._memory = Memory(*scheme.memory)
+        self._overheating = self._watch(settings)
         self.environment = environment = ContextEnvironment(
             bodies,
             np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),
@@ -267,6 +275,14 @@ class Propagator:
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
         )
+
+    def _watch(self, settings: Settings) -> Overheating | None:
+        """Return what watches the temperature, where a thermostat with friction should hold it."""
+        thermostat = settings.thermostat
+        if thermostat is None or thermostat.relaxation is None or not (self._conserves and settings.check):
+            return None
+        kT = gas_constant_times(thermostat.temperature)
+        return Overheating(self.sync.bodies, kT, thermostat.relaxation)
 
     def _leave_coordinates(self, settings: Settings) -> None:
         """Bring the state out of inner coordinates that are not those of the settings."""

@@ -62,6 +62,12 @@ class Langevin(Thermostat):
         """The frictions of translation and of rotation in 1/ps."""
         return self.friction, self.friction if self.rotationalFriction is None else self.rotationalFriction
 
+    @property
+    def relaxation(self) -> float | None:
+        """The time in ps of the smaller friction that is not 0."""
+        rates = [rate for rate in self.frictions if rate > 0.0]
+        return 1.0 / min(rates) if rates else None
+
     def bind(self, environment: Any) -> Exchange:
         """Return the Ornstein-Uhlenbeck flow."""
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from openmm import app, unit
 
 from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context.units import stripped
+from openmm_exactrb.mechanics.overheating import StepSizeWarning
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, Benchmark, Method, schemes_named
 from openmm_exactrb.tuning.floor import causes
@@ -128,7 +130,9 @@ def tune(
         survey = usual if production is None else min(max(usual, production / _LONGER), _LONGEST * usual)
     production = _LONGER * survey if production is None else production
     measured = Measurements(benchmark, methods, survey, production, report or (lambda line: None))
-    floor, best = search(measured, wanted, levels)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StepSizeWarning)  # too long steps are tried on purpose
+        floor, best = search(measured, wanted, levels)
     return _result(measured, wanted, floor, best, notes)
 
 

@@ -391,6 +391,7 @@ def test_thermostats_nest_at_the_steps_at_which_constant_energy_does(scheme):
             assert (integrator.timings.fast_evaluations > 0) == nested, integrator
 
 
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.StepSizeWarning")  # before it ends
 @pytest.mark.parametrize(("h", "scheme"), [(4.0, "S2_2"), (3.5, "V2"), (8.0, "SRKN4_6b"), (1.0, "W2_1")])
 def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
     """Thousands of inner steps would be made before an outer kick looks at what they did."""
@@ -402,6 +403,7 @@ def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
     assert np.abs(positions_of(context) - x).max() < 1e-6
 
 
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.StepSizeWarning")  # before it ends
 def test_a_proposal_that_is_far_too_long_is_refused_at_once():
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 4.8, "S2_2")
