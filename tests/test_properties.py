@@ -169,7 +169,7 @@ def test_the_twins_of_a_sum_agree_and_a_sum_of_one_part_rounds(high, step, n):
     x, rate = compensated.exactly(np.full((3, n), high)), np.full((3, n), step)
     for which in ("numpy", "numba"):
         total = np.empty_like(x)
-        load("sums", which).advance(x, rate, 0.3, total)
+        load("bodies", which).advance(x, rate, 0.3, total)
         np.testing.assert_array_equal(total, compensated.add(x, 0.3 * rate))
     np.testing.assert_array_equal(compensated.add(x[:1], rate)[0], x[0] + step)
 
