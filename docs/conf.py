@@ -127,7 +127,7 @@ def scheme_table() -> str:
     changes, body = tables.angular_momentum(), []
     for name, scheme in CATALOGUE.items():
         orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
-        stable = stability_limit(scheme, 1e-3) / scheme.forces
+        stable = stability_limit(scheme) / scheme.forces
         more = scheme.output_forces if scheme.processor else int(scheme.first == "kick")
         numbers = (f"{scheme.forces}", f"{more}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
         body.append((f"`{name}`", orders, *numbers))
