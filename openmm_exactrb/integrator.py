@@ -71,7 +71,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     engine : {"auto", "host", "device"}, optional
         What carries the steps out. "host": kernels of this package. "device": a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device on a
-        GPU if it supports the settings and the System, and else the host; `engineNote` returns the reason.
+        GPU for bodies and atoms without inner steps, if it supports them, else the host: see `engineNote`.
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.

@@ -85,6 +85,7 @@ class Selection:
             variables.declare(integrator, self._own, sum(self.scheme.memory) if self.scheme.processor else None)
         else:
             emit.declare(integrator, self._layout)
+            _tighten(integrator)
         self.set_groups(integrator, self.groups)
 
     def set_groups(self, integrator: openmm.CustomIntegrator, groups: int) -> None:
@@ -157,12 +158,18 @@ class Selection:
 
     def _replace_program(self, context: Any, integrator: openmm.CustomIntegrator, layout: Layout | None) -> None:
         self._layout = layout
-        if layout is not None and layout.clusters and integrator.getConstraintTolerance() == _USUAL:
-            integrator.setConstraintTolerance(_TOLERANCE)
+        if layout is not None:
+            _tighten(integrator)
         program = openmm.CustomIntegrator(0.0)
         self.declare(program)
         rebind(context, integrator, program)
         self._mark()
+
+
+def _tighten(integrator: openmm.CustomIntegrator) -> None:
+    """Set the tolerance of OpenMM's constraints that programs need, unless a user has set one."""
+    if integrator.getConstraintTolerance() == _USUAL:
+        integrator.setConstraintTolerance(_TOLERANCE)
 
 
 def _writer(integrator: openmm.CustomIntegrator, own: Sequence[str]) -> str | None:

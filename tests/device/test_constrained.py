@@ -6,6 +6,7 @@ import numpy as np
 import openmm
 import pytest
 from devices import REFERENCE, seeded, shown, stepped
+from openmm import app
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import WITH_THERMOSTAT
@@ -307,3 +308,22 @@ def test_unequal_hydrogens_are_refused():
     system.setParticleMass(1, 3.0)
     with pytest.raises(ValueError, match="SHAKE does not take"):
         stepped(moving(system, x, v=0.0 * x), 1)
+
+
+def test_a_run_that_had_steps_before_continues_with_its_bits(tmp_path):
+    topology, system, x = in_water()
+
+    def simulation():
+        integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="device", fast="bonded")
+        begun = app.Simulation(topology, copy.deepcopy(system), integrator, REFERENCE)
+        begun.context.setPositions(x)
+        begun.context.setVelocities(velocities(system, x))
+        return begun
+
+    whole, part, resumed = (simulation() for _ in range(3))
+    for begun in (whole, part):
+        begun.step(1)
+    rb.Run(tmp_path / "whole").advance(whole, 6)
+    rb.Run(tmp_path / "part").advance(part, 3)
+    rb.Run(tmp_path / "part", resume=True).advance(resumed, 6)
+    np.testing.assert_array_equal(shown(resumed.context), shown(whole.context))
