@@ -4,7 +4,7 @@ Copies of one molecule that do not meet, with the bonds, angles and impropers of
 thermostat of friction 5/ps at 310 K: what a constraint solver does wrong shows in the temperature, which is measured
 from the velocities of the beads and the degrees of freedom. Martini 2: doi:10.1021/ct700324x with the rings of
 doi:10.1021/ct300646g; Martini 3: doi:10.1038/s41592-021-01098-3; cholesterol as in `martini`. Each is compared with
-OpenMM's LangevinMiddleIntegrator, tolerance 1e-6.
+OpenMM's LangevinMiddleIntegrator, tolerance 1e-6. Every run draws from a seed of its own, so that rows are independent.
 
 Rows go to docs/martini_rings.csv as they come; what stands there is not run again.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ import martini
 import openmm_exactrb as rb
 
 TABLE = Path(__file__).resolve().parent.parent / "docs" / "martini_rings.csv"
-COLUMNS = ("molecule", "step_fs", "integrator", "T_K", "error_K", "largest_constraint_error_nm")
+COLUMNS = ("molecule", "step_fs", "integrator", "seed", "T_K", "error_K", "largest_constraint_error_nm")
 TEMPERATURE, FRICTION, SAMPLE, BLOCKS = 310.0, 5.0, 0.3, 20
 KB = 0.00831446261815324
 
@@ -158,7 +159,12 @@ def system_of(molecule, copies):
     return system, (lattice[:, None] + x).reshape(-1, 3)
 
 
-def measured(name, step, kind, copies, picoseconds, seed=3):
+def seed_of(name, step_fs, kind):
+    """Return the seed of a run, another one for every row of the table."""
+    return zlib.crc32(f"{name} {step_fs} {kind}".encode()) % 2**30 + 1  # OpenMM takes 0 for any seed
+
+
+def measured(name, step, kind, copies, picoseconds, seed):
     """Return mean temperature, its error, and the largest error of a constraint; nan where it blows up."""
     molecule = MOLECULES[name]
     system, x = system_of(molecule, copies)
@@ -170,7 +176,7 @@ def measured(name, step, kind, copies, picoseconds, seed=3):
     integrator.setRandomNumberSeed(seed)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     context.setPositions(x)
-    (integrator if kind == "exact" else context).setVelocitiesToTemperature(TEMPERATURE, 5)
+    (integrator if kind == "exact" else context).setVelocitiesToTemperature(TEMPERATURE, seed)
     pairs = np.array([(i, j) for i, j, _ in molecule["constraints"]])
     lengths = np.array([length for *_, length in molecule["constraints"]])
     freedom = (3 * len(molecule["masses"]) - len(pairs)) * copies
@@ -196,6 +202,18 @@ def measured(name, step, kind, copies, picoseconds, seed=3):
     return np.mean(means), np.std(means, ddof=1) / BLOCKS**0.5, missed
 
 
+def print_means():
+    """Print the mean temperature over the molecules of the table, for each integrator and step."""
+    with TABLE.open() as file:
+        rows = [row for row in csv.DictReader(file) if row["T_K"] != "nan"]
+    for kind, step in sorted({(row["integrator"], row["step_fs"]) for row in rows}):
+        found = [row for row in rows if (row["integrator"], row["step_fs"]) == (kind, step)]
+        T, weights = (np.array([float(row[column]) for row in found]) for column in ("T_K", "error_K"))
+        weights = weights**-2.0
+        mean, error = weights @ T / weights.sum(), weights.sum() ** -0.5
+        print(f"{kind}, {step} fs, {len(found)} molecules: {mean:.2f} +- {error:.2f} K")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--copies", type=int, default=300)
@@ -213,11 +231,13 @@ def main():
             for kind in ("exact", "LangevinMiddle"):
                 if (name, str(step), kind) in done:
                     continue
-                T, error, missed = measured(name, step / 1000.0, kind, args.copies, args.length)
-                row = f"{name},{step},{kind},{T:.2f},{error:.2f},{missed:.2g}"
+                seed = seed_of(name, step, kind)
+                T, error, missed = measured(name, step / 1000.0, kind, args.copies, args.length, seed)
+                row = f"{name},{step},{kind},{seed},{T:.2f},{error:.2f},{missed:.2g}"
                 print(row, flush=True)
                 with TABLE.open("a") as file:
                     file.write(row + "\n")
+    print_means()
 
 
 if __name__ == "__main__":
