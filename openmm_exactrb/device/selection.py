@@ -141,6 +141,7 @@ class Selection:
         if wanted.layout.fast is not None:
             fast_group.move(system, wanted.fast, wanted.layout.fast)
         if wanted.layout == self._layout:
+            self._layout = wanted.layout  # the same object compares at once
             context.reinitialize(preserveState=True)
         else:
             self._replace_program(context, integrator, wanted.layout)
