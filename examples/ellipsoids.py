@@ -153,11 +153,10 @@ def draw(
     axes.set_xlabel("time (ps)")
     axes.set_ylabel("order parameter S")
     axes.set_title("Compression; dotted: random axes", fontsize=11)
-    Q = 1.5 * u.T @ u / len(u) - 0.5 * np.eye(3)
-    director = np.linalg.eigh(Q)[1][:, -1]
+    turn = np.linalg.eigh(u.T @ u)[1]  # the director upwards
+    centres, u = centres % edge @ turn, u @ turn
     box = figure.add_subplot(right, projection="3d")
-    centres = centres % edge
-    colours = plt.get_cmap("viridis_r")(np.abs(u @ director))
+    colours = plt.get_cmap("viridis_r")(np.abs(u[:, 2]))
     for c, d, colour in zip(centres, u, colours, strict=True):
         box.plot(*np.array([c - 1.2 * d, c + 1.2 * d]).T, color=colour, lw=3.0, solid_capstyle="round")
     box.set_box_aspect((1.0, 1.0, 1.0), zoom=1.1)
