@@ -46,7 +46,7 @@ def ellipsoids(
     Parameters
     ----------
     n : int
-        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k³ l of them, with
+        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k² l of them, with
         k about kappa times l, leave no hole: 36, 288 or 972 for kappa = 3.
     seed : int
         Of the holes of the lattice, and of the angles about the axes.
