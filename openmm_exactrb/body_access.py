@@ -30,7 +30,7 @@ class BodyAccess:
 
     @abstractmethod
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies beside those that constraints make."""
+        """Return the particles of the bodies in addition to those that constraints make."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
@@ -125,7 +125,7 @@ class BodyAccess:
         if len(bodies.clusters):
             if self.getNamedBodies():
                 raise ValueError(
-                    "bodies named by hand cannot be minimised beside molecules with constraints: minimise with "
+                    "bodies named by hand cannot be minimised together with molecules with constraints: minimise with "
                     "simulation.minimizeEnergy() before bodies are named"
                 )
             start = sync.context.getState(positions=True).getPositions()
@@ -146,7 +146,7 @@ class BodyAccess:
         sync.replace(sync.state.renewed(found))
 
     def bodyState(self) -> tuple[RigidBodies, BodyState]:
-        """Return the bodies and copies of their positions, attitudes and momenta in float64."""
+        """Return the bodies and copies of their positions, orientations and momenta in float64."""
         sync = self._up_to_date().sync
         return sync.bodies, BodyState(*(a.copy() for a in sync.bodies.tangent(sync.state.rounded)))
 
@@ -156,7 +156,7 @@ class BodyAccess:
         return sync.bodies, State(*(a.copy() for a in sync.state))
 
     def setBodyState(self, state: BodyState | State) -> None:
-        """Give the bodies a state: positions, attitudes and momenta, as `bodyState` or `fullState` returns them.
+        """Give the bodies a state: positions, orientations and momenta, as `bodyState` or `fullState` returns them.
 
         Raises
         ------

@@ -38,7 +38,7 @@ def described(
     ----------
     system : openmm.System
     positions : Quantity, optional
-        (n_particles, 3). Without them only constraints tell shapes.
+        (n_particles, 3). Without them, shapes follow from constraints alone.
     topology : openmm.app.Topology, optional
         For the names of atoms.
     """
@@ -49,7 +49,7 @@ def described(
         bodies = find_bodies(system, x)
     except ValueError as error:
         hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
-        yield f"refused: {' '.join(str(error).split())}{hint}"
+        yield f"not supported: {' '.join(str(error).split())}{hint}"
         return
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
@@ -122,7 +122,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
         line = (
             f"{count} cluster{'s' if count > 1 else ''} of {len(cluster.masses)} particles"
             f"{names.residues(cluster.particles)}: "
-            f"{cluster.freedom} degrees of freedom beside {len(cluster.pairs)} constraints"
+            f"{cluster.freedom} degrees of freedom and {len(cluster.pairs)} constraints"
         )
         if len(cluster.implied):
             i, j = cluster.particles[0, cluster.implied[0]]
@@ -197,7 +197,7 @@ def _step(fast: FastForces | None, scheme: Scheme, interval: float) -> str:
 
 
 def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
-    """Yield what the first step would refuse, or that it refuses nothing, and what acts between steps."""
+    """Yield the error of a first step, or that there is none, and what acts between steps."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
     if others:
         yield f"between steps act: {', '.join(others)}"
@@ -212,9 +212,9 @@ def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterato
         try:
             integrator.bodyState()
         except ValueError as error:
-            yield f"refused: {' '.join(str(error).split())}"
+            yield f"not supported: {' '.join(str(error).split())}"
         else:
-            yield "nothing is refused"
+            yield "everything is supported"
     yield from (str(note.message) for note in noted)
 
 

@@ -30,10 +30,10 @@ _FRICTION = 5.0 / unit.picosecond
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
-    """Prepare the folder of a locked run: delete the files that are overwritten, refuse those of other runs.
+    """Prepare the folder of a locked run: delete the files that are overwritten; ValueError for those of other runs.
 
-    `files` are those that the run may write beside the ones of this module, which a run that is resumed without a
-    checkpoint makes anew.
+    `files` are those that the run may write in addition to the ones of this module, which a run that is resumed without
+    a checkpoint makes again.
     """
     if job.resuming:
         return

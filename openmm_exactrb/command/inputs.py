@@ -59,7 +59,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--water", choices=WATERS, help="water model of --solvate (the one that a force field is named after)")
     add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
     add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
-    add("--constraints", choices=CONSTRAINTS, help=f"beside rigid water {shown['constraints']}")
+    add("--constraints", choices=CONSTRAINTS, help=f"in addition to rigid water {shown['constraints']}")
     add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
 
 

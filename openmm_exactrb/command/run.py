@@ -97,7 +97,7 @@ def carry_out(args: argparse.Namespace) -> int:
 
 
 def _scheme_of(args: argparse.Namespace) -> Scheme:
-    """Return the scheme of the ensemble; raise ValueError if there is none of its name, or it cannot be tuned."""
+    """Return the scheme of the ensemble; raise ValueError if its name is unknown, or it cannot be tuned."""
     known, default = (look_up, DEFAULT) if args.ensemble == "nve" else (splitting, Langevin.scheme)
     scheme = known(args.scheme or default)
     if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
@@ -153,7 +153,7 @@ def _reporters(args: argparse.Namespace) -> dict[str, Callable[..., Any]]:
 
 @contextmanager
 def _progress_bar(name: str, steps: int, quiet: bool) -> Iterator[Callable[[int], object]]:
-    """Yield a function that counts steps in a progress bar on stderr; none is shown if tqdm is not installed."""
+    """Yield a function that counts steps in a progress bar on stderr, if tqdm is installed."""
     try:
         from tqdm import tqdm
     except ModuleNotFoundError:

@@ -92,7 +92,7 @@ def acting(system: openmm.System) -> list[Any]:
 
 
 def acts(force: Any) -> bool:
-    """Tell whether a force acts on particles within a step: no thermostat or barostat does."""
+    """Return whether a force acts on particles within a step: no thermostat or barostat does."""
     name = type(force).__name__
     return name not in _NO_FORCES and "Barostat" not in name
 

@@ -204,7 +204,7 @@ class ContextForces(Forces):
 
 
 class SlowGroups(ContextForces):
-    """The forces of some groups beside fast ones, which are integrated within the drifts."""
+    """The forces of some groups apart from fast ones, which are integrated within the drifts."""
 
     def __init__(self, forces: ContextForces, fast: ContextForces, timings: Timings) -> None:
         super().__init__(forces.positions, forces.groups & ~fast.groups, timings)

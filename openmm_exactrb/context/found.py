@@ -1,4 +1,4 @@
-"""The Context of an integrator: OpenMM does not tell."""
+"""The Context of an integrator, which OpenMM does not return."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
     if not groups or not groups <= set(range(32)):
         raise ValueError(
             f'fast is "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
-            "force.getForceGroup() tells the one of a force"
+            "force.getForceGroup() returns that of a force"
         )
     return tuple(sorted(groups))
 
@@ -140,13 +140,13 @@ class FastForces:
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
             raise ValueError(
-                f"scheme {outer.name} kicks force groups by themselves ({', '.join(map(str, groups))}), which may have "
+                f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may have "
                 "bonded forces in them: name the fast forces by a group that no kick has, such as fast=(7,)"
             )
         twice = [group for group in groups if self.groups >> group & 1]
         if twice:
             raise ValueError(
-                f"scheme {outer.name} kicks group {twice[0]} by itself, which is fast too and would act twice: take it "
+                f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: take it "
                 "out of fast= or out of the scheme"
             )
         if self.settings.certain or not outer.stages:
@@ -165,7 +165,7 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
     Raises
     ------
     ValueError
-        If groups have no forces, all forces are in them, or the number of inner steps has to be told.
+        If groups have no forces, all forces are in them, or the number of inner steps has to be given.
     """
     if settings is None:
         return None
@@ -196,7 +196,7 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
 
 
 def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
-    """Return the forces of the groups; None, for no inner steps, if these are not told and nothing there is bonded."""
+    """Return the forces of the groups; None, for no inner steps, if no groups are named and nothing is bonded."""
     present = {group for force in acting(system) for group in groups_of(force)}
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:

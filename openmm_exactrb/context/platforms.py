@@ -30,7 +30,7 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     Raises
     ------
     ValueError
-        If there is none of this name.
+        If the name is unknown.
     """
     if isinstance(name, openmm.Platform):
         return name

@@ -1,4 +1,4 @@
-"""The program of an integrator, which this package writes: a user's own computations are refused."""
+"""The program of an integrator, which this package writes: a user's own computations raise an error."""
 
 from __future__ import annotations
 

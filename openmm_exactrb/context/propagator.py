@@ -87,7 +87,7 @@ class Clock:
 
 
 class Propagator:
-    """Makes the steps of an integrator in a Context; `named` are bodies beside those that constraints make."""
+    """Makes the steps of an integrator in a Context; `named` are bodies in addition to those of constraints."""
 
     def __init__(
         self,

@@ -217,7 +217,7 @@ class DevicePropagator:
 
     @property
     def _whole(self) -> tuple[str, str]:
-        """The parts of a step by itself."""
+        """The parts of a step alone."""
         return ("enter", "leave") if self._table.enter else ("step", "step")
 
     def _passes(self, n: int, known: tuple[int, int] | None) -> list[_Pass]:

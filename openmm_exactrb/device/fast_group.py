@@ -52,7 +52,7 @@ def _named(groups: Sequence[int] | None, active: int) -> set[int]:
 
 
 def move(system: openmm.System, fast: Sequence[int], group: int) -> None:
-    """Give forces a group, and names that tell from where they came."""
+    """Give forces a group, and names that record from where they came."""
     for force in map(system.getForce, fast):
         if force.getForceGroup() != group:
             force.setName(force.getName() + _MOVED.format(force.getForceGroup()))

@@ -92,7 +92,7 @@ def unsupported(system: openmm.System, bodies: RigidBodies) -> str | None:
         if kind.turns and (about_middle**2).sum(axis=(1, 2)).min() < 4.0 * REACH:
             return (
                 f"{bodies.name(kind.bodies.start)} or one of its kind is smaller than {2.0 * REACH**0.5:g} nm: the "
-                "engine on the device cannot tell its places from numbers"
+                "engine on the device cannot distinguish its positions from numbers"
             )
     return None
 

@@ -53,7 +53,7 @@ class ParticleCopies(Synchronisation):
         self._seen, self._copied = None, None
 
     def refuse_others(self) -> None:
-        """Refuse variables that another kind of integrator wrote; ValueError."""
+        """Raise ValueError for variables that another kind of integrator wrote."""
         load.refuse_others(self._integrator())
 
     def saved(self, x: Array, v: Array) -> State | None:

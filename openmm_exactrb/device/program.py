@@ -1,4 +1,4 @@
-"""A CustomIntegrator's program as it is written: statements, blocks that are closed by themselves, and expressions."""
+"""A CustomIntegrator's program as it is written: statements, blocks that are closed automatically, and expressions."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class Program:
 
 
 def turned(q: str, w: str, vector: str) -> str:
-    """Return the expression of a vector of the body in space, for the attitude (w, q)."""
+    """Return the expression of a vector of the body in space, for the orientation (w, q)."""
     return f"({vector}+2*cross({q},cross({q},{vector})+{w}*{vector}))"
 
 

@@ -108,7 +108,7 @@ def _turn(program: Program) -> None:
 
 
 def _turn_attitude(program: Program) -> None:
-    """Write L with the norm that it had, the attitude with norm one, and d."""
+    """Write L with the norm that it had, the orientation with norm one, and d."""
     program.let("n", "_x(g)*n*vector(_y(g),1,_y(g))")
     program.let("L", "n+n*(dot(L-n,L+n)*0.5/max(_x(g)*_x(g),1e-200))")
     program.let("p", "w")

@@ -75,7 +75,7 @@ def take_sum(program: Program, name: str, scale: float) -> None:
 
 
 def sum_over_bodies(program: Program, name: str, of: str, scale: float) -> None:
-    """Write a sum over the particles of each body, in space; x loses the places."""
+    """Write a sum over the particles of each body, in space; x loses the positions."""
     program.let("x", f"{scale!r}*{of}")
     take_sum(program, name, scale)
     program.let(name, f"{name}+{ALONE}*{of}")

@@ -30,7 +30,7 @@ _RAYS, _ALIKE = 3, 1e-8
 # Particles of a body for SETTLE.
 _TRIANGLE = 3
 _NO_GROUP = (
-    "inner steps on the device need a force group that no other force is in, and there is none: give forces that act "
+    "inner steps on the device need a force group that no other force is in, but all are taken: give forces that act "
     "alike the same one"
 )
 
@@ -145,7 +145,7 @@ def _table(scheme: Scheme, inner: Inner | None) -> Table:
 
 
 def _check_constraints(system: openmm.System, bodies: RigidBodies) -> None:
-    """Refuse constraints that OpenMM's kernels for stars and triangles do not take: the host is waited for there."""
+    """Raise ValueError for constraints other than stars and triangles: OpenMM's kernels for these wait for the host."""
     for kind in bodies.clusters.kinds:
         if not _is_star(kind):
             raise UnsupportedError(
@@ -159,7 +159,7 @@ def _check_constraints(system: openmm.System, bodies: RigidBodies) -> None:
         if rigid.turns and rigid.particles.shape[1] != _TRIANGLE and held[rigid.particles].any():
             raise UnsupportedError(
                 f"{bodies.name(rigid.bodies.start)} is held rigid by constraints that OpenMM's SETTLE does not take, "
-                "beside flexible molecules with constraints: name it in bodies= and remove its constraints"
+                "together with flexible molecules with constraints: name it in bodies= and remove its constraints"
             )
 
 

@@ -24,7 +24,7 @@ class StepSizeWarning(UserWarning):
 class Overheating:
     """Watches the temperatures of a run with a thermostat, and warns once.
 
-    Translation and rotation of rigid bodies, and all other particles, are watched each by itself: a solute may be hot
+    Translation and rotation of rigid bodies, and all other particles, are watched individually: a solute may be hot
     in water that is not.
 
     Parameters

@@ -62,7 +62,7 @@ def test_water_in_a_pdb_file_is_bodies_with_virtual_sites_and_has_a_step(droplet
     assert "degrees of freedom: 24 of translation and vibration, 24 of rotation" in lines
     assert 'ExactRigidBodyIntegrator(forceInterval=2*femtoseconds, scheme="W4_4")' in lines
     assert "nested" not in lines
-    assert "nothing is refused" in lines
+    assert "everything is supported" in lines
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves the file open
@@ -88,7 +88,7 @@ def test_a_topology_of_amber_is_read_with_its_positions_in_either_order(tmp_path
         assert "6 particles, 6 constraints" in lines
         assert "periodic box, 2.5 x 2.5 x 2.5 nm" in lines
         assert "2 rigid bodies of 3 particles (HOH): 6 degrees of freedom, moments 0.006149 0.01155 0.0177" in lines
-        assert "nothing is refused" in lines
+        assert "everything is supported" in lines
     short = tmp_path / "one.rst7"
     header, count, *rows, box = files[1].read_text().splitlines()
     short.write_text("\n".join([header, count.replace("6", "5", 1), *rows[:2], rows[2][:36], box, ""]))
@@ -104,7 +104,7 @@ def test_a_system_alone_is_described_by_its_constraints(serialised, capsys):
     lines = said(capsys, serialised[0])
     assert "8 rigid bodies of 3 particles: 6 degrees of freedom" in lines
     assert "positions were not given" in lines
-    assert "nothing is refused" in said(capsys, *serialised)
+    assert "everything is supported" in said(capsys, *serialised)
 
 
 def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named():
@@ -132,8 +132,8 @@ def pairs_of(n, longer):
 def test_what_is_redundant_and_what_is_refused_is_said_in_a_sentence():
     lines = list(described(*pairs_of(6, 0.0)))
     assert "beside 10 constraints; 1 more follow from them, as that of particles 3, 4" in " ".join(lines)
-    assert lines[-1] == "nothing is refused"
-    assert list(described(*pairs_of(6, 0.003)))[-1].startswith("refused: the constraint of particles 3 and 4")
+    assert lines[-1] == "everything is supported"
+    assert list(described(*pairs_of(6, 0.003)))[-1].startswith("not supported: the constraint of particles 3 and 4")
 
 
 def test_what_acts_between_steps_is_named():
