@@ -197,7 +197,7 @@ def _step(fast: FastForces | None, scheme: Scheme, interval: float) -> str:
 
 
 def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
-    """Yield the error of a first step, or that there is none, and what acts between steps."""
+    """Yield the error of a first step, or that everything is supported, and what acts between steps."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
     if others:
         yield f"between steps act: {', '.join(others)}"
