@@ -60,7 +60,7 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     assert outside <= 143
 
 
-@pytest.mark.parametrize(("which", "more"), [("numpy", 1), ("numba", 0)])
+@pytest.mark.parametrize(("which", "more"), [("numpy", 2), ("numba", 0)])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -71,7 +71,7 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     ids=["plain", "Langevin", "nested"],
 )
 def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, more, make, most):
-    """In numpy one more file: the kernels of rigid bodies are in numpy then, and those of clusters compiled."""
+    """In numpy two more files: kernels of rigid bodies and double-doubles in numpy, and those of clusters compiled."""
     pytest.importorskip("numba")  # of its constraints
     monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
     _, system, positions = peptide()
