@@ -142,12 +142,31 @@ def default_temperatures_of_a_peptide() -> str:
     return table(("peptide", "", *units), body)
 
 
+def protein_steps() -> str:
+    """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
+    found, body = rows("protein_steps"), []
+    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "U": 2, "bonds": 1, "angles": 1, "torsions": 1}
+    keys = ("integrator", "masses", "fs", "picoseconds")
+    for integrator, masses, fs, length in sorted(
+        distinct(found, *keys), key=lambda key: (key[1], float(key[2]), key[0])
+    ):
+        some = [row for row in found if tuple(row[key] for key in keys) == (integrator, masses, fs, length)]
+        if len(some) < 2:  # without an error
+            continue
+        label = THEIRS.get(integrator, f"`{integrator}`")
+        cells = (_mean(some, name, digits) for name, digits in names.items())
+        body.append((masses, f"{float(fs):g} fs", label, f"{len(some)} x {float(length):g} ps", *cells))
+    units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
+    return table(("hydrogens of 3 amu", "", "", "", *units), body)
+
+
 def _mean(some: list[Row], name: str, digits: int) -> str:
     values = np.array([float(row[name]) for row in some])
     held = values[np.isfinite(values)]
     lost = f" ({len(values) - len(held)} of {len(values)} diverge)" if 0 < len(held) < len(values) else ""
     if len(held) < 2:
-        return "diverges" if len(values) else ""
+        alone = f"{held[0]:.{digits}f}" if len(held) else "diverges"
+        return alone if len(values) else ""
     return with_error(float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held))), digits) + lost
 
 
@@ -202,7 +221,7 @@ def rounded(value: float) -> str:
 def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     makers = (
-        *(default_energies, default_stability, outputs, default_temperatures),
+        *(default_energies, default_stability, outputs, default_temperatures, protein_steps),
         *(default_temperatures_of_a_peptide, validation),
     )
     return {maker.__name__: maker() for maker in makers} | figures()
