@@ -21,7 +21,7 @@ from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.tuning.floor import causes
+from openmm_exactrb.tuning.floor import causes, of_water
 
 _WATER = 18.015  # amu
 # The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
@@ -54,13 +54,19 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from _floor(system)
+    yield from _floor(system, bodies)
     yield from _refusals(system, positions)
 
 
-def _floor(system: openmm.System) -> Iterator[str]:
+def _floor(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield what limits the energy error of every integrator."""
     yield from (f"limits the energy error whatever the integrator is: {cause}" for cause in causes(system))
+    molecules = sum(len(kind.particles) for kind in bodies.kinds if _is_water(kind))
+    if level := of_water(system, molecules):
+        yield (
+            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more, whatever "
+            "the integrator is: that of TIP3P with these settings, over the square root of the number of molecules"
+        )
     if any(causes(system)):
         yield "exactrb tune measures that limit; what the remedies cost: Why is my energy error not smaller? (docs)"
 
@@ -154,7 +160,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield a line for constant energy and one for constant temperature, and why."""
     fast = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None))
-    water = any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds)
+    water = any(map(_is_water, bodies.kinds))
     if not water:
         yield (
             "step: no recommendation is measured for molecules like these: exactrb tune finds one"
@@ -171,6 +177,10 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         if flexible
         else "why: measured on rigid water, whose rotation limits the interval"
     )
+
+
+def _is_water(kind: Kind) -> bool:
+    return len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1
 
 
 def _longest(fast: FastForces) -> float:

@@ -8,6 +8,9 @@ import openmm
 
 #: Of ``ewaldErrorTolerance``: a looser one shows beside the best schemes.
 TIGHT = 1e-5
+#: kJ/mol over the square root of the number of molecules: the standard deviation of the total energy of 216 TIP3P over
+#: 30 ps with OpenMM's defaults, no switch and a tolerance of 5e-4, by W4_4 with a force every 2 fs on the CPU platform.
+WATER_BY_DEFAULT = 0.064
 
 
 def causes(system: openmm.System) -> Iterator[str]:
@@ -27,6 +30,16 @@ def causes(system: openmm.System) -> Iterator[str]:
                 yield f"{name} has an ewaldErrorTolerance of {tolerance:g}: {TIGHT:g} is tight"
             elif method in (force.CutoffPeriodic, force.CutoffNonPeriodic):
                 yield f"{name} cuts charges off with a jump of the force: take PME"
+
+
+def of_water(system: openmm.System, molecules: int) -> float | None:
+    """Return the floor to expect of rigid water in kJ/mol over 30 ps, where it was measured: with OpenMM's defaults."""
+    for force in system.getForces():
+        if isinstance(force, openmm.NonbondedForce) and force.getNonbondedMethod() == force.PME:
+            loose = force.getEwaldErrorTolerance() >= 5e-4 and not any(_chosen(force))
+            if molecules and loose and not force.getUseSwitchingFunction():
+                return float(WATER_BY_DEFAULT * molecules**0.5)
+    return None
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
