@@ -42,8 +42,9 @@ def growth(scheme: Scheme, k: int) -> float:
     """Return the growth rate of an oscillator of the frequency w at w h = k pi, for a slow force of unit strength.
 
     Kicks b_j at the times c_j h of a step make a spring s of a slow force one that is modulated in time, whose k-th
-    harmonic is s |sum_j b_j exp(2 pi i k c_j)|. It drives an oscillator of the mass m and the frequency w at twice that
-    frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2 of its sum.
+    harmonic is s times the modulus of sum_j b_j exp(2 pi i k c_j). It drives an oscillator of the mass m and the
+    frequency w at twice that frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2
+    of its sum.
     """
     places, kicks = [], []
     behind = accumulate((part if substep == DRIFT else 0.0 for substep, part in scheme.sequence), initial=0.0)

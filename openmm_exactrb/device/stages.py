@@ -11,6 +11,7 @@ from openmm_exactrb.device.program import ALONE, AXES, INVERSE_INERTIA, Program,
 FORCE, MOVE, MOMENTUM = 1.0 / STRENGTH, 2.0**-24, 2.0**-34
 #: x that differs from that of the body by less than this, in nm, was not moved.
 STILL = 1e-9
+#: The expression of the positions of particles.
 PLACE = "R+d+image"
 #: Of the turns of a step, the next one.
 NEXT = "vector(select(step(_x(at)-_z(at)),_y(at),_x(at)+1),_y(at),_z(at))"
