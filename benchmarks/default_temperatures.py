@@ -38,6 +38,23 @@ R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvi
 MAKERS = {"LangevinMiddle": openmm.LangevinMiddleIntegrator, "default": rb.ExactRigidBodyLangevinIntegrator}
 MEASURED = ("T_tr", "T_rot", "T_solute", "T_rot reported", "T_solute reported", "U")
 COLUMNS = ("method", "fs", "seed", "picoseconds", *MEASURED)
+#: How createSystem makes the forces.
+FORCES = {
+    "nonbondedMethod": app.PME,
+    "nonbondedCutoff": 0.8 * unit.nanometer,
+    "switchDistance": 0.7 * unit.nanometer,
+    "ewaldErrorTolerance": 1e-4,
+    "removeCMMotion": False,
+}
+
+
+def pressed(system: openmm.System, frequency: int, seed: int) -> openmm.System:
+    """Return a System with a barostat of 1 bar."""
+    system = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, frequency)
+    barostat.setRandomNumberSeed(seed)
+    system.addForce(barostat)
+    return system
 
 
 @cache
@@ -46,22 +63,10 @@ def prepared() -> tuple[app.Topology, openmm.System, openmm.State]:
     pdb, force_field = app.PDBFile(str(PEPTIDE)), app.ForceField(*FORCE_FIELD)
     modeller = app.Modeller(pdb.topology, pdb.positions)
     modeller.addSolvent(force_field, boxSize=openmm.Vec3(BOX, BOX, BOX) * unit.nanometer)
-    system = force_field.createSystem(
-        modeller.topology,
-        nonbondedMethod=app.PME,
-        nonbondedCutoff=0.8 * unit.nanometer,
-        switchDistance=0.7 * unit.nanometer,
-        ewaldErrorTolerance=1e-4,
-        constraints=app.HBonds,
-        removeCMMotion=False,
-    )
+    system = force_field.createSystem(modeller.topology, constraints=app.HBonds, **FORCES)
     integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, 0.002)
     integrator.setRandomNumberSeed(1)
-    pressed = openmm.XmlSerializer.clone(system)
-    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, 10)
-    barostat.setRandomNumberSeed(1)
-    pressed.addForce(barostat)
-    run = simulation_of(modeller.topology, pressed, integrator)
+    run = simulation_of(modeller.topology, pressed(system, 10, 1), integrator)
     run.context.setPositions(modeller.positions)
     run.minimizeEnergy(maxIterations=200)
     run.context.setVelocitiesToTemperature(TEMPERATURE, 1)

@@ -31,7 +31,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from default_temperatures import BOX, BURN, LOOKED, TEMPERATURE, Estimator, R
+from default_temperatures import BOX, BURN, FORCES, LOOKED, TEMPERATURE, Estimator, R, pressed
 from one_line import simulation_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.files import written_whole
@@ -66,29 +66,12 @@ def molecules(pdb: Path | None, masses: str, constraints: str) -> tuple[app.Topo
     modeller = app.Modeller(content.topology, content.positions)
     if pdb is None:
         modeller.addSolvent(force_field, boxSize=openmm.Vec3(BOX, BOX, BOX) * unit.nanometer)
-    system = force_field.createSystem(
-        modeller.topology,
-        nonbondedMethod=app.PME,
-        nonbondedCutoff=0.8 * unit.nanometer,
-        switchDistance=0.7 * unit.nanometer,
-        ewaldErrorTolerance=1e-4,
-        constraints=getattr(app, constraints),
-        removeCMMotion=False,
-    )
+    system = force_field.createSystem(modeller.topology, constraints=getattr(app, constraints), **FORCES)
     if masses != "plain":
         rb.heavy_hydrogens(system, modeller.topology, HEAVY, water=masses == "all")
     for force in system.getForces():
         force.setForceGroup(next((n for n, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
     return modeller.topology, system, modeller.positions
-
-
-def pressed(system: openmm.System, frequency: int, seed: int) -> openmm.System:
-    """Return a System with a barostat of 1 bar."""
-    system = openmm.XmlSerializer.clone(system)
-    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, frequency)
-    barostat.setRandomNumberSeed(seed)
-    system.addForce(barostat)
-    return system
 
 
 @cache

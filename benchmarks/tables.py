@@ -224,4 +224,4 @@ def all_tables() -> dict[str, str]:
         *(default_energies, default_stability, outputs, default_temperatures, protein_steps),
         *(default_temperatures_of_a_peptide, validation),
     )
-    return {maker.__name__: maker() for maker in makers} | figures()
+    return {maker.__name__: maker() for maker in makers}
