@@ -22,33 +22,51 @@ import oracle
 
 ROOT = Path(__file__).parent.parent
 REPORT = ROOT / "benchmarks" / "paper" / "report.py"
-PAGE = ROOT / "docs" / "paper.md"
-DATA = ROOT / "docs" / "paper" / "data"
+PAGES = ROOT / "docs" / "paper"
+DATA = PAGES / "data"
 sys.path.append(str(REPORT.parent))
 claims = importlib.import_module("claims")
 common = importlib.import_module("common")
+report = importlib.import_module("report")
 
 
 # -- what `make paper` left -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
-def page():
-    return PAGE.read_text(encoding="utf-8")
+def overview():
+    """Return the page with all verdicts."""
+    return PAGES.with_suffix(".md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """Return the page of each script, by its name."""
+    return {script.NAME: (PAGES / f"{script.NAME}.md").read_text(encoding="utf-8") for script in report.SCRIPTS}
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="a source distribution has no data")
-def test_the_page_is_what_the_stored_data_say(page):
-    report = importlib.import_module("report")
-    results = [
-        (script, pictures, json.loads((DATA / f"{script.NAME}.json").read_text(encoding="utf-8")))
-        for script, pictures in report.SECTIONS
-    ]
-    assert report.page(results) == page
+def test_the_pages_are_what_the_stored_data_say(overview, pages):
+    results = [(s, json.loads((DATA / f"{s.NAME}.json").read_text(encoding="utf-8"))) for s in report.SCRIPTS]
+    assert report.overview(results) == overview
+    assert {script.NAME: report.page(script, data) for script, data in results} == pages
+    assert {file.stem for file in PAGES.glob("*.md")} == pages.keys()
 
 
-def test_every_figure_is_shown(page):
-    assert sorted(re.findall(r"\(paper/(figure\d\d)\.png\)", page)) == [f"figure{k:02d}" for k in range(1, 19)]
+def test_every_figure_is_shown_with_words_for_those_who_cannot_see_it(pages):
+    shown = dict(
+        found[::-1] for page in pages.values() for found in re.findall(r"!\[(.*?)\]\((figure\d\d)\.png\)", page)
+    )
+    assert sorted(shown) == [f"figure{k:02d}" for k in range(1, 19)]
+    assert min(len(words.split()) for words in shown.values()) > 8
+    assert len(set(shown.values())) == 18
+
+
+def test_every_verdict_links_to_its_page(overview, pages):
+    linked = re.findall(r"^\| \[.*?\]\(paper/(\w+)\.md\) \| (.*) \| (.*?) \|$", overview, re.MULTILINE)
+    assert {name for name, *_ in linked} == pages.keys()
+    for name, sentence, verdict in linked:
+        assert f"- *{sentence}* **{verdict.strip('*')}.**" in pages[name]
 
 
 def written(page):
@@ -67,22 +85,24 @@ def verdict_of(entry):
     return re.search(r"\*\*(.+)\.\*\*$", entry.splitlines()[0])[1].lower(), kind
 
 
-def test_every_verdict_follows_from_the_criteria_beside_it(page):
-    assert len(written(page)) == page.count("  - Measured: ") > 30
-    for entry in written(page):
+def test_every_verdict_follows_from_the_criteria_beside_it(pages):
+    text = "\n".join(pages.values())
+    assert len(written(text)) == text.count("  - Measured: ") > 30
+    for entry in written(text):
         verdict, kind = verdict_of(entry)
         assert verdict in (claims.VERDICTS[kind].removeprefix("is "), claims.OURS[kind]), entry
 
 
-def test_the_papers_claims_and_ours_are_counted_apart(page):
-    beyond = sum(len(written(part.split("\n## ")[0])) for part in page.split("Beyond the paper:\n")[1:])
+def test_the_papers_claims_and_ours_are_counted_apart(overview, pages):
+    entries = len(written("\n".join(pages.values())))
+    beyond = sum(len(written(page.partition("## Beyond the paper\n")[2])) for page in pages.values())
     assert beyond > 3
-    assert int(re.search(r"Of (\d+) sentences of our own", page)[1]) == beyond
-    assert int(re.search(r"Of (\d+) claims of the paper", page)[1]) == len(written(page)) - beyond
+    assert int(re.search(r"Of (\d+) sentences of our own", overview)[1]) == beyond
+    assert int(re.search(r"Of (\d+) claims of the paper", overview)[1]) == entries - beyond
 
 
-def test_no_verdict_compares_compiled_code_with_numpy(page):
-    compiled = [line for line in page.splitlines() if "exact_compiled" in line]
+def test_no_verdict_compares_compiled_code_with_numpy(pages):
+    compiled = [line for page in pages.values() for line in page.splitlines() if "exact_compiled" in line]
     assert compiled
     assert all("| compiled |" in line for line in compiled)  # rows of tables, where it is marked
 
@@ -140,13 +160,15 @@ def test_the_summary_counts_the_claims_and_lists_their_verdicts():
     judged = [
         ("Figure 1", claims.Claim("First.", "", (met,))),
         ("Figure 1", claims.Claim("Second.", "", (met, unmet))),
-        ("Figure 2", claims.Claim("Third.", "", (unmet,))),
+        ("[Figure 2](two.md)", claims.Claim("Third.", "", (unmet,))),
         ("Figure 2", claims.Claim("Ours.", "", (met,), ours=True)),
     ]
     text = claims.summary(judged)
     assert "Of 3 claims of the paper, 1 agrees, 1 agrees in part and 1 does not agree." in text
     assert "Of 1 sentences of our own, which go beyond the paper, 1 holds." in text
-    assert "| Figure 1 | Second. | Agrees in part |" in text
+    assert "| Figure 1 | First. | Agrees |" in text
+    assert "| Figure 1 | Second. | **Agrees in part** |" in text
+    assert "| [Figure 2](two.md) | Third. | **Does not agree** |" in text
     assert "Ours." not in text
 
 
@@ -190,7 +212,7 @@ def quick(tmp_path_factory):
     """Return the quick report, which takes all cores for a minute."""
     folder = tmp_path_factory.mktemp("paper")
     subprocess.run([sys.executable, str(REPORT), "--quick"], cwd=folder, check=True, capture_output=True)
-    return folder / "out" / "paper" / "quick"
+    return folder / "out" / "paper" / "quick" / "paper"
 
 
 @pytest.mark.validate
@@ -202,14 +224,18 @@ def test_every_figure_is_drawn(quick):
 
 @pytest.mark.validate
 @pytest.mark.xdist_group("paper")
-def test_the_page_is_rewritten_from_what_is_stored(quick, tmp_path):
-    page = (quick / "paper.md").read_text(encoding="utf-8")
-    copy = tmp_path / "out" / "paper" / "quick"
-    shutil.copytree(quick, copy)
-    (copy / "paper.md").unlink()
+def test_the_pages_are_rewritten_from_what_is_stored(quick, tmp_path):
+    def written_by(folder):
+        files = [folder.with_suffix(".md"), *sorted(folder.glob("*.md"))]
+        return {file.name: file.read_text(encoding="utf-8") for file in files}
+
+    copy = tmp_path / "out" / "paper" / "quick" / "paper"
+    shutil.copytree(quick.parent, copy.parent)
+    for file in copy.parent.rglob("*.md"):
+        file.unlink()
     data = {file: file.stat().st_mtime_ns for file in (copy / "data").iterdir()}
     subprocess.run([sys.executable, str(REPORT), "--quick", "--stored"], cwd=tmp_path, check=True)
-    assert (copy / "paper.md").read_text(encoding="utf-8") == page
+    assert written_by(copy) == written_by(quick)
     assert data == {file: file.stat().st_mtime_ns for file in data}
 
 

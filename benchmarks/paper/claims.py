@@ -119,19 +119,23 @@ def capitalised(verdict: str) -> str:
 
 
 def summary(claims: list[tuple[str, Claim]]) -> str:
-    """Count the verdicts, the paper's claims and ours separately, and list them in a table.
+    """Count the verdicts, the paper's claims and ours separately, and list them in a table, in bold unless they agree.
 
     Parameters
     ----------
-    claims : list of (title of its section, Claim)
+    claims : list of (where it is judged, Claim)
     """
     papers, ours = ([c for c in claims if c[1].ours is own] for own in (False, True))
     lines = [f"Of {len(papers)} claims of the paper, {_counted(papers, VERDICTS)}."]
     lines += (
         [f"Of {len(ours)} sentences of our own, which go beyond the paper, {_counted(ours, OURS)}."] if ours else []
     )
-    lines += ["", "| | claim of the paper | verdict |", "| --- | --- | --- |"]
-    lines += [f"| {title.split(':')[0]} | {claim.sentence} | {capitalised(claim.verdict)} |" for title, claim in papers]
+    lines += ["", "| where | claim of the paper | verdict |", "| --- | --- | --- |"]
+    for place, claim in papers:
+        verdict = capitalised(claim.verdict)
+        lines.append(
+            f"| {place} | {claim.sentence} | {verdict if claim.verdict == VERDICTS[0] else f'**{verdict}**'} |"
+        )
     return "\n".join(lines) + "\n"
 
 

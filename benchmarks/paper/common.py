@@ -1,8 +1,9 @@
 """What the paper's figures share: work on all cores that resumes, pictures, free bodies.
 
-Every script of this folder has `NAME`, `TITLE`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
-`claims(data)`, and hands itself to `main`. The full version keeps its data and pictures in docs/paper, the quick one in
-out/paper/quick. Finished pieces of the work lie in out/paper/pieces, so that a run that was stopped goes on.
+Every script of this folder has `NAME`, `TITLE`, `PICTURES`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
+`claims(data)`, and hands itself to `main`. `PICTURES` says of each picture what it shows, for those who cannot see it. The
+full version keeps its data and pictures in docs/paper, the quick one in out/paper/quick/paper. Finished pieces of the work
+lie in out/paper/pieces, so that a run that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 
 PIECES = Path("out/paper/pieces")
-FOLDERS = {False: Path("docs/paper"), True: Path("out/paper/quick")}
+FOLDERS = {False: Path("docs/paper"), True: Path("out/paper/quick/paper")}
 # Colours that colour-blind readers can tell apart (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 MARKERS = "osD^vPX*"
@@ -91,8 +92,8 @@ def main(script):
 def run(script, quick, own=False, stored=False, **options):
     """Compute, keep the data, draw, and print the table and the claims of one script; return its data.
 
-    The full version goes to docs/paper; the quick one, and one with a user's own options, to out/paper/quick. With
-    `stored` the data of the last run are drawn and judged anew, and nothing is computed.
+    The full version goes to docs/paper; the quick one, and one with a user's own options, to out/paper/quick/paper. With
+    `stored` the data of the last run are drawn and judged again, and nothing is computed.
     """
     folder = FOLDERS[quick or own]
     (folder / "data").mkdir(parents=True, exist_ok=True)

@@ -22,6 +22,11 @@ from openmm_exactrb.rotors import NotConvergedWarning, moser_veselov, rotor
 
 NAME = "figure01"
 TITLE = "Figure 1: precision and relative cost over the step size"
+PICTURES = {
+    "figure01": "Six panels, a column for each order. Top, digits over cost: the exact methods have 14 digits at every step, "
+    "those with Gauss's rule and dmv fewer the longer the step. Bottom, cost over that of the cheapest method: about 2 for "
+    "the exact methods, 1 to 1.5 for those with Gauss's rule, 2 to 10 for dmv, whose iteration is a loop in Python."
+}
 ORDERS = (6, 8, 10)
 EXACT = ("rotation", "quaternion_a")
 GAUSS = tuple(f"{kind}_gauss{n}" for kind in ("rotation", "quaternion") for n in ORDERS)
@@ -147,7 +152,7 @@ def draw(data):
         for axis in (top, bottom):
             axis.grid(True, alpha=0.3)
             axis.minorticks_off()
-    axes[0, 0].set_ylabel("significant digits of the attitude, mean")
+    axes[0, 0].set_ylabel("significant digits of the orientation, mean")
     axes[1, 0].set_ylabel("cost per step over the cheapest's")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=9)
     yield "figure01", figure

@@ -20,6 +20,11 @@ import openmm_exactrb as rb
 
 NAME = "figure18"
 TITLE = "Figure 18: two Nyström splittings on a longer interval"
+PICTURES = {
+    "figure18": "Five panels. On the lattice with constant 3 both schemes lose the energy with up to 20 evaluations per unit of "
+    "time, and SRKN6_14a with up to 40 at low energies, far to the right of the dotted line at 14 where its step is one. On "
+    "the lattice with constant 6 neither ever loses it: errors fall from 1e-7 to 1e-14."
+}
 SCHEMES = ("SRKN4_6b", "SRKN6_14a")
 #: Force evaluations per unit of time; with 14 the step of SRKN6_14a is one.
 COSTS = (6, 8, 10, 12, 14, 17, 20, 28, 40, 80, 160)
@@ -118,26 +123,20 @@ def draw(data):
 
 
 def table(data):
+    """Return medians, with the number of starts that lose the energy where some do, by start, scheme and evaluations."""
+    chosen = [data["costs"].index(cost) for cost in (10, 14, 28, 40, 80, 160) if cost in data["costs"]]
     rows = []
     for title, lines in panels(data):
         for name, entry in lines.items():
-            for cost, step, column in zip(data["costs"], entry["step"], np.transpose(entry["errors"]), strict=True):
-                if cost in (10, 14, 28, 40, 80, 160):
-                    lost = int(np.sum(column > LOST))
-                    median = np.median(column)
-                    words = "lost" if median > LOST else f"{median:.1e}"
-                    rows.append(
-                        (
-                            title.replace("$", "").replace("_0", "0"),
-                            name,
-                            cost,
-                            f"{step:.3f}",
-                            words,
-                            f"{lost} of {len(column)}",
-                        )
-                    )
-    header = ("start", "scheme", "evaluations per unit of time", "step", "median error", "energy lost")
-    return common.markdown(header, rows)
+            cells = []
+            for column in np.transpose(entry["errors"])[chosen]:
+                lost = int(np.sum(column > LOST))
+                words = "lost" if np.median(column) > LOST else f"{np.median(column):.1e}"
+                cells.append(f"{words} ({lost} of {len(column)})" if lost else words)
+            rows.append((title.replace("$", "").replace("_0", "0"), name, *cells))
+    evaluations = (f"{data['costs'][k]} evaluations" for k in chosen)
+    words = "Median error; in brackets, how many starts lose the energy. Evaluations are per unit of time.\n\n"
+    return words + common.markdown(("start", "scheme", *evaluations), rows)
 
 
 def long_steps(entry):

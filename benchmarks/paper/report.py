@@ -1,4 +1,7 @@
-"""All figures and tables of the paper, and docs/paper.md, which compares the paper's claims with our numbers."""
+"""All figures and tables of the paper, and pages that compare the paper's claims with our numbers.
+
+docs/paper.md has all verdicts; docs/paper has a page for each table or figure.
+"""
 
 import argparse
 import textwrap
@@ -14,42 +17,20 @@ import table1
 import tops
 import triangle
 
-SECTIONS = (
-    (table1, ("figure02",)),
-    (figure01, ("figure01",)),
-    (triangle, tuple(f"figure{k:02d}" for k in range(3, 12))),
-    (tops, ("figure12", "figure13")),
-    (satellite, ("figure14", "figure15")),
-    (figure16, ("figure16",)),
-    (figure17, ("figure17",)),
-    (figure18, ("figure18",)),
-)
-#: What each picture shows, for those who cannot see it.
-ALTERNATIVES = {
-    "figure01": "Digits of the orientation over cost, and relative cost over the step size, for methods of order 6, 8, 10",
-    "figure02": "Time of a call and error of one step of h = 5 for 100 random momenta, by method",
-    "figure03": "The triangle of possible moments of inertia, with every 25th point of the grid",
-    **{
-        f"figure{number:02d}": f"Digits over the triangle of inertias at h = {h} for {', '.join(methods)}"
-        for number, (h, methods) in triangle.FIGURES.items()
-    },
-    "figure12": "Energy error of heavy tops over torque evaluations for ε = 1e-6, a panel for each kinetic energy and rotor",
-    "figure13": "Energy error of heavy tops over torque evaluations for ε = 1e-3, a panel for each kinetic energy and rotor",
-    "figure14": "Axis and energy error of the satellite with McLachlan-Reich at two steps: errors are visible",
-    "figure15": "Axis and energy error of the satellite with the exact rotor and SRKN6_14a at two steps",
-    "figure16": "Energy error of 100 dipoles at rest over force evaluations, by scheme and rotor",
-    "figure17": "Mean energy error of 125 dipoles over force evaluations, a panel for each energy",
-    "figure18": "Largest energy error of two Nyström schemes over force evaluations, a panel for each energy",
-}
+SCRIPTS = (table1, figure01, triangle, tops, satellite, figure16, figure17, figure18)
 INTRODUCTION = """\
 # The paper, reproduced
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, *The exact computation of the free rigid body motion and its use in
 splitting methods*, SIAM J. Sci. Comput. 30, 2084 (2008), doi:10.1137/070704393.
 
-This page compares every claim of the paper about its tables and figures with numbers of this package. `make paper`
-computes the numbers and writes the page, from the scripts in `benchmarks/paper` (`make paper ARGS=--stored` writes it
-from the stored data in `docs/paper/data`). A verdict is computed from criteria, which are printed with every claim:
+"""
+RULES = """\
+## How a verdict is reached
+
+`make paper` computes the numbers and writes these pages, from the scripts in `benchmarks/paper` (`make paper
+ARGS=--stored` writes them from the stored data in `docs/paper/data`). A verdict is computed from criteria, which are
+printed with every claim:
 
 - a claim **agrees** if all criteria are met: in every draw of random starts, or by the mean over the draws within two
   standard errors;
@@ -99,19 +80,42 @@ WHEN = """\
 """
 
 
-def page(results):
-    """Return docs/paper.md."""
-    judged = [(script.TITLE, claim) for script, _, data in results for claim in script.claims(data)]
-    parts = [INTRODUCTION + claims.summary(judged), ERRATA + WHEN]
-    for script, pictures, data in results:
-        parts.append(f"## {script.TITLE}\n")
-        parts.append(f"{(script.__doc__ or '').split(chr(10) * 2, 1)[1].strip()}\n")
-        for own in (False, True):
-            found = [claims.entry(claim) for claim in script.claims(data) if claim.ours is own]
-            parts += ["\nBeyond the paper:\n"] * bool(own and found) + found
-        parts += ["", script.table(data), ""]
-        parts += [f"![{ALTERNATIVES[name]}](paper/{name}.png)\n" for name in pictures]
-    return "\n".join(parts).rstrip() + "\n"
+def contents():
+    """Return the table of contents of the sidebar."""
+    pages = "\n".join(f"{common.FOLDERS[False].name}/{script.NAME}" for script in SCRIPTS)
+    return f"```{{toctree}}\n:hidden:\n\n{pages}\n```\n"
+
+
+def overview(results):
+    """Return docs/paper.md: all verdicts, each with a link to its page, and the errata."""
+    folder = common.FOLDERS[False].name
+    judged = [
+        (f"[{script.TITLE.split(':')[0]}]({folder}/{script.NAME}.md)", claim)
+        for script, data in results
+        for claim in script.claims(data)
+    ]
+    return "".join((INTRODUCTION, claims.summary(judged), "\n", ERRATA, WHEN, "\n", RULES, contents()))
+
+
+def page(script, data):
+    """Return the page of a script: what it compares, its pictures, the claims, and the numbers as a table."""
+    introduction = (script.__doc__ or "").split("\n\n", 1)[1].strip()
+    how = f"[How a verdict is reached](../{common.FOLDERS[False].name}.md#how-a-verdict-is-reached)."
+    parts = [f"# {script.TITLE}", introduction, *pictures(script), f"## Claims of the paper\n\n{how}"]
+    for own in (False, True):
+        found = [claims.entry(claim) for claim in script.claims(data) if claim.ours is own]
+        parts += ["## Beyond the paper"] * bool(own and found) + ["\n".join(found)] * bool(found)
+    return "\n\n".join([*parts, "## Numbers", script.table(data)]) + "\n"
+
+
+def pictures(script):
+    """Yield the pictures of a script with their alternative texts; those of its `SHEET` as a table."""
+    shown = {name: f"![{words}]({name}.png)" for name, words in script.PICTURES.items()}
+    columns = getattr(script, "SHEET", {})
+    yield from (picture for name, picture in shown.items() if not any(name in column for column in columns.values()))
+    if columns:
+        rows = zip(*columns.values(), strict=True)
+        yield common.markdown(list(columns), [[shown[name] for name in row] for row in rows])
 
 
 def main():
@@ -119,13 +123,13 @@ def main():
     parser.add_argument("--quick", action="store_true", help="small versions, into out/paper/quick")
     parser.add_argument("--stored", action="store_true", help="judge and draw the data of the last run again")
     args = parser.parse_args()
-    quick = args.quick
-    results = []
-    for script, pictures in SECTIONS:
+    folder, results = common.FOLDERS[args.quick], []
+    for script in SCRIPTS:
         print(f"\n{script.TITLE}", flush=True)
-        results.append((script, pictures, common.run(script, quick, stored=args.stored)))
-    place = common.FOLDERS[True] / "paper.md" if quick else common.FOLDERS[False].with_suffix(".md")
-    place.write_text(page(results), encoding="utf-8")
+        data = common.run(script, args.quick, stored=args.stored)
+        (folder / f"{script.NAME}.md").write_text(page(script, data), encoding="utf-8")
+        results.append((script, data))
+    folder.with_suffix(".md").write_text(overview(results), encoding="utf-8")
 
 
 if __name__ == "__main__":

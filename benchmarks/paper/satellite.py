@@ -17,6 +17,12 @@ from openmm_exactrb.schemes import scheme
 
 NAME = "satellite"
 TITLE = "Figures 14 and 15: satellite simulation"
+PICTURES = {
+    "figure14": "McLachlan-Reich. At h = 0.1 the axis of the satellite covers the whole sphere and the energy error exceeds 1; "
+    "at h = 0.05 the axis draws lines in the upper half of the sphere and the error stays below 0.01.",
+    "figure15": "Exact rotor and SRKN6_14a. At both steps the axis draws the same lines in the upper half of the sphere, and the "
+    "energy error scatters without drift: about 1e-7 at h = 0.1, 4e-10 at h = 0.05.",
+}
 STEPS = (0.1, 0.05)
 LINES = (
     ("V2", "mclachlan_reich"),

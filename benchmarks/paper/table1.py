@@ -21,6 +21,11 @@ from openmm_exactrb.rotors.euler import carlson
 
 NAME = "table1"
 TITLE = "Table 1 and figure 2: one step of h = 5"
+PICTURES = {
+    "figure02": "Two panels of 100 bodies. Left, the time of a call: rotation matrices take longest, the package's exact flow "
+    "least. Right, errors: those of all three methods scatter between 1e-16 and 1e-13, below two dashed lines near 1e-12, the "
+    "medians that the paper prints."
+}
 METHODS = ("rotation", "quaternion_a", "exact_numpy")
 COMPILED = ("exact_compiled",)
 H = 5.0
