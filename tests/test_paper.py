@@ -10,6 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,6 +20,7 @@ import openmm
 import pytest
 
 import oracle
+from openmm_exactrb import rotors
 
 ROOT = Path(__file__).parent.parent
 REPORT = ROOT / "benchmarks" / "paper" / "report.py"
@@ -205,6 +207,27 @@ def test_the_energies_by_which_starts_are_chosen_are_openmms():
         context.setPositions((figure16.centres(seed)[:, None] + sites).reshape(-1, 3))
         expected = context.getState(energy=True).getPotentialEnergy()._value
         assert figure16.potential(seed) == pytest.approx(expected, rel=1e-12)
+
+
+def test_compiled_methods_are_the_packages():
+    """Those of figure 1 whose costs are compared, for momenta of all signs."""
+    compiled = importlib.import_module("compiled")
+    names = importlib.import_module("figure01").PAPER
+    inertia, m = common.random_bodies(np.random.default_rng(7), 300)
+    m *= np.random.default_rng(8).choice([-1.0, 1.0], m.shape) * 1.7
+    q, _ = np.linalg.qr(np.random.default_rng(9).standard_normal((4, 4)))
+    q = np.resize(q, (300, 4)).T.copy()
+    for name in names:
+        for h in (0.02, 0.4):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", rotors.NotConvergedWarning)
+                expected = rotors.rotor(name, inertia.T)(q, m, h)
+            fine = np.isfinite(expected[0][0])  # the package also reports what turned too far
+            assert fine.all() or (name.startswith("dmv") and fine.mean() > 0.5)
+            found = compiled.flow(name, inertia)(q, m, h)
+            for ours, theirs in zip(found, expected, strict=True):
+                # Near the separatrix roundoff is amplified.
+                np.testing.assert_allclose(ours[:, fine], theirs[:, fine], rtol=0.0, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
