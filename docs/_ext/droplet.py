@@ -1,4 +1,4 @@
-"""A droplet of water that moves, for the view in the page and for the film."""
+"""A droplet of water that moves, for the view in the page."""
 
 from __future__ import annotations
 
