@@ -15,6 +15,7 @@ from typing import Any
 
 from docutils import nodes
 from numpydoc.numpydoc import mangle_signature
+from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.domains.python import PythonDomain
 from sphinx.util import logging
@@ -182,6 +183,20 @@ def public_names(module: ModuleType) -> list[str]:
     return [name for name in names if name in public and not name.startswith("_")]
 
 
+def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:
+    """Give names of the API the addresses that pages of source use: in each package that shows them."""
+    for node in doctree.findall(addnodes.desc_signature):
+        if not (node.get("module") and node.get("fullname")):
+            continue
+        outer = node["fullname"].split(".")[0]
+        shown = getattr(importlib.import_module(node["module"]), outer, None)
+        home = getattr(shown, "__module__", None) or node["module"]
+        for package in accumulate(home.split("."), "{}.{}".format):
+            address = f"{package}.{node['fullname']}"
+            if getattr(sys.modules.get(package), outer, None) is shown and address not in node["ids"]:
+                node["ids"].append(address)
+
+
 def signature(app: Sphinx, what: str, *rest: Any) -> tuple[str, str] | None:
     """Return the signature that numpydoc makes; a type alias has none."""
     made: tuple[str, str] | None = None if what == "data" else mangle_signature(app, what, *rest)
@@ -204,3 +219,4 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-signature", signature)
     app.connect("missing-reference", by_last_name)
     app.connect("env-check-consistency", undocumented)
+    app.connect("doctree-read", reachable_from_source)
