@@ -225,7 +225,7 @@ class SoftDipoles:
             parameters["dipole_coupling"],
             self.truncation and self._in_box(box),
             threads,
-            attraction=parameters.get("soft_attraction"),
+            attraction=parameters.get("soft_attraction", 0.0),
             minimum=_minimum(parameters) if self.wca else None,
             ewald=self.ewald,
         )

@@ -39,7 +39,7 @@ def near_pairs(
     m: Cells,
     repulsion: float,
     coupling: float,
-    attraction: float | None,
+    attraction: float,
     minimum: tuple[float, float] | None,
     alpha: float | None,
     truncation: tuple[float, float, float, float, float, float],

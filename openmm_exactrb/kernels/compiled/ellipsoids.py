@@ -56,9 +56,9 @@ def gay_berne(x, box, law, forces, energy):
     end, rate = cutoff * cutoff, 1.0 / (cutoff * cutoff - begin * begin)
     axes, lengths, pulls = np.empty((n, 3)), np.empty(n), np.zeros((n, 3))
     for i in range(n):
-        d = x[2 * i + 1] - x[2 * i]
-        lengths[i] = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
-        axes[i] = d / lengths[i]
+        dx, dy, dz = x[2 * i + 1, 0] - x[2 * i, 0], x[2 * i + 1, 1] - x[2 * i, 1], x[2 * i + 1, 2] - x[2 * i, 2]
+        lengths[i] = np.sqrt(dx * dx + dy * dy + dz * dz)
+        axes[i, 0], axes[i, 1], axes[i, 2] = dx / lengths[i], dy / lengths[i], dz / lengths[i]
     forces[:] = 0.0
     total = 0.0
     for i in range(n):

@@ -94,11 +94,11 @@ def _standing_waves(x, k):
 @reordered
 def _differentiated(waves, k):
     """Return standing waves and their first and second derivatives, (3, 2 k, n)."""
-    all_three = np.empty((3, *waves.shape))
-    all_three[0] = waves
+    all_three = np.empty((3, waves.shape[0], waves.shape[1]))
     for m in range(len(k)):
         for i in range(waves.shape[1]):
             c, s = waves[2 * m, i], waves[2 * m + 1, i]
+            all_three[0, 2 * m, i], all_three[0, 2 * m + 1, i] = c, s
             all_three[1, 2 * m, i], all_three[1, 2 * m + 1, i] = -k[m] * s, k[m] * c
             all_three[2, 2 * m, i], all_three[2, 2 * m + 1, i] = -k[m] * k[m] * c, -k[m] * k[m] * s
     return all_three

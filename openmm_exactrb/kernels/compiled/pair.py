@@ -65,15 +65,14 @@ def screened(r2, i, alpha):
 
 
 @inlined
-def pair(r2, uv, ur, vr, repulsion, coupling, attraction=None, minimum=None, alpha=None):
+def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
     core = repulsion * (i * i * i) * (i * i * i)
     slope = 12.0 * core
-    if attraction is not None:
-        i3 = attraction * (i * i * i)
-        core -= i3
-        slope -= 6.0 * i3
+    i3 = attraction * (i * i * i)
+    core -= i3
+    slope -= 6.0 * i3
     if minimum is not None:
         core = core + minimum[1] if r2 < minimum[0] else 0.0
         slope = slope if r2 < minimum[0] else 0.0

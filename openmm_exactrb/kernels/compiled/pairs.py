@@ -31,7 +31,7 @@ def soft_dipoles(
     coupling: float,
     truncation: Truncation | None = None,
     threads: int | None = None,
-    attraction: float | None = None,
+    attraction: float = 0.0,
     minimum: tuple[float, float] | None = None,
     ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
