@@ -15,7 +15,7 @@ def of_bodies():
 
 
 def of_dipoles():
-    """Compile the sums over soft dipoles: of the soft spheres, with an attraction and cut off, and all boundaries."""
+    """Compile the sums over soft dipoles: with spheres and with cut off ones, for all boundaries."""
     import openmm_exactrb as rb
     from soft_dipoles import arrows, summed
 
@@ -28,7 +28,7 @@ def of_dipoles():
         (rb.Ewald(method="mesh", tolerance=1e-2, cutoff=0.3 * box), box),
     ]
     for boundary, edge in around:
-        for spheres in ({}, {"soft_attraction": 3.0}, {"soft_attraction": 3.0, "wca": True}):
+        for spheres in ({}, {"soft_attraction": 3.0, "wca": True}):
             summed(x, boundary, edge and 3 * [edge], **spheres)
 
 

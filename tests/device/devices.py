@@ -30,7 +30,7 @@ def opencl():
 
 def context_of(system, positions, engine, *, platform=REFERENCE, precision=None, kelvin=300.0, h=0.001, **options):
     """Return a Context of a copy of a System, with bodies at a temperature."""
-    integrator = rb.ExactRigidBodyIntegrator(h, engine=engine, **{"scheme": "SRKN4_6b"} | options)
+    integrator = rb.ExactRigidBodyIntegrator(h, engine=engine, **{"scheme": "S2_2"} | options)
     properties = {"Precision": precision} if precision else {}
     context = openmm.Context(copy.deepcopy(system), integrator, platform, properties)
     context.setPositions(positions)

@@ -17,9 +17,8 @@ for kind, scheme in zip(sys.argv[1::2], sys.argv[2::2], strict=True):
         integrator = rb.ExactRigidBodyIntegrator(0.002, scheme, fast=fast, innerSteps=6, engine="device")
     else:
         _, system, positions = rb.rigid_water(4)
-        if kind == "remover":
-            system.addForce(openmm.CMMotionRemover())
         if kind == "langevin":
+            system.addForce(openmm.CMMotionRemover())
             integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.001, scheme, engine="device")
         else:
             integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine="device")

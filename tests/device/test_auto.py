@@ -31,7 +31,7 @@ def water():
 
 @pytest.fixture
 def gpu(monkeypatch):
-    """Have the rule take PoCL for a GPU."""
+    """Have the rule take PoCL, or the Reference platform, for a GPU."""
     monkeypatch.setattr(platforms, "no_gpu", lambda context: None)
 
 
@@ -43,7 +43,7 @@ def auto(water, platform, thermostat=False, precision="double", engine="auto", s
         integrator.setRandomNumberSeed(7)
     else:
         integrator = rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine)
-    properties = {"Precision": precision}
+    properties = {"Precision": precision} if platform.getName() == "OpenCL" else {}
     simulation = app.Simulation(topology, copy.deepcopy(system), integrator, platform, properties)
     simulation.context.setPositions(positions)
     return simulation
@@ -153,9 +153,8 @@ def test_an_opencl_device_that_is_a_cpu_is_taken_only_if_it_is_named(platform, m
     assert "taken only if it is named: it is a CPU" in capsys.readouterr().out
 
 
-@pytest.mark.opencl
-def test_the_program_comes_behind_the_same_objects(gpu, platform, water):
-    simulation = auto(water, platform, True)
+def test_the_program_comes_behind_the_same_objects(gpu, water):
+    simulation = auto(water, REFERENCE, True)
     context, integrator = simulation.context, simulation.integrator
     context.setTime(3.0)
     context.setStepCount(10)
@@ -165,7 +164,7 @@ def test_the_program_comes_behind_the_same_objects(gpu, platform, water):
     assert context.getIntegrator() is integrator
     assert (context.getStepCount(), simulation.currentStep) == (15, 15)
     assert context.getTime()._value == pytest.approx(3.005)
-    other = auto(water, platform, True, engine="device")
+    other = auto(water, REFERENCE, True, engine="device")
     other.context.setStepCount(10)
     np.testing.assert_array_equal(stepped(other.context, 5), shown(context))
     np.testing.assert_array_equal(stepped(other.context, 4), stepped(context, 4))
@@ -186,18 +185,17 @@ def test_a_checkpoint_of_the_host_stays_with_the_host_on_a_gpu(gpu, platform, wa
     assert again.integrator.getSeedInUse() == 7
 
 
-@pytest.mark.opencl
-def test_a_run_in_a_folder_continues_with_its_engine_and_its_bits(gpu, platform, water, tmp_path):
-    whole = auto(water, platform, True)
+def test_a_run_in_a_folder_continues_with_its_engine_and_its_bits(gpu, water, tmp_path):
+    whole = auto(water, REFERENCE, True)
     rb.Run(tmp_path / "whole").advance(whole, 8)
-    rb.Run(tmp_path / "parts").advance(auto(water, platform, True), 3)
-    simulation = auto(water, platform, True)
+    rb.Run(tmp_path / "parts").advance(auto(water, REFERENCE, True), 3)
+    simulation = auto(water, REFERENCE, True)
     rb.Run(tmp_path / "parts", resume=True).advance(simulation, 8)
     assert simulation.integrator.getEngine() == whole.integrator.getEngine() == "device"
     # A call evaluates the forces of its first positions anew, on the device in sums of another order.
     np.testing.assert_allclose(shown(simulation.context), shown(whole.context), rtol=0.0, atol=1e-12)
     with pytest.raises(ValueError, match="engine is"):
-        rb.Run(tmp_path / "parts", resume=True).advance(auto(water, platform, True, engine="host"), 10)
+        rb.Run(tmp_path / "parts", resume=True).advance(auto(water, REFERENCE, True, engine="host"), 10)
 
 
 @pytest.mark.opencl
@@ -256,11 +254,10 @@ def test_substeps_of_ones_own_are_the_hosts(gpu, platform, water):
     assert auto(water, platform).integrator.getEngine() == "device"
 
 
-@pytest.mark.opencl
-def test_inner_steps_are_the_hosts_unless_the_device_is_named_or_began(gpu, platform):
+def test_inner_steps_are_the_hosts_unless_the_device_is_named_or_began(gpu):
     """A flexible molecule, until steps get so long that bonded forces need steps of their own."""
     topology, system, positions = peptide("None")
-    simulation = auto((topology, system, positions), platform)
+    simulation = auto((topology, system, positions), REFERENCE)
     integrator = simulation.integrator
     integrator.setStepSize(0.0005)
     integrator.setVelocitiesToTemperature(300.0, 1)
@@ -269,7 +266,7 @@ def test_inner_steps_are_the_hosts_unless_the_device_is_named_or_began(gpu, plat
     energy = integrator.totalEnergy()._value
     integrator.setStepSize(0.004)
     assert integrator.getEngine() == "device"
-    fresh = auto((topology, system, positions), platform)
+    fresh = auto((topology, system, positions), REFERENCE)
     fresh.integrator.setStepSize(0.004)
     assert fresh.integrator.getEngine() == "host"
     assert "inner steps" in fresh.integrator.engineNote()

@@ -87,7 +87,7 @@ def test_the_generators_are_those_of_wichmann_and_hill():
         assert all(pow(multiplier, order // p, modulus) != 1 for p in primes)
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "Chin4A"])
+@pytest.mark.parametrize("scheme", ["S2_2", pytest.param("Chin4A", marks=pytest.mark.validate)])
 def test_without_friction_it_is_the_dynamics_without_a_thermostat(scheme):
     _, system, positions = rb.rigid_water(3)
     plain = openmm.Context(
@@ -155,17 +155,15 @@ def hot(context):
 
 def test_noise_does_not_depend_on_calls_and_rotations():
     system, positions = free_water(3)
-    contexts = [hot(langevin(system, positions, 5.0, h=0.05, scheme="BAOAB")) for _ in range(3)]
+    contexts = [hot(langevin(system, positions, 5.0, h=0.05, scheme="BAOAB")) for _ in range(2)]
     turns = []
-    for context, calls in zip(contexts, ([8], [1] * 8, [3, 5]), strict=True):
+    for context, calls in zip(contexts, ([8], [1] * 8), strict=True):
         integrator = context.getIntegrator()
         for n in calls:
             integrator.step(n)
             turns.append(integrator.getGlobalVariableByName("exactrb_turns"))
     assert len(set(turns)) > 1
-    P, *others = (context.getIntegrator().bodyState()[1].P for context in contexts)
-    for other in others:
-        np.testing.assert_allclose(other, P, rtol=1e-9)
+    np.testing.assert_allclose(*(context.getIntegrator().bodyState()[1].P for context in contexts), rtol=1e-9)
 
 
 def test_noise_is_put_back_for_steps_that_are_made_again():
@@ -282,7 +280,7 @@ def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions(scheme):
     integrator = context.getIntegrator()
     integrator.step(200)
     places, along = [], []
-    for _ in range(40):
+    for _ in range(20):
         integrator.step(40)
         x = shown(context)[0].reshape(-1, 3, 3)
         arms = x[:, 1] + x[:, 2] - 2.0 * x[:, 0]

@@ -29,7 +29,7 @@ def shim(tmp_path_factory):
     return library
 
 
-RIGID = (("langevin", "S2_2"), ("remover", "S2_2"), ("plain", "Chin4A"))
+RIGID = (("langevin", "S2_2"), ("plain", "Chin4A"))
 RUNS = (*RIGID, ("nested", "S2_3"))
 
 
@@ -50,9 +50,9 @@ def enqueued(shim):
 
 @pytest.mark.parametrize("run", RIGID, ids="-".join)
 def test_three_kernels_and_two_sums_for_each_force_one_kernel_a_step_and_nothing_sent(enqueued, run):
-    """The remover of the motion of the centre of mass costs a sum, and two kernels for it."""
+    """Beside the thermostat a remover of the motion of the centre of mass costs a sum, and two kernels for it."""
     counts, (kind, scheme) = enqueued[run], run
-    forces, removes = rb.SCHEMES[scheme].forces, kind == "remover"
+    forces, removes = rb.SCHEMES[scheme].forces, kind == "langevin"
     assert counts["computePerDof"] == 3 * forces + 1 + 2 * removes
     assert counts["computeBondedForces"] == 2 * forces + removes
     assert counts["computeNonbonded"] == forces

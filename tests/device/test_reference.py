@@ -157,7 +157,7 @@ def test_long_steps_are_made_of_several_rotations(droplet):
     np.testing.assert_allclose(*(stepped(context, 10) for context in both), rtol=0.0, atol=1e-11)
 
 
-@pytest.mark.parametrize("scheme", ["Chin4A", "V2_gradient_C17"])
+@pytest.mark.parametrize("scheme", ["Chin4A", pytest.param("V2_gradient_C17", marks=pytest.mark.validate)])
 def test_displaced_places_and_several_rotations(scheme, droplet):
     both = pair(*droplet, scheme=scheme, h=0.002, kelvin=20000.0)
     one, other = (stepped(context, 3) for context in both)
@@ -351,7 +351,7 @@ def test_bodies_at_rest_may_come_to_turn_fast(droplet):
     np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize("thermostat", [False, True])
+@pytest.mark.parametrize("thermostat", [False, pytest.param(True, marks=pytest.mark.validate)])
 def test_minimised_and_hot_starts_are_no_false_alarm(thermostat, droplet):
     system, positions = droplet
     integrator = with_or_without_thermostat("device", 0.001, thermostat)

@@ -11,6 +11,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb import kernels, quaternions
+from openmm_exactrb.kernels import build
 
 PACKAGE = Path(rb.__file__).parent
 
@@ -60,15 +61,7 @@ system.addConstraint(0, 2, 0.1)
 """
 
 
-def test_rigid_bodies_need_no_numba():
-    python("import sys; sys.modules['numba'] = None" + STEP + RIGID)
-
-
-def test_numba_can_be_refused():
-    python(STEP + RIGID + "assert 'numba' not in sys.modules", **{kernels.SWITCH: "0"})
-
-
-def test_flexible_molecules_without_numba_are_refused_before_the_first_step():
+def test_rigid_bodies_need_no_numba_and_flexible_molecules_without_it_are_refused_before_the_first_step():
     positions = "[[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]]"
     code = f"""
 try:
@@ -77,14 +70,16 @@ except ModuleNotFoundError as error:
     assert error.name == "numba"
     print(error)
 """
-    done = python("import sys; sys.modules['numba'] = None" + STEP + FLEXIBLE + code)
+    done = python("import sys; sys.modules['numba'] = None" + STEP + RIGID + FLEXIBLE + code)
     assert done.stdout.strip() == (
         'flexible molecules with constraints need numba: python -m pip install "openmm-exactrb[fast]"'
     )
 
 
-def test_flexible_molecules_take_the_compiled_kernel_also_where_others_are_refused():
-    python(STEP + FLEXIBLE + "step(system, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])", **{kernels.SWITCH: "0"})
+def test_numba_can_be_refused_but_for_flexible_molecules():
+    refused = STEP + RIGID + "assert 'numba' not in sys.modules"
+    taken = FLEXIBLE + "step(system, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])\nassert 'numba' in sys.modules"
+    python(refused + taken, **{kernels.SWITCH: "0"})
 
 
 def test_what_is_missing_is_said(monkeypatch):
@@ -98,12 +93,12 @@ def test_what_is_missing_is_said(monkeypatch):
     assert np.isfinite(q).all()
 
 
-def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path):
+def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path, monkeypatch):
     """What is inlined into a function is in files that numba does not look at."""
     copied = shutil.copytree(PACKAGE, tmp_path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
-    code = "from openmm_exactrb.kernels.build import sources; print(sources())"
+    monkeypatch.setattr(build, "_PACKAGE", copied)
     keys = []
     for file in ("kernels/compiled/bodies.py", "kernels/compiled/bodies.py", "elliptic.py"):
-        keys.append(python(code, tmp_path, PYTHONPATH=str(tmp_path)).stdout)
+        keys.append(build.sources.__wrapped__())
         (copied / file).write_text((copied / file).read_text() + "\n")
     assert len(set(keys)) == 3

@@ -103,7 +103,7 @@ def test_energy_error_has_no_trend(tops):
     halves = []
     for _ in range(2):
         largest = 0.0
-        for _ in range(200):
+        for _ in range(100):
             state = integrate(problem, state, 0.25, 2, scheme)
             largest = np.maximum(largest, np.abs(energy(problem, state) - start))
         halves.append(np.median(largest))
