@@ -29,6 +29,7 @@ def test_all_kinds_of_bodies_in_double_precision(platform):
     np.testing.assert_allclose(stepped(device, 20)[0], stepped(host, 20)[0], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.validate  # those with a cutoff, below, move by the same program
 def test_dipoles_in_double_precision(platform):
     _, system, positions = rb.dipole_fluid(8, kernel="openmm")
     both = pair(system, positions, platform=platform, precision="double", scheme="S2_2", h=0.005, kelvin=100.0)

@@ -106,7 +106,7 @@ import hashlib, pickle, sys
 sys.path[:0] = sys.argv[1:3]
 import test_bits
 from thermostatted import droplet_of, snapshot
-for name, (kind, saved) in pickle.load(open(sys.argv[3], "rb")).items():
+for (name, kind), saved in pickle.load(open(sys.argv[3], "rb")).items():
     run = droplet_of(test_bits.MAKERS[name]())
     run.integrator.setVelocitiesToTemperature(500.0, 1)
     test_bits.load(run, kind, saved)
@@ -123,22 +123,20 @@ def load(run, kind, saved):
         run.context.setState(openmm.XmlSerializer.deserialize(saved))
 
 
-@pytest.mark.parametrize("kind", ["checkpoint", "State"])
-def test_a_new_process_continues_with_the_same_bits(kind, tmp_path):
+def test_a_new_process_continues_with_the_same_bits(tmp_path):
     """A drawn seed, the heat and the tally travel with checkpoints and States."""
     saved, expected = {}, []
     for name, make in MAKERS.items():
         run = droplet_of(make())
         run.integrator.step(6)
-        if kind == "checkpoint":
-            saved[name] = kind, run.context.createCheckpoint()
-        else:
-            everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
-            saved[name] = kind, openmm.XmlSerializer.serialize(run.context.getState(**everything))
+        everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+        saved[name, "checkpoint"] = run.context.createCheckpoint()
+        saved[name, "State"] = openmm.XmlSerializer.serialize(run.context.getState(**everything))
         run.integrator.step(7)
         own = {"hybrid": "tally", "rescaling": "heat"}
         tally = getattr(run.integrator, own[name])() if name in own else None
-        expected.append(f"{name} {kind} {hashlib.sha256(snapshot(run)).hexdigest()} {tally}")
+        digest = hashlib.sha256(snapshot(run)).hexdigest()
+        expected += [f"{name} {kind} {digest} {tally}" for kind in ("checkpoint", "State")]
     file = tmp_path / "saved"
     file.write_bytes(pickle.dumps(saved))
     here = Path(__file__).parent

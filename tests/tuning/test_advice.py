@@ -52,7 +52,7 @@ def test_the_promised_forces_are_those_of_a_simulation(updates):
     if updates != "remover":
         system.addForce(openmm.MonteCarloBarostat(1.0, 300.0))
         # Three standard deviations: a trial of the barostat costs more when it is accepted.
-        chance, steps = 0.06, 500
+        chance, steps = 0.085, 250
     some = {"duration": 0.02, "levels": 3, "report": None}
     result = rb.tune(system, start, schemes=schemes, platform="Reference", **some)
     for name in (*schemes, VERLET):
