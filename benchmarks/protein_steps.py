@@ -26,12 +26,13 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from default_temperatures import BOX, BURN, FORCES, LOOKED, TEMPERATURE, Estimator, R, pressed
+from group_temperatures import Groups
 from one_line import simulation_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.files import written_whole
@@ -39,10 +40,23 @@ from openmm_exactrb.schemes import splitting
 from peptide import PEPTIDE
 from protein import FORCE_FIELD
 
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "protein_steps.csv"
 OUT = Path("out/protein_steps")
 OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}
+TEMPERATURE, BOX = 300.0, 1.95  # K, nm before the barostat
+BURN, LOOKED = 4.0, 0.05  # ps that are not counted, and ps at least between two samples
 HEAVY, BAROSTAT = 3.0, 0.02  # amu of heavy hydrogens; ps between two moves of the barostat
+#: How createSystem makes the forces.
+FORCES = {
+    "nonbondedMethod": app.PME,
+    "nonbondedCutoff": 0.8 * unit.nanometer,
+    "switchDistance": 0.7 * unit.nanometer,
+    "ewaldErrorTolerance": 1e-4,
+    "removeCMMotion": False,
+}
 KINDS = {
     "bonds": openmm.HarmonicBondForce,
     "angles": openmm.HarmonicAngleForce,
@@ -56,6 +70,28 @@ MEASURED = (*TEMPERATURES, "U", *KINDS, "density", "peak", "D", *CONFORMATIONS, 
 POINT = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds")
 COLUMNS = (*POINT, "seed", *MEASURED)
 EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
+# Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
+SHOWN = {
+    ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs", "#E69F00", "s"),
+    ("LangevinMiddle", "solute", "4.0"): ("LangevinMiddleIntegrator, 4 fs (water as it is)", "#D55E00", "o"),
+    ("W2_3m", "all", "8.0"): ("W2_3m, a force every 8 fs", "#0072B2", "D"),
+    ("W2_3m", "all", "10.0"): ("W2_3m, a force every 10 fs", "#56B4E9", "^"),
+}
+GROUPS = {
+    "T_tr": "water,\ntranslation",
+    "T_rot reported": "water,\nrotation",
+    "T_centres": "solute,\ngroups",
+    "T_XH": "solute,\nX-H",
+}
+
+
+def pressed(system: openmm.System, frequency: int, seed: int) -> openmm.System:
+    """Return a System with a barostat of 1 bar."""
+    system = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, frequency)
+    barostat.setRandomNumberSeed(seed)
+    system.addForce(barostat)
+    return system
 
 
 @cache
@@ -92,38 +128,6 @@ def start_of(pdb: Path | None) -> openmm.State:
         with written_whole(file) as out:
             out.write(openmm.XmlSerializer.serialize(state))
     return openmm.XmlSerializer.deserialize(file.read_text())
-
-
-class Groups(Estimator):
-    """Temperatures of `Estimator`, and of what is held together in the solute: its centres, and about them.
-
-    A group is an atom with the hydrogens that constraints hold at it, and no other constraints.
-    """
-
-    def __init__(self, topology: app.Topology, system: openmm.System) -> None:
-        super().__init__(topology, system)
-        bearer = np.arange(len(self.mass))
-        light = {atom.index for atom in topology.atoms() if atom.element is app.element.hydrogen}
-        pairs = [(i, j) if j in light else (j, i) for i, j in self.constraints.T.tolist()]
-        self.separate = all(j in light and i not in light for i, j in pairs)  # not with AllBonds
-        for i, j in pairs:
-            bearer[j] = i
-        _, self.group = np.unique(bearer[self.solute], return_inverse=True)
-        self.centres = 3 * (1 + int(self.group.max()))
-
-    def __call__(self, x: np.ndarray, v: np.ndarray) -> dict[str, float]:
-        """Return the temperatures by name."""
-        found = super().__call__(x, v)
-        if not self.separate:
-            return found | {"T_centres": math.nan, "T_XH": math.nan}
-        m = self.mass[self.solute]
-        momenta = [np.bincount(self.group, m * part) for part in self.projected(x, v).T]
-        centres = float((np.square(momenta) / np.bincount(self.group, m)).sum())
-        about = R * self.freedom * found["T_solute"] - centres
-        return found | {
-            "T_centres": centres / (R * self.centres),
-            "T_XH": about / (R * (self.freedom - self.centres)),
-        }
 
 
 def dihedral(x: np.ndarray) -> float:
@@ -303,6 +307,36 @@ def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
                 yield f"    {name:18} {values.mean():10.4f} +- {error:.4f}"
 
 
+def draw(rows: dict[tuple[str, ...], Row], file: Path) -> None:
+    """Draw the temperatures of the groups, as a State has them, and the energy of a molecule of water."""
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9.0, 4.0), layout="constrained", gridspec_kw={"width_ratios": [4, 1]}
+    )
+    of_peptide = {"solute": "peptide", "friction": "5.0", "ensemble": "NVT", "constraints": "HBonds"}
+    places = np.arange(len(GROUPS))
+    for k, ((integrator, masses, fs), (label, colour, marker)) in enumerate(SHOWN.items()):
+        point = of_peptide | {"integrator": integrator, "masses": masses, "fs": fs}
+        runs = [row for row in rows.values() if all(row[name] == value for name, value in point.items())]
+        runs = [row for row in runs if math.isfinite(float(row["U"]))]
+        if len(runs) < 2:
+            continue
+        style = {"fmt": marker, "color": colour, "capsize": 3, "ms": 6}
+        values = np.array([[float(row[name]) for name in (*GROUPS, "U")] for row in runs])
+        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(len(runs))
+        left.errorbar(places + 0.13 * (k - 1.5), means[:-1], errors[:-1], label=label, **style)
+        right.errorbar([k], means[-1:], errors[-1:], **style)
+    left.axhline(TEMPERATURE, color="0.5", lw=1, zorder=0)
+    left.set_xticks(places, GROUPS.values())
+    left.set_ylabel("temperature (K)")
+    left.legend(frameon=False)
+    right.set_xlim(-1, len(SHOWN))
+    right.set_xticks([])
+    right.set_ylabel("potential energy (kJ/mol per molecule of water)")
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(file, dpi=150)
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
@@ -317,7 +351,7 @@ def parse() -> argparse.Namespace:
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
     add("--workers", type=int, default=1, help="processes (%(default)s)")
     add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
-    add("--finished", action="store_true", help="run nothing: means and errors of the record")
+    add("--finished", action="store_true", help="run nothing: means, errors and a picture")
     return parser.parse_args()
 
 
@@ -326,6 +360,7 @@ def main() -> None:
     rows = read(args.record)
     if args.finished:
         print("\n".join(summary(rows)))
+        draw(rows, args.record.with_suffix(".png"))
         return
     axes = itertools.product(range(1, args.runs + 1), args.integrators, args.masses, args.fs, args.friction)
     jobs = {}

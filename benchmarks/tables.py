@@ -114,7 +114,7 @@ def outputs() -> str:
     return table(head, body)
 
 
-# -- the default at constant temperature: benchmarks/equipartition.py and default_temperatures.py --------------------
+# -- the default at constant temperature: benchmarks/equipartition.py and protein_steps.py --------------------
 
 
 def default_temperatures() -> str:
@@ -132,14 +132,17 @@ def default_temperatures() -> str:
 
 def default_temperatures_of_a_peptide() -> str:
     """Return the same of a peptide in water."""
-    found, body = rows("default_temperatures"), []
-    steps = sorted({float(row["fs"]) for row in found})
-    names = ("T_tr", "T_rot", "T_solute", "T_rot reported", "T_solute reported", "U")
-    for step, (method, label) in product(steps, ((LFM, THEIRS[LFM]), ("default", "`BAOA`, the default"))):
-        some = [row for row in found if (row["method"], float(row["fs"])) == (method, step)]
-        body.append((f"{step:g} fs", label, *(_mean(some, name, 2 if name == "U" else 1) for name in names)))
-    units = (*(f"{name} (K)".replace("T_solute", "T_peptide") for name in names[:-1]), "U (kJ/mol)")
-    return table(("peptide", "", *units), body)
+    found, body = rows("protein_steps"), []
+    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "T_rot reported": 1, "T_solute reported": 1, "U": 2}
+    of_point = {"solute": "peptide", "masses": "plain", "friction": "5.0", "ensemble": "NVT"}
+    of_defaults = [row for row in found if all(row[key] == value for key, value in of_point.items())]
+    for step, (method, label) in product((2.0, 4.0, 6.0), ((LFM, THEIRS[LFM]), ("BAOA", "`BAOA`, the default"))):
+        some = [row for row in of_defaults if (row["integrator"], float(row["fs"])) == (method, step)]
+        if some:
+            length = f"{len(some)} x {float(some[0]['picoseconds']):g} ps"
+            body.append((f"{step:g} fs", label, length, *(_mean(some, *column) for column in names.items())))
+    units = (*(f"{name} (K)".replace("T_solute", "T_peptide") for name in names if name != "U"), "U (kJ/mol)")
+    return table(("peptide", "", "", *units), body)
 
 
 def protein_steps() -> str:

@@ -50,8 +50,12 @@ class Positions:
         """Bring the Context to the positions of any state."""
         self._written = -1
         context = self.context
-        context.setPositions(self.bodies.positions(state.rounded, self._x))
+        context.setPositions(self.placed(state))
         context.computeVirtualSites()
+
+    def placed(self, state: State) -> Array:
+        """Return the positions of all particles, with the bodies at those of any state; virtual sites are not moved."""
+        return self.bodies.positions(state.rounded, self._x)
 
     def through(self, substeps: Bound, state: State) -> State:
         """Return a state after substeps, with a new version behind each that may have changed positions."""

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import openmm
 
+from openmm_exactrb.context.bonded_terms import BondedForces, terms_of
 from openmm_exactrb.context.excerpt import Excerpt
 from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
 from openmm_exactrb.context.multiple_time_steps import FastForces
@@ -69,7 +70,8 @@ class InnerDrift:
             drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
             return drift, SlowGroups(forces, fast, self._timings)
         own, part = self._own, self._own.excerpt.part
-        fast = ContextForces(own.positions, forces.groups, self._timings, _COUNTER)
+        terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
+        fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
         alone = inner_steps(own.moving(self._free.drift), kick(fast, check), inner, repetitions)
         outside = len(part.bodies.clusters) < len(self._bodies.clusters)
         others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
