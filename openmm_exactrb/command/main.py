@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,11 +21,14 @@ _COMMANDS = {"run": run, "tune": tune, "info": info}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
-    That is 0, or 2 with one line on stderr, or 130 after Ctrl-C.
+    That is 0, or 2 with one line on stderr, or 130 after Ctrl-C, or 141 if nobody reads the output any more.
     """
     args = _parser().parse_args(arguments)
     try:
         return int(_COMMANDS[args.command].carry_out(args))
+    except BrokenPipeError:  # who reads the output, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except _ERRORS as error:
         print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

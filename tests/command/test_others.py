@@ -1,5 +1,8 @@
 """``exactrb info`` and ``exactrb tune``, and what entries of the catalogues say of themselves."""
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import openmm
@@ -16,6 +19,16 @@ def test_info_names_what_there_is(capsys):
     said = capsys.readouterr().out
     for name in ("Reference", openmm.__version__, rb.__version__, *map(repr, rb.SCHEMES), *map(repr, rb.ROTORS)):
         assert name in said
+
+
+def test_who_reads_the_first_lines_alone_sees_no_error():
+    command = [sys.executable, "-u", "-m", "openmm_exactrb.command.main", "info"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline()
+        process.stdout.close()
+        errors = process.stderr.read()
+    assert process.returncode == 128 + signal.SIGPIPE
+    assert "Broken pipe" not in errors
 
 
 def test_a_target_out_of_reach_has_a_status_of_its_own(serialised, capsys):
