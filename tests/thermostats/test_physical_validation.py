@@ -8,7 +8,7 @@ import validation
 pytestmark = pytest.mark.validate
 pytest.importorskip("physical_validation", reason="pip install 'openmm-exactrb[validation]'")
 
-SETTINGS = {"molecules": 64, "length": 20.0}
+SETTINGS = {"molecules": 64, "length": 100.0}
 STATES = [(298.15, None), (313.15, None), (298.15, 1.0), (298.15, 800.0)]
 
 
