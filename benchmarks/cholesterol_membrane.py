@@ -6,7 +6,8 @@ GROMACS not at its defaults: cholesterol, lipids and water then have different t
 temperature and with a MonteCarloMembraneBarostat, and by OpenMM's LangevinMiddleIntegrator, plain and with the dummy
 torsions of OpenMM's issue 3603.
 
-What papers report for LINCS are the settings that it needs; see the tutorial on cholesterol.
+Rows of LINCS are what doi:10.1021/acs.jpcb.1c03665 reports, as words. DPPC alone (--composition DPPC) is for its area
+and order, which are known from experiments.
 
 Samples go to out/benchmarks/cholesterol_membrane/METHOD-STEP.csv every 0.12 ps, with checkpoints beside them: the same
 command resumes after a break. --table prints what the files have and writes docs/cholesterol.csv.
@@ -30,9 +31,18 @@ COMPOSITIONS = {"DPPC-CHOL": {"DPPC": 0.7, "CHOL": 0.3}, "DPPC": {"DPPC": 1.0}}
 METHODS = "exact", "LangevinMiddle", "LangevinMiddle, dummy torsions"
 SAMPLE = 0.12  # ps
 COLUMNS = ("time_ps", "T_CHOL_K", "T_lipid_K", "T_W_K", "area_nm2", "order", "constraint_nm")
-TABLE = Path(__file__).resolve().parent.parent / "docs" / "cholesterol.csv"
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+TABLES = {"DPPC-CHOL": DOCS / "cholesterol.csv", "DPPC": DOCS / "dppc.csv"}
+HEADS = {1: "T of cholesterol, K", 2: "T of lipids, K", 3: "T of water, K", 4: "area a lipid, nm²", 5: "order of tails"}
+#: Columns of samples in the tables: with cholesterol the area rises for nanoseconds, and is not shown.
+SHOWN = {"DPPC-CHOL": (1, 2, 3), "DPPC": (2, 3, 4, 5)}
+PUBLISHED = (
+    ("LINCS, defaults (published)", "20, 30", "", *3 * ["unequal"], "not converged"),
+    ("LINCS, lincs_iter 2, lincs_order 12 (published)", 20, "", *3 * ["equal"], "converged"),
+    ("LINCS, lincs_iter 3, lincs_order 12 (published)", 30, "", *3 * ["equal"], "converged"),
+)
 #: Samples that are left out, in ps, and blocks of the error.
-BURN_IN, BLOCKS = 12.0, 10
+BURN_IN, BLOCKS = {"DPPC-CHOL": 12.0, "DPPC": 1000.0}, 10
 
 
 class Membrane:
@@ -190,11 +200,12 @@ def blocked(replicas):
 
 
 def tabulate(composition, folder):
-    """Write the table of a composition from the samples, the first BURN_IN ps left out."""
-    with TABLE.open("w") as file:
+    """Write the table of a composition from the samples, the first ones left out."""
+    with TABLES[composition].open("w") as file:
         out = csv.writer(file)
-        head = "integrator", "step, fs", "length, ps", "T of cholesterol, K", "T of lipids, K", "T of water, K"
-        out.writerow((*head, "area a molecule, nm²", "order of tails", "largest constraint error, nm"))
+        columns = SHOWN[composition]
+        heads = (HEADS[column] for column in columns)
+        out.writerow(("integrator", "step, fs", "length, ps", *heads, "largest constraint error, nm"))
         for method in METHODS:
             for step in (20, 30):
                 name = f"{method}-{step}fs".replace(", ", "-").replace(" ", "-")
@@ -204,16 +215,18 @@ def tabulate(composition, folder):
                 broken = [run[~np.isfinite(run[:, 2]), 0] for run in runs]
                 if any(times.size for times in broken):
                     first = min(times[0] for times in broken if times.size)
-                    out.writerow((method, step, f"nan after {first:g}", *6 * ["nan"]))
+                    out.writerow((method, step, f"nan after {first:g}", *(len(columns) + 1) * ["nan"]))
                     continue
-                kept = [run[run[:, 0] > BURN_IN] for run in runs]
+                kept = [run[run[:, 0] > BURN_IN[composition]] for run in runs]
                 kept = [run for run in kept if len(run) >= BLOCKS]
                 if not kept:
                     continue
                 length = sum(len(run) for run in kept) * SAMPLE
-                numbers = [blocked([run[:, column] for run in kept]) for column in range(1, 6)]
+                numbers = [blocked([run[:, column] for run in kept]) for column in columns]
                 out.writerow((method, step, f"{length:.0f}", *numbers, f"{max(r[:, 6].max() for r in kept):.1e}"))
-    print(TABLE.read_text())
+        if composition == "DPPC-CHOL":
+            out.writerows(PUBLISHED)
+    print(TABLES[composition].read_text())
 
 
 def draw(composition, folder):
@@ -250,7 +263,7 @@ def draw(composition, folder):
     axes.set_xlabel("x (nm)")
     axes.set_ylabel("z (nm)")
     axes.set_title(f"{composition} in water: cholesterol in orange")
-    figure.savefig(TABLE.with_suffix(".png"), dpi=110)
+    figure.savefig(TABLES[composition].with_suffix(".png"), dpi=110)
 
 
 def main():
@@ -262,13 +275,16 @@ def main():
     parser.add_argument("--seed", type=int, default=1, help="of the noise: replicas may run side by side (%(default)s)")
     parser.add_argument("--equilibrate", type=float, default=45.0, help="ps (%(default)s)")
     parser.add_argument("--length", type=float, default=3000.0, help="ps (%(default)s)")
-    parser.add_argument("--table", action="store_true", help="write docs/cholesterol.csv and .png from what is there")
+    parser.add_argument(
+        "--table", action="store_true", help="write docs/cholesterol.csv and .png, or dppc.csv, from what is there"
+    )
     args = parser.parse_args()
     folder = OUT / "cholesterol_membrane" / args.composition
     folder.mkdir(parents=True, exist_ok=True)
     if args.table:
         tabulate(args.composition, folder)
-        draw(args.composition, folder)
+        if args.composition == "DPPC-CHOL":
+            draw(args.composition, folder)
         return
     start = equilibrated(Membrane(args.composition, args.per_side), args.equilibrate, folder / "start.xml")
     for method in args.methods:
