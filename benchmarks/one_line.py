@@ -5,8 +5,13 @@ thread, through `Simulation.step` with a report every 100 steps. Processor times
 integrators take turns, so that all of them meet the same neighbours on the machine. With --energies also the standard
 deviation of the total energy over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
 
+With --long the time per force evaluation, and how much is simulated in an hour, of a protein with a force every 8 and
+10 fs (`W2_3m`, all hydrogens of 3 amu), in relation to LangevinMiddleIntegrator at 4 fs with heavy hydrogens of the
+solute. With two threads that is wall time, and the machine should be quiet.
+
     python benchmarks/one_line.py
     python benchmarks/one_line.py --energies --molecules 216 --starts 3
+    python benchmarks/one_line.py --long --pdb villin.pdb
 """
 
 from __future__ import annotations
@@ -15,6 +20,7 @@ import argparse
 import io
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -31,6 +37,15 @@ PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Inte
         lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, FRICTION, STEP),
     ),
 }
+# Of --long: masses of hydrogens, the integrator, force evaluations per step, and fs between two of them.
+LONG: dict[str, tuple[str, Callable[[], openmm.Integrator], int, float]] = {
+    "LangevinMiddle, 2 fs": ("plain", lambda: openmm.LangevinMiddleIntegrator(300, 5, 0.002), 1, 2.0),
+    "LangevinMiddle, 4 fs": ("solute", lambda: openmm.LangevinMiddleIntegrator(300, 5, 0.004), 1, 4.0),
+    "the default, 2 fs": ("plain", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.002), 1, 2.0),
+    "W2_3m, 8 fs": ("all", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.024, scheme="W2_3m"), 3, 8.0),
+    "W2_3m, 10 fs": ("all", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.030, scheme="W2_3m"), 3, 10.0),
+}
+REFERENCE = "LangevinMiddle, 4 fs"
 SMOOTH = {"switchDistance": 0.8 * unit.nanometer, "ewaldErrorTolerance": 1e-5}
 
 
@@ -47,9 +62,9 @@ def system_of(topology: app.Topology, **options) -> openmm.System:
     return app.ForceField(*FORCE_FIELD).createSystem(topology, **cutoff, **options)
 
 
-def simulation_of(topology, system, integrator, start=None) -> app.Simulation:
+def simulation_of(topology, system, integrator, start=None, threads: int = 1) -> app.Simulation:
     platform = openmm.Platform.getPlatform("CPU")
-    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, {"Threads": "1"})
+    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, {"Threads": f"{threads}"})
     if start is not None:
         made.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
         made.context.setPositions(start.getPositions())
@@ -93,6 +108,33 @@ def costs(topology, system, start, rounds: int) -> None:
         )
 
 
+def long_steps(topology, positions, rounds: int, threads: int) -> None:
+    """Print times per force evaluation of a protein with long steps, and what is simulated per hour."""
+    clock = time.process_time if threads == 1 else time.perf_counter
+    systems = {"plain": system_of(topology)}
+    for masses in ("solute", "all"):
+        systems[masses] = system_of(topology)
+        rb.heavy_hydrogens(systems[masses], topology, water=masses == "all")
+    start, runs = start_of(topology, systems["plain"], positions, 1), {}
+    for name, (masses, make, evaluations, _) in LONG.items():
+        runs[name] = simulation_of(topology, systems[masses], make(), start, threads)
+        runs[name].context.applyConstraints(1e-8)
+        runs[name].context.setVelocitiesToTemperature(TEMPERATURE, 1)
+        runs[name].step(12 // evaluations)
+    times: dict[str, list[float]] = {name: [] for name in LONG}
+    for k in range(rounds):
+        for name in list(LONG)[:: 1 if k % 2 else -1]:
+            begun = clock()
+            runs[name].step(24 // LONG[name][2])
+            times[name].append((clock() - begun) / 24)
+    for name, spent in times.items():
+        ratio = float(np.median(np.array(spent) / times[REFERENCE]))
+        print(
+            f"{name:22} {1000 * np.median(spent):6.2f} ms per force evaluation, {ratio:.3f} of {REFERENCE}; "
+            f"simulated per hour: {LONG[name][3] / LONG[REFERENCE][3] / ratio:.2f} times as much"
+        )
+
+
 def energies(topology, system, positions, starts: int, picoseconds: float) -> None:
     """Print the standard deviation of the total energy over whole runs of both integrators."""
     spreads: list[list[float]] = [[], []]
@@ -117,10 +159,18 @@ def main() -> None:
     add("--molecules", type=int, default=887, help="of water in the box (%(default)s)")
     add("--residues", type=int, default=35, help="of the helix; 0 for none (%(default)s)")
     add("--rounds", type=int, default=8)
+    add("--long", action="store_true", help="long steps of a protein instead")
+    add("--pdb", type=Path, help="of --long: a solvated protein instead of the helix")
+    add("--threads", type=int, default=1, help="of --long (%(default)s)")
     add("--energies", action="store_true", help="energy errors instead of times")
     add("--starts", type=int, default=3)
     add("--picoseconds", type=float, default=30.0)
     args = parser.parse_args()
+    if args.long:
+        pdb = None if args.pdb is None else app.PDBFile(str(args.pdb))
+        some = solvated_helix(args.residues) if pdb is None else (pdb.topology, pdb.positions)
+        long_steps(*some, args.rounds, args.threads)
+        return
     topology, positions = box(args.molecules)
     if args.energies:
         smooth = system_of(topology, **SMOOTH, removeCMMotion=False)

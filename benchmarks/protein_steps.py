@@ -72,10 +72,9 @@ COLUMNS = (*POINT, "seed", *MEASURED)
 EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
 # Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
 SHOWN = {
-    ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs", "#E69F00", "s"),
-    ("LangevinMiddle", "solute", "4.0"): ("LangevinMiddleIntegrator, 4 fs (water as it is)", "#D55E00", "o"),
-    ("W2_3m", "all", "8.0"): ("W2_3m, a force every 8 fs", "#0072B2", "D"),
-    ("W2_3m", "all", "10.0"): ("W2_3m, a force every 10 fs", "#56B4E9", "^"),
+    ("LangevinMiddle", "plain", "2.0"): ("LangevinMiddleIntegrator, 2 fs", "#E69F00", "s"),
+    ("LangevinMiddle", "plain", "4.0"): ("LangevinMiddleIntegrator, 4 fs", "#D55E00", "o"),
+    ("W2_3m", "all", "8.0"): ("W2_3m, a force every 8 fs, heavy hydrogens", "#0072B2", "D"),
 }
 GROUPS = {
     "T_tr": "water,\ntranslation",
@@ -323,7 +322,7 @@ def draw(rows: dict[tuple[str, ...], Row], file: Path) -> None:
         style = {"fmt": marker, "color": colour, "capsize": 3, "ms": 6}
         values = np.array([[float(row[name]) for name in (*GROUPS, "U")] for row in runs])
         means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(len(runs))
-        left.errorbar(places + 0.13 * (k - 1.5), means[:-1], errors[:-1], label=label, **style)
+        left.errorbar(places + 0.16 * (k - 1), means[:-1], errors[:-1], label=label, **style)
         right.errorbar([k], means[-1:], errors[-1:], **style)
     left.axhline(TEMPERATURE, color="0.5", lw=1, zorder=0)
     left.set_xticks(places, GROUPS.values())

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from equipartition_record import FRICTION, LFM, RECORD, markdown, points, read, shown, with_error
+from equipartition_record import LFM, markdown, with_error
+from openmm_exactrb import SCHEMES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
@@ -114,24 +115,11 @@ def outputs() -> str:
     return table(head, body)
 
 
-# -- the default at constant temperature: benchmarks/equipartition.py and protein_steps.py --------------------
+# -- the default at constant temperature: benchmarks/protein_steps.py --------------------
 
 
 def default_temperatures() -> str:
-    """Return temperatures and energies of the default and of LangevinMiddleIntegrator."""
-    record, body = {point[:5]: point for point in points(read(RECORD))}, []
-    for step, (method, label) in product((2.0, 4.0, 6.0), ((LFM, THEIRS[LFM]), ("BAOA", "`BAOA`, the default"))):
-        point = record.get(("spce", "NVT", method, step, FRICTION))
-        if point is not None:
-            reported = shown(point.found, "T_rot - T_tr") if method == LFM else "the same"
-            constrained = shown(point.found, "other T_rot - T_tr" if method == LFM else "T_rot - T_tr")
-            cells = (shown(point.found, "T_tr"), constrained, reported, shown(point.found, "U"))
-            body.append((f"{step:g} fs", label, f"{point.ps:g} ps", *cells))
-    return table(("SPC/E", "", "", "T_tr (K)", "T_rot − T_tr (K)", "as reported (K)", "U (kJ/mol)"), body)
-
-
-def default_temperatures_of_a_peptide() -> str:
-    """Return the same of a peptide in water."""
+    """Return temperatures and energies of the default and of LangevinMiddleIntegrator, of a peptide in water."""
     found, body = rows("protein_steps"), []
     names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "T_rot reported": 1, "T_solute reported": 1, "U": 2}
     of_point = {"solute": "peptide", "masses": "plain", "friction": "5.0", "ensemble": "NVT"}
@@ -154,11 +142,19 @@ def protein_steps() -> str:
         distinct(found, *keys), key=lambda key: (key[1], float(key[2]), key[0])
     ):
         some = [row for row in found if tuple(row[key] for key in keys) == (integrator, masses, fs, length)]
-        if len(some) < 2:  # without an error
+        if len(some) < 2 or (masses == "plain" and (integrator, fs) != (LFM, "2.0")):  # no error, or for another table
             continue
         label = THEIRS.get(integrator, f"`{integrator}`")
         cells = (_mean(some, name, digits) for name, digits in names.items())
-        body.append((masses, f"{float(fs):g} fs", label, f"{len(some)} x {float(length):g} ps", *cells))
+        body.append(
+            (
+                {"plain": "none"}.get(masses, masses),
+                f"{float(fs):g} fs",
+                label,
+                f"{len(some)} x {float(length):g} ps",
+                *cells,
+            )
+        )
     units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
     return table(("hydrogens of 3 amu", "", "", "", *units), body)
 
@@ -194,6 +190,33 @@ def validation() -> str:
     return table(("integrator", "at", *TESTS.values()), body)
 
 
+def ensembles() -> str:
+    """Return by how many standard errors the ratios of two distributions are off, and how energies converge."""
+    found = [row for row in rows("physical_validation") if row["test"] in ("ensemble", "convergence")]
+    body = [(row["integrator"], row["point"], row["test"], row["value"]) for row in found]
+    return table(("integrator", "of", "test", "value"), body)
+
+
+# -- schemes of others: benchmarks/water.py ---------------------------------------------------------------------------
+
+
+def earlier_schemes() -> str:
+    """Return the energy error of water by schemes of others and of this project, at equal rates of evaluations."""
+    found = {
+        (row["method"], row["force_evaluations_a_ps"]): float(row["energy_std_30_ps"])
+        for row in rows("water_earlier_schemes")
+    }
+    methods, rates = (list(dict.fromkeys(key[k] for key in found)) for k in (0, 1))
+    methods.sort(key=lambda name: (name in SCHEMES, name.startswith("W"), name in SCHEMES and SCHEMES[name].order))
+    body = []
+    for name in methods:
+        scheme = SCHEMES.get(name)
+        label = (f"`{name}`", f"{scheme.order}") if scheme else ("`VerletIntegrator`", "2")
+        errors = (found.get((name, rate), math.nan) for rate in rates)
+        body.append((*label, *(f"{error:.1e}" if error < 1.0 else "unstable" for error in errors)))
+    return table(("", "order", *(f"{rate} per ps" for rate in rates)), body)
+
+
 # -- single figures of the pages -------------------------------------------------------------------------------------
 
 
@@ -224,7 +247,7 @@ def rounded(value: float) -> str:
 def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     makers = (
-        *(default_energies, default_stability, outputs, default_temperatures, protein_steps),
-        *(default_temperatures_of_a_peptide, validation),
+        *(default_energies, default_stability, default_temperatures),
+        *(outputs, protein_steps, validation, ensembles, earlier_schemes),
     )
     return {maker.__name__: maker() for maker in makers}
