@@ -11,6 +11,8 @@ pytest.importorskip("physical_validation", reason="pip install 'openmm-exactrb[v
 SETTINGS = {"molecules": 64, "length": 100.0}
 STATES = [(298.15, None), (313.15, None), (298.15, 1.0), (298.15, 800.0)]
 
+CANONICAL = ["Langevin", "Rescaling", "NoseHoover", "Hybrid"]
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
@@ -22,11 +24,12 @@ def judged(name, states, folder, interval=0.002, **settings):
     return validation.verdicts({point: [validation.make(point, folder)] for point in points})
 
 
-@pytest.mark.parametrize("name", ["Langevin", "Rescaling", "NoseHoover", "Hybrid"])
-def test_kinetic_energies_parts_and_ensembles_are_canonical(name, folder):
+# With velocity rescaling too few volumes of such a run are independent for a ratio of distributions.
+@pytest.mark.parametrize(("name", "states"), [(name, STATES[: 2 if name == "Rescaling" else 4]) for name in CANONICAL])
+def test_kinetic_energies_parts_and_ensembles_are_canonical(name, states, folder):
     """With the hundred numbers here one above 3.5 errors is expected in twenty runs of all, and one p below 1e-3."""
-    found = judged(name, STATES, folder)
-    assert sum(verdict.test == "ensemble" for verdict in found) == 2
+    found = judged(name, states, folder)
+    assert sum(verdict.test == "ensemble" for verdict in found) == len(states) // 2
     for verdict in found:
         if verdict.test.endswith(" p"):
             assert verdict.value > 1e-3, verdict
