@@ -283,9 +283,8 @@ def main():
         if args.composition == "DPPC-CHOL":
             draw(args.composition, folder)
         return
-    lattice = Membrane(
-        args.composition, args.per_side, area_changes=args.composition != "DPPC"
-    )  # it is that of the fluid
+    fluid = args.composition == "DPPC"  # whose area the lattice has: the water has to find its density first
+    lattice = Membrane(args.composition, args.per_side, area_changes=not fluid)
     start = equilibrated(lattice, args.equilibrate, folder / "start.xml")
     for method in args.methods:
         for step in args.steps:

@@ -31,6 +31,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from equipartition_record import FRICTION, GOALS, LABELS, LFM, NAMES, RECORD, Point, Run, merge, points, read
+from group_temperatures import of_rigid
 from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble.execution import stored_result
 from openmm_exactrb.schemes import splitting
@@ -146,24 +147,16 @@ def of_openmm(context: openmm.Context, n: int):
     system = context.getSystem()
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
     atoms = np.flatnonzero(masses).reshape(n, -1)
-    m = masses[atoms[0]][:, None]
 
     def look() -> dict[str, float]:
         state = context.getState(positions=True, velocities=True)
         x = state.getPositions(asNumpy=True)._value[atoms]
         v = state.getVelocities(asNumpy=True)._value[atoms]
-        V = (m * v).sum(axis=1) / m.sum()
-        r = x - (m * x).sum(axis=1, keepdims=True) / m.sum()
-        L = (m * np.cross(r, v)).sum(axis=1)
-        squares = np.einsum("kx,nki,nki->n", m, r, r)
-        inertia = squares[:, None, None] * np.eye(3) - np.einsum("kx,nki,nkj->nij", m, r, r)
-        translational = 0.5 * m.sum() * float((V * V).sum())
-        rotational = 0.5 * float((L * np.linalg.solve(inertia, L[..., None])[..., 0]).sum())
-        kinetic = 0.5 * float((m * v * v).sum())
+        translation, rotation, all_but_translation = of_rigid(masses[atoms[0]], x, v)
         return {
-            "T_tr": temperature(translational, n),
-            "T_rot": temperature(kinetic - translational, n),
-            "T_rot, other": temperature(rotational, n),
+            "T_tr": temperature(translation, n),
+            "T_rot": temperature(all_but_translation, n),
+            "T_rot, other": temperature(rotation, n),
         }
 
     return look

@@ -16,6 +16,22 @@ from openmm import app, unit
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
+def of_rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
+    """Return kinetic energies of molecules: of translation, of rotation as rigid bodies, and of all but translation.
+
+    Masses (k,) are those of a molecule, positions and velocities (n, k, 3) those of all.
+    """
+    m = masses[:, None]
+    V = (m * v).sum(axis=1) / m.sum()
+    r = x - (m * x).sum(axis=1, keepdims=True) / m.sum()
+    L = (m * np.cross(r, v)).sum(axis=1)
+    squares = np.einsum("kx,nki,nki->n", m, r, r)
+    inertia = squares[:, None, None] * np.eye(3) - np.einsum("kx,nki,nkj->nij", m, r, r)
+    translation = 0.5 * m.sum() * float((V * V).sum())
+    rotation = 0.5 * float((L * np.linalg.solve(inertia, L[..., None])[..., 0]).sum())
+    return translation, rotation, 0.5 * float((m * v * v).sum()) - translation
+
+
 class Groups:
     """Temperatures in K from positions (nm) and velocities (nm/ps) of all particles.
 
@@ -47,7 +63,7 @@ class Groups:
 
     def __call__(self, x: np.ndarray, v: np.ndarray) -> dict[str, float]:
         """Return the temperatures by name."""
-        translation, rotation, reported = self._of_water(x[self.water], v[self.water])
+        translation, rotation, reported = of_rigid(self.mass[self.water[0]], x[self.water], v[self.water])
         m, n, after = self.mass[self.solute], 3 * len(self.water), self.projected(x, v)
         inner, raw = (0.5 * float((m[:, None] * u * u).sum()) for u in (after, v[self.solute]))
         kinetic = {
@@ -65,18 +81,6 @@ class Groups:
             kinetic["T_centres"] = centres / self.centres
             kinetic["T_XH"] = (inner - centres) / (self.freedom - self.centres)
         return {name: 2.0 * energy / R for name, energy in kinetic.items()}
-
-    def _of_water(self, x: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
-        """Return kinetic energies of translation, of rotation as a rigid body, and of all that is no translation."""
-        m = self.mass[self.water[0]][:, None]
-        V = (m * v).sum(axis=1) / m.sum()
-        r = x - (m * x).sum(axis=1, keepdims=True) / m.sum()
-        L = (m * np.cross(r, v)).sum(axis=1)
-        squares = np.einsum("kx,nki,nki->n", m, r, r)
-        inertia = squares[:, None, None] * np.eye(3) - np.einsum("kx,nki,nkj->nij", m, r, r)
-        translation = 0.5 * m.sum() * float((V * V).sum())
-        rotation = 0.5 * float((L * np.linalg.solve(inertia, L[..., None])[..., 0]).sum())
-        return translation, rotation, 0.5 * float((m * v * v).sum()) - translation
 
     def projected(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the velocities of the solute without their parts along constraints."""

@@ -39,11 +39,21 @@ PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Inte
 }
 # Of --long: masses of hydrogens, the integrator, force evaluations per step, and fs between two of them.
 LONG: dict[str, tuple[str, Callable[[], openmm.Integrator], int, float]] = {
-    "LangevinMiddle, 2 fs": ("plain", lambda: openmm.LangevinMiddleIntegrator(300, 5, 0.002), 1, 2.0),
-    "LangevinMiddle, 4 fs": ("solute", lambda: openmm.LangevinMiddleIntegrator(300, 5, 0.004), 1, 4.0),
-    "the default, 2 fs": ("plain", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.002), 1, 2.0),
-    "W2_3m, 8 fs": ("all", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.024, scheme="W2_3m"), 3, 8.0),
-    "W2_3m, 10 fs": ("all", lambda: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.030, scheme="W2_3m"), 3, 10.0),
+    "LangevinMiddle, 2 fs": ("plain", lambda: openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002), 1, 2.0),
+    "LangevinMiddle, 4 fs": ("solute", lambda: openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.004), 1, 4.0),
+    "the default, 2 fs": ("plain", lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.002), 1, 2.0),
+    "W2_3m, 8 fs": (
+        "all",
+        lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.024, scheme="W2_3m"),
+        3,
+        8.0,
+    ),
+    "W2_3m, 10 fs": (
+        "all",
+        lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.030, scheme="W2_3m"),
+        3,
+        10.0,
+    ),
 }
 REFERENCE = "LangevinMiddle, 4 fs"
 SMOOTH = {"switchDistance": 0.8 * unit.nanometer, "ewaldErrorTolerance": 1e-5}

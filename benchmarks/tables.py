@@ -115,7 +115,7 @@ def outputs() -> str:
     return table(head, body)
 
 
-# -- the default at constant temperature: benchmarks/protein_steps.py --------------------
+# -- the default at constant temperature: benchmarks/protein_steps.py ------------------------------------------------
 
 
 def default_temperatures() -> str:
@@ -246,8 +246,8 @@ def rounded(value: float) -> str:
 
 def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
-    makers = (
+    functions = (
         *(default_energies, default_stability, default_temperatures),
         *(outputs, protein_steps, validation, ensembles, earlier_schemes),
     )
-    return {maker.__name__: maker() for maker in makers}
+    return {function.__name__: function() for function in functions}

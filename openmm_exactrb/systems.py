@@ -194,7 +194,7 @@ def dipole_fluid(
 
 
 def _places_a_side(n: int) -> int:
-    """Return the coordinates along an edge of the smallest cube that has n."""
+    """Return how many lattice sites an edge of the smallest cube with n sites has."""
     return next(k for k in range(1, n + 1) if k**3 >= n)
 
 

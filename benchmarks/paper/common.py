@@ -3,7 +3,7 @@
 Every script of this folder has `NAME`, `TITLE`, `PICTURES`, `compute(quick) -> data`, `draw(data)`, `table(data)` and
 `claims(data)`, and hands itself to `main`. `PICTURES` says of each picture what it shows, for those who cannot see it. The
 full version keeps its data and pictures in docs/paper, the quick one in out/paper/quick/paper. Finished pieces of the work
-lie in out/paper/pieces, so that a run that was stopped goes on.
+lie in out/paper/pieces, so that a run that was stopped continues.
 """
 
 from __future__ import annotations

@@ -42,13 +42,12 @@ class BondedForces(ContextForces):
         self._terms, self._sum = terms, kernels.load("bonded", "numba").forces
 
     def _evaluated(self, state: State, present: bool) -> Force:
-        start, timings = time.perf_counter(), self._timings
+        start = time.perf_counter()
         x = self.positions.placed(state)
         out = np.empty_like(x)
         self._sum(x, *self._terms, out)
         found = self.positions.bodies.forces(state.rounded, out)
-        timings.forces += time.perf_counter() - start
-        setattr(timings, self._counter, getattr(timings, self._counter) + 1)
+        self._count(start)
         return found
 
 

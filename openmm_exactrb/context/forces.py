@@ -199,12 +199,16 @@ class ContextForces(Forces):
 
     def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
         """Return what OpenMM evaluates at the positions of a state; every evaluation is counted here."""
-        start, timings = time.perf_counter(), self._timings
+        start = time.perf_counter()
         place(state)
         found = self.positions.context.getState(groups=self.groups, **kinds)
-        timings.forces += time.perf_counter() - start
-        setattr(timings, self._counter, getattr(timings, self._counter) + 1)
+        self._count(start)
         return found
+
+    def _count(self, start: float) -> None:
+        """Count an evaluation that began at this time."""
+        self._timings.forces += time.perf_counter() - start
+        setattr(self._timings, self._counter, getattr(self._timings, self._counter) + 1)
 
 
 class SlowGroups(ContextForces):
