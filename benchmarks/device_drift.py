@@ -1,11 +1,13 @@
-"""The drift of the energy on a device in mixed precision, and that of the same droplets on the host.
+"""The drift of the energy on a device in mixed precision, and that of the same systems on the host.
 
-Droplets of rigid water, each start on both engines, 100 000 steps. Printed for each run: the slope of the total energy
-per molecule, of a straight line through it, and how far the energy is from that line; at the end, of each engine, the
-mean slope of all starts with its standard error. The kinetic energy is that of the bodies in float64, the potential
+Droplets of rigid water, or with --peptide alanine dipeptide in a box of water with inner steps for its bonded forces;
+each start on both engines. Printed for each run: the slope of the total energy per molecule, of a straight line through
+it, and how far the energy is from that line; at the end, of each engine, the mean slope of all starts with its standard
+error. The kinetic energy is that of the bodies in float64, the potential
 energy that of the platform.
 
     python benchmarks/device_drift.py --platform CUDA
+    python benchmarks/device_drift.py --platform CUDA --peptide --scheme S2_3 --step 0.012 --steps 8400 --every 20
 """
 
 from __future__ import annotations
@@ -18,18 +20,28 @@ import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
+import protein_steps
 
 RT = (unit.MOLAR_GAS_CONSTANT_R * 100.0 * unit.kelvin).value_in_unit(unit.kilojoule_per_mole)
 
 
 def energies(engine, seed, options):
     """Return times (ns) and total energies (kJ/mol) of a run."""
-    _, system, positions = rb.rigid_water(options.molecules)
-    integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine)
     platform = openmm.Platform.getPlatform(options.platform)
-    context = openmm.Context(system, integrator, platform, {"Precision": "mixed"})
+    if options.peptide:
+        _, system, _ = protein_steps.molecules(None, "plain", "HBonds")
+        start, kelvin = protein_steps.start_of(None), 300.0
+        system.setDefaultPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+        positions = start.getPositions()
+    else:
+        _, system, positions = rb.rigid_water(options.molecules)
+        kelvin = 100.0
+    fast = "bonded" if options.peptide else None
+    integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine, fast=fast)
+    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, platform, {"Precision": "mixed"})
     context.setPositions(positions)
-    integrator.setVelocitiesToTemperature(100.0, seed)
+    integrator.setVelocitiesToTemperature(kelvin, seed)
+    integrator.step(options.every)
     found = []
     for _ in range(options.steps // options.every):
         integrator.step(options.every)
@@ -42,19 +54,22 @@ def main():
     parser.add_argument("--platform", default="CUDA")
     parser.add_argument("--scheme", default="S2_2", choices=tuple(rb.SCHEMES))
     parser.add_argument("--molecules", type=int, default=8)
+    parser.add_argument("--peptide", action="store_true", help="in 212 molecules of water, at 300 K")
     parser.add_argument("--step", type=float, default=0.0005, help="in ps")
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--every", type=int, default=100, help="steps between two energies")
     parser.add_argument("--starts", type=int, default=3)
     parser.add_argument("--first", type=int, default=1, help="seed of the first start; the next one has the next seed")
     options = parser.parse_args()
+    what = "peptide in 212 molecules" if options.peptide else f"{options.molecules} molecules at 100 K"
+    molecules = 213 if options.peptide else options.molecules
     slopes = {"host": [], "device": []}
-    print(f"{options.platform}, mixed, {options.scheme}, {options.molecules} molecules, {1e3 * options.step:g} fs")
+    print(f"{options.platform}, mixed, {options.scheme}, {what}, {1e3 * options.step:g} fs")
     print(f"{'start':>5} {'engine':7} {'kJ/mol/ns/molecule':>20} {'kJ/mol about the line':>22}")
     for seed, engine in itertools.product(range(options.first, options.first + options.starts), slopes):
         times, found = energies(engine, seed, options)
         line = np.polyfit(times, found, 1)
-        slopes[engine].append(line[0] / options.molecules)
+        slopes[engine].append(line[0] / molecules)
         rest = np.std(found - np.polyval(line, times))
         print(f"{seed:5d} {engine:7} {slopes[engine][-1]:20.2e} {rest:22.2e}", flush=True)
     for engine, found in slopes.items():

@@ -72,9 +72,10 @@ def system_of(topology: app.Topology, **options) -> openmm.System:
     return app.ForceField(*FORCE_FIELD).createSystem(topology, **cutoff, **options)
 
 
-def simulation_of(topology, system, integrator, start=None, threads: int = 1) -> app.Simulation:
-    platform = openmm.Platform.getPlatform("CPU")
-    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, {"Threads": f"{threads}"})
+def simulation_of(topology, system, integrator, start=None, threads: int = 1, device: str = "") -> app.Simulation:
+    platform = openmm.Platform.getPlatform(device or "CPU")
+    properties = {"Precision": "mixed"} if device else {"Threads": f"{threads}"}
+    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, properties)
     if start is not None:
         made.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
         made.context.setPositions(start.getPositions())

@@ -1,7 +1,7 @@
 """How rarely a protein in water may ask for forces: temperatures by group, energies by kind, density, torsions.
 
 Alanine dipeptide (amber14) in 212 molecules of TIP3P, or a solvated PDB file with --pdb: PME with a switch, bonds to
-hydrogen held, on the CPU platform with one thread. Masses are plain, or hydrogens of the solute, or all of them, have
+hydrogen held, on the CPU platform with one thread unless a device is named. Masses are plain, or hydrogens of the solute, or all of them, have
 3 amu. One estimator judges all integrators, by constrained velocities: linear and angular momenta of each molecule of
 water; the solute as a whole; of its groups X-H, X-H2 and X-H3, which constraints hold, the centres and what turns
 about them. "Reported" are the temperatures of the velocities as a State has them.
@@ -12,6 +12,7 @@ not run again, so that the command continues where it stopped and the record gro
     python benchmarks/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
     python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10
     python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --ensemble NPT
+    python benchmarks/protein_steps.py --integrators "W2_3m CUDA" --fs 8 --masses all
     python benchmarks/protein_steps.py --finished
 """
 
@@ -195,7 +196,9 @@ def integrator_of(name: str, interval: float, friction: float) -> openmm.Integra
     """Return what evaluates the nonbonded forces every `interval` ps."""
     if name in OPENMM:
         return OPENMM[name](TEMPERATURE, friction, interval)
-    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, splitting(name).forces * interval, scheme=name)
+    scheme, _, device = name.partition(" ")
+    step, engine = splitting(scheme).forces * interval, "device" if device else "host"
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, step, scheme=scheme, engine=engine)
 
 
 def means_of(
@@ -220,7 +223,7 @@ def means_of(
     step = mover.getStepSize()._value
     if ensemble == "NPT":
         system = pressed(system, max(1, round(BAROSTAT / step)), seed)
-    run = simulation_of(topology, system, mover, start_of(pdb))
+    run = simulation_of(topology, system, mover, start_of(pdb), device=integrator.partition(" ")[2])
     run.context.applyConstraints(1e-9)
     run.context.setVelocitiesToTemperature(TEMPERATURE, seed)
     try:
@@ -340,7 +343,12 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
-    add("--integrators", nargs="+", default=["LangevinMiddle", "W2_3m"], help="LangevinMiddle, or names of splittings")
+    add(
+        "--integrators",
+        nargs="+",
+        default=["LangevinMiddle", "W2_3m"],
+        help='LangevinMiddle, or names of splittings; "W2_3m CUDA" has the device engine on that platform',
+    )
     add("--masses", nargs="+", choices=["plain", "solute", "all"], default=["all"], help="whose hydrogens have 3 amu")
     add("--constraints", choices=["HBonds", "AllBonds"], default="HBonds", help="%(default)s")
     add("--fs", nargs="+", type=float, default=[2.0, 4.0, 6.0, 8.0, 10.0], help="between two nonbonded forces")
