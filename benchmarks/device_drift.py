@@ -3,8 +3,7 @@
 Droplets of rigid water, or with --peptide alanine dipeptide in a box of water with inner steps for its bonded forces;
 each start on both engines. Printed for each run: the slope of the total energy per molecule, of a straight line through
 it, and how far the energy is from that line; at the end, of each engine, the mean slope of all starts with its standard
-error. The kinetic energy is that of the bodies in float64, the potential
-energy that of the platform.
+error. The kinetic energy is that of the bodies in float64, the potential energy that of the platform.
 
     python benchmarks/device_drift.py --platform CUDA
     python benchmarks/device_drift.py --platform CUDA --peptide --scheme S2_3 --step 0.012 --steps 8400 --every 20
