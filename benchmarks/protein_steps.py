@@ -251,8 +251,10 @@ def sampled(
         volume = state.getPeriodicBoxVolume()._value
         sample = groups(x, v) | {"U": state.getPotentialEnergy()._value / n, "density": total / volume}
         for group, kind in enumerate(KINDS, 1):
-            of_kind = run.context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
-            sample[kind] = math.nan if run.context.getPlatform().getName() != "CPU" else of_kind  # one group on devices
+            of_kind = math.nan  # on devices they share a group
+            if run.context.getPlatform().getName() == "CPU":
+                of_kind = run.context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
+            sample[kind] = of_kind
         if not np.isfinite([sample["U"], sample["T_tr"], sample["T_solute"]]).all():
             raise rb.NonFiniteError("a temperature or the energy is not finite")
         samples.append(sample)

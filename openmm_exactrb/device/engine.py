@@ -18,7 +18,7 @@ from openmm_exactrb.context.propagator import inner_mark
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
-from openmm_exactrb.device import load, names
+from openmm_exactrb.device import fast_group, load, names
 from openmm_exactrb.device.gather import MOST
 from openmm_exactrb.device.noise import draws
 from openmm_exactrb.device.particle_copies import ParticleCopies
@@ -63,6 +63,7 @@ class DevicePropagator:
             ParticleCopies(context, integrator, named, pairs),
             ContextUpdates(context, named or []),
         )
+        fast_group.answer(context)
         self._integrator, self._timings = weakref.ref(integrator), timings
         timings.evaluations += 1  # OpenMM makes its kernels where it evaluates an energy
         self._table, self._scheme = selection.table, selection.scheme

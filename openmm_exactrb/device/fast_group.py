@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import re
+import weakref
 from collections.abc import Sequence
+from typing import Any
 
 import openmm
 
@@ -14,6 +17,8 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 # The name of a force that was moved ends with the group that it came from.
 _MOVED = " [of force group {}]"
 _OWN = re.compile(r"^(.*) \[of force group (\d+)\]$", re.DOTALL)
+# Where `Context.getState` has its argument `groups`.
+_GROUPS = 8
 
 
 def fast_forces(system: openmm.System, groups: Sequence[int] | None, active: int = -1) -> list[int]:
@@ -65,6 +70,41 @@ def restore(system: openmm.System) -> None:
         if moved := _OWN.match(force.getName()):
             force.setName(moved[1])
             force.setForceGroup(int(moved[2]))
+
+
+def answer(context: openmm.Context) -> None:
+    """Have `getState` of a Context find the forces that were moved by the group that they came from.
+
+    It raises ValueError if it is asked for some of the groups that they came from, but not for all.
+    """
+    method, reference = context.getState, weakref.ref(context)
+
+    @functools.wraps(method)
+    def finding(*arguments: Any, **options: Any) -> openmm.State:
+        if "groups" in options:
+            options["groups"] = _found(reference().getSystem(), options["groups"])
+        elif len(arguments) > _GROUPS:
+            found = _found(reference().getSystem(), arguments[_GROUPS])
+            arguments = (*arguments[:_GROUPS], found, *arguments[_GROUPS + 1 :])
+        return method(*arguments, **options)
+
+    context.getState = finding
+
+
+def _found(system: openmm.System, groups: Any) -> Any:
+    """Return force groups, as bits or a set, with that of the forces that were moved from them."""
+    moved = [force for force in system.getForces() if _OWN.match(force.getName())]
+    asked = set(groups) if not isinstance(groups, int) else {group for group in range(32) if groups >> group & 1}
+    from_groups = {int(_OWN.match(force.getName())[2]) for force in moved}
+    if not from_groups & asked:
+        return groups
+    if not from_groups <= asked:
+        names = ", ".join(map(str, sorted(from_groups)))
+        raise ValueError(
+            f"the fast forces of groups {names} share one group while the engine on the device has the Context: ask "
+            "for all of these groups, or for one of them in a Context of another integrator"
+        )
+    return asked | {force.getForceGroup() for force in moved}
 
 
 def any_moved(system: openmm.System) -> bool:

@@ -117,6 +117,25 @@ def test_bonded_forces_get_a_group_and_their_own_back():
     assert text(rb.device.gather.without(live)) == text(system)
 
 
+@pytest.mark.parametrize("own", [(0, 0, 0), (3, 3, 3), (3, 4, 5)])
+def test_energies_by_group_are_those_of_the_users_groups(own):
+    _, system, x = in_water()
+    kinds = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce
+    for force in system.getForces():
+        force.setForceGroup(dict(zip(kinds, own, strict=True)).get(type(force), 0))
+    context = moving(system, x, fast="bonded")
+    context.getIntegrator().step(1)
+    plain = moving(system, shown(context)[0], "host")
+    for groups in ({*own}, {0, *own}, sum(1 << group for group in {0, *own}), {0} if 0 not in own else {7}):
+        states = [c.getState(energy=True, groups=groups) for c in (context, plain)]
+        states.append(context.getState(False, False, False, True, False, False, False, False, groups))
+        device, host, by_place = (state.getPotentialEnergy()._value for state in states)
+        assert device == by_place == pytest.approx(host, rel=1e-13)
+    if len({*own}) > 1:
+        with pytest.raises(ValueError, match="the fast forces of groups 3, 4, 5 share one group"):
+            context.getState(energy=True, groups={3})
+
+
 def test_a_step_size_with_other_inner_steps_has_another_program():
     _, system, x = peptide()
     both = [moving(separated(copy.deepcopy(system)), x, engine, fast=(1,)) for engine in ("host", "device")]
