@@ -79,13 +79,16 @@ def answer(context: openmm.Context) -> None:
     """
     method, reference = context.getState, weakref.ref(context)
 
+    def found(groups: Any) -> Any:
+        alive: Any = reference()
+        return _found(alive.getSystem(), groups)
+
     @functools.wraps(method)
     def finding(*arguments: Any, **options: Any) -> openmm.State:
         if "groups" in options:
-            options["groups"] = _found(reference().getSystem(), options["groups"])
+            options["groups"] = found(options["groups"])
         elif len(arguments) > _GROUPS:
-            found = _found(reference().getSystem(), arguments[_GROUPS])
-            arguments = (*arguments[:_GROUPS], found, *arguments[_GROUPS + 1 :])
+            arguments = (*arguments[:_GROUPS], found(arguments[_GROUPS]), *arguments[_GROUPS + 1 :])
         return method(*arguments, **options)
 
     context.getState = finding
@@ -93,18 +96,17 @@ def answer(context: openmm.Context) -> None:
 
 def _found(system: openmm.System, groups: Any) -> Any:
     """Return force groups, as bits or a set, with that of the forces that were moved from them."""
-    moved = [force for force in system.getForces() if _OWN.match(force.getName())]
-    asked = set(groups) if not isinstance(groups, int) else {group for group in range(32) if groups >> group & 1}
-    from_groups = {int(_OWN.match(force.getName())[2]) for force in moved}
-    if not from_groups & asked:
-        return groups
-    if not from_groups <= asked:
-        names = ", ".join(map(str, sorted(from_groups)))
+    moved = {int(own[2]): force.getForceGroup() for force in system.getForces() if (own := _OWN.match(force.getName()))}
+    asked = {group for group in range(32) if groups >> group & 1} if isinstance(groups, int) else set(groups)
+    if moved.keys() <= asked:
+        return groups if not moved else asked | {*moved.values()}
+    if moved.keys() & asked:
+        names = ", ".join(map(str, sorted(moved)))
         raise ValueError(
             f"the fast forces of groups {names} share one group while the engine on the device has the Context: ask "
             "for all of these groups, or for one of them in a Context of another integrator"
         )
-    return asked | {force.getForceGroup() for force in moved}
+    return groups
 
 
 def any_moved(system: openmm.System) -> bool:
