@@ -209,6 +209,7 @@ def test_the_energies_by_which_starts_are_chosen_are_openmms():
         assert figure16.potential(seed) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.validate
 def test_compiled_methods_are_the_packages():
     """Those of figure 1 whose costs are compared, for momenta of all signs."""
     compiled = importlib.import_module("compiled")
