@@ -34,6 +34,16 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
     return int(value)
 
 
+def force_groups(value: Any) -> int:
+    """Return force groups, in a set or by bits, as bits; ValueError for anything else."""
+    if _index(value) and -(2**31) <= value < 2**32:
+        return int(value)
+    groups: list[Any] = [*value] if _iterable(value) else [None]
+    if not all(_index(group) and 0 <= group < 32 for group in groups):
+        raise ValueError(f"force groups must be a set of whole numbers from 0 to 31, or their bits, not {value!r}")
+    return sum(1 << group for group in {*map(int, groups)})
+
+
 def switch(value: Any, name: str) -> bool:
     """Return True or False; ValueError for anything else."""
     if not isinstance(value, bool):

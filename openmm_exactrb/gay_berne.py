@@ -104,7 +104,7 @@ def ellipsoids(
             f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: take more ellipsoids, or a "
             "shorter cutoff"
         )
-    centres = box * _lattice(n, np.random.default_rng(seed), box / sigma, kappa)
+    centres = box * _lattice(n, np.random.default_rng(checks.whole(seed, "the seed", 0)), box / sigma, kappa)
 
     across, along = mass * sigma**2 * (1.0 + kappa**2) / 20.0, mass * sigma**2 / 10.0
     sites = rigid_sites(mass, (across, across, along))

@@ -190,8 +190,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set which force groups act, as a set or by their bits."""
-        self._engine.set_groups(self, groups if isinstance(groups, int) else sum(1 << group for group in groups))
+        """Set which force groups act, as a set or by their bits; ValueError if it is neither."""
+        self._engine.set_groups(self, checks.force_groups(groups))
         self._changed()
         if isinstance(self._propagator, DevicePropagator):
             self._propagator = None  # OpenMM reads the groups where it makes the kernels

@@ -10,7 +10,7 @@ from openmm import app, unit
 from openmm_exactrb import checks
 from openmm_exactrb.context.units import stripped
 
-_WATER = Counter({"O": 1, "H": 2})
+_WATER = Counter({8: 1, 1: 2})  # by atomic numbers: deuterium is hydrogen
 
 
 def heavy_hydrogens(
@@ -67,9 +67,14 @@ def heavy_hydrogens(
         if hydrogen.index not in bearers:
             raise ValueError(
                 f"{_name(hydrogen)} is not bonded to a heavier atom in the Topology, from which its mass could come: "
-                "add the bond with topology.addBond"
+                "add the bond with topology.addBond, or make the molecule's hydrogens heavier with setParticleMass"
             )
         donor = bearers[hydrogen.index]
+        if left[donor.index] == 0.0:
+            raise ValueError(
+                f"{_name(hydrogen)} moves, but {_name(donor)}, to which it is bonded, has no mass to give: hold both, "
+                "or neither"
+            )
         left[donor.index] -= wanted - left[hydrogen.index]
         left[hydrogen.index] = wanted
         donors.add(donor)
@@ -94,7 +99,7 @@ def _is_hydrogen(atom: app.topology.Atom) -> bool:
 
 
 def _is_water(residue: app.topology.Residue) -> bool:
-    return Counter(atom.element.symbol for atom in residue.atoms() if atom.element is not None) == _WATER
+    return Counter(atom.element.atomic_number for atom in residue.atoms() if atom.element is not None) == _WATER
 
 
 def _name(atom: app.topology.Atom) -> str:

@@ -187,7 +187,7 @@ def dipole_fluid(
     if trap > 0.0:
         system.addForce(_harmonic_trap([centre for *_, centre, _ in added], trap))
 
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(checks.whole(seed, "the seed", 0))
     lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
@@ -363,7 +363,7 @@ def rigid_water(
     half = np.radians(angle) / 2.0
     x, z = distance * np.sin(half), distance * np.cos(half)
     shape = np.array([[0.0, 0.0, 0.0], [x, 0.0, z], [-x, 0.0, z]])
-    positions = _turned(np.random.default_rng(seed), spacing * (places + 0.5), shape)
+    positions = _turned(np.random.default_rng(checks.whole(seed, "the seed", 0)), spacing * (places + 0.5), shape)
     force_field = app.ForceField(file)
     modeller = app.Modeller(topology, positions)
     modeller.addExtraParticles(force_field)

@@ -215,11 +215,46 @@ def test_the_cpu_platform_agrees_with_reference():
         ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
         ({"stepSize": float("nan")}, "finite number of ps"),
         ({"stepSize": "fast"}, "finite number of ps"),
+        ({"stepSize": -0.001}, "a time step must not be negative"),
     ],
 )
 def test_wrong_settings_get_one_sentence(arguments, message):
     with pytest.raises(ValueError, match=message):
         rb.ExactRigidBodyIntegrator(**({"stepSize": 0.01} | arguments))
+
+
+def test_a_step_that_is_refused_changes_nothing():
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    with pytest.raises(ValueError, match="must not be negative"):
+        integrator.setStepSize(-0.001)
+    assert integrator.getStepSize()._value == 0.002
+    assert "0.002" in repr(integrator)
+    assert copy.copy(integrator).getStepSize()._value == 0.002
+
+
+@pytest.mark.parametrize("groups", [{32}, {-1}, [0.5], [[1]], 1.5, None, "1", True, 2**33])
+def test_force_groups_are_whole_numbers(groups):
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    with pytest.raises(ValueError, match="force groups must be a set of whole numbers from 0 to 31, or their bits"):
+        integrator.setIntegrationForceGroups(groups)
+    integrator.setIntegrationForceGroups([5, 5])
+    assert integrator.getIntegrationForceGroups() == 1 << 5
+
+
+def test_a_state_of_bodies_has_unit_quaternions():
+    _, system, positions = rb.rigid_water(2)
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    found = integrator.bodyState()
+    for wrong, message in (
+        (found[1]._replace(q=1.1 * found[1].q), "quaternions of unit length"),
+        (found[1]._replace(q=0.0 * found[1].q), "quaternions of unit length"),
+        (found, r"setBodyState\(\) takes the state of bodies, bodyState\(\)\[1\], not a tuple"),
+        (None, "not a NoneType"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            integrator.setBodyState(wrong)
 
 
 def test_a_step_size_may_have_a_unit():

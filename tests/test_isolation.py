@@ -17,6 +17,8 @@ import pytest
 import openmm_exactrb as rb
 import three_masses
 from openmm_exactrb import quaternions
+from openmm_exactrb.context.inner_drift import ExcerptContext
+from peptides import peptide
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4", "quaternion_a", 0.008)]
@@ -148,11 +150,24 @@ def test_hundreds_of_integrators_leave_nothing():
     assert growth < 0.05 * 400 * cost, f"{growth:.1f} MB stayed; a Context holds {cost:.3f} MB"
 
 
-def test_contexts_are_freed_without_the_garbage_collector():
+def nested_and_dropped():
+    """Return weak references to a Context and an integrator with inner steps that were used and dropped."""
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(x)
+    integrator.step(1)
+    inner = [found for found in gc.get_objects() if isinstance(found, ExcerptContext)]
+    assert len(inner) == 1
+    return [weakref.ref(integrator), weakref.ref(context), weakref.ref(inner[0])]
+
+
+@pytest.mark.parametrize("dropped", [lambda: make_and_drop(3), nested_and_dropped])
+def test_contexts_are_freed_without_the_garbage_collector(dropped):
     gc.collect()
     gc.disable()
     try:
-        assert not any(reference() for reference in make_and_drop(3))
+        assert not any(reference() for reference in dropped())
     finally:
         gc.enable()
 

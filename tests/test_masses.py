@@ -82,6 +82,10 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
         bare.addAtom(atom.name, atom.element, residue)
     with pytest.raises(ValueError, match="is not bonded to a heavier atom in the Topology"):
         rb.heavy_hydrogens(system, bare)
+    frozen = openmm.XmlSerializer.clone(system)
+    frozen.setParticleMass(0, 0.0)
+    with pytest.raises(ValueError, match=r"moves, but atom 0 .* has no mass to give: hold both, or neither"):
+        rb.heavy_hydrogens(frozen, topology)
     for arguments, message in (
         ((system, rb.rigid_water(2)[0]), "22 particles: they do not belong together"),
         ((topology, system), "takes an openmm.System and its Topology"),
@@ -92,3 +96,15 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
         with pytest.raises(ValueError, match=message):
             rb.heavy_hydrogens(*arguments)
     assert (masses(system) == before).all()
+
+
+def test_deuterium_makes_water_too():
+    topology, system = app.Topology(), openmm.System()
+    residue = topology.addResidue("HOD", topology.addChain())
+    oxygen, *others = (topology.addAtom(name, app.element.get_by_symbol(name), residue) for name in ("O", "H", "D"))
+    for atom in others:
+        topology.addBond(oxygen, atom)
+    for mass in (15.999, 1.008, 2.014):
+        system.addParticle(mass)
+    rb.heavy_hydrogens(system, topology, 3.0, water=False)
+    assert masses(system).tolist() == [15.999, 1.008, 2.014]

@@ -7,6 +7,7 @@ potential does not move have no part in it: their drift is one.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -49,6 +50,10 @@ class InnerDrift:
             self._resonances = Resonances(fast.excerpt.system, names=fast.excerpt.particles.tolist())
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False), rotor.order)
 
+    def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
+        """Warn once if in steps of h (ps) the slow forces drive what is integrated within the drifts."""
+        self._resonances.warn(scheme, abs(h))
+
     def split(
         self,
         forces: ContextForces,
@@ -64,7 +69,6 @@ class InnerDrift:
         """
         inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
         repetitions = self.fast.repetitions(scheme, h)
-        self._resonances.warn(scheme, abs(h))
         if self._own is None:
             fast = forces.of(self.fast.groups, _COUNTER)
             drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
@@ -113,7 +117,8 @@ class ExcerptContext:
         self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
         self._x = sync.particles[excerpt.particles]
         self._all = positions
-        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, self._follow)
+        follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected
+        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, follow)
 
     def moving(self, drift: Flow[State]) -> Flow[State]:
         """Return a drift of the bodies of the excerpt that changes its positions."""
@@ -151,7 +156,7 @@ class FollowingPositions(Positions):
     """Positions of an excerpt: new ones whenever those of the whole have changed, but by the excerpt's own drift."""
 
     def __init__(
-        self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], None]
+        self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], Any]
     ) -> None:
         self._followed, self._follow, self._seen, self._count = followed, follow, -1, 0
         super().__init__(context, bodies, x)
@@ -162,7 +167,7 @@ class FollowingPositions(Positions):
         if self._seen != self._followed.version:
             self.keep_up()
             self._count += 1
-            self._follow()
+            self._follow()()
         return self._count
 
     @version.setter

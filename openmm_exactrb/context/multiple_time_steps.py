@@ -29,6 +29,10 @@ _COARSE, _FINE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125)
 # bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
 _OFTEN = 1.0 / 16.0
 
+_NO_PERIOD = (
+    "the fast forces have no bonds, and no harmonic angles between bonds of known length, from which the fastest "
+    "period follows: set the number of inner steps per step with innerSteps="
+)
 #: What `fast` may be beside force groups: bonded forces where that helps; wherever there are some.
 AUTO, BONDED = "auto", "bonded"
 
@@ -188,20 +192,21 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
             "innerSteps="
         )
     if settings.steps is None and not frequency:
-        raise ValueError(
-            "the bonded forces have no bonds or harmonic angles from which the fastest period follows: set the number "
-            "of inner steps per step with innerSteps="
-        )
+        raise ValueError(_NO_PERIOD)
     return FastForces(settings, frequency, excerpt)
 
 
-def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
-    """Return the forces of the groups; None, for no inner steps, if no groups are named and nothing is bonded."""
+def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces:
     present = {group for force in acting(system) for group in groups_of(force)}
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
-        return None
+        raise ValueError(
+            f"fast names force groups without forces ({', '.join(map(str, settings.fast))}): the forces of the System "
+            f"are in {', '.join(map(str, sorted(present))) or 'none'}"
+        )
     if present <= set(groups):
         raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
     frequency = fastest(system, groups)
-    return FastForces(settings, frequency) if frequency or settings.steps else None
+    if not frequency and settings.steps is None:
+        raise ValueError(_NO_PERIOD)
+    return FastForces(settings, frequency)

@@ -300,6 +300,8 @@ class Propagator:
         if inner is not None and inner.fast.acts(scheme, settings.h):
             h = settings.h / settings.splits
             drift, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
+            if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
+                inner.warn_of_resonances(scheme, h)
         if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
             drift = _checked(drift, check)
         return Kinetic(drift, displaced, kinetic.tangent, kinetic.order), slow
@@ -309,9 +311,9 @@ class Propagator:
         positions, clock, timings = self._positions, self._clock, self._timings
 
         def flow(state: State, tau: float) -> State:
-            start = time.perf_counter()
+            start, nested = time.perf_counter(), timings.forces
             state = drift(state, tau)
-            timings.rotor += time.perf_counter() - start
+            timings.rotor += time.perf_counter() - start - (timings.forces - nested)
             positions.version += 1
             clock.drift(tau)
             return state

@@ -31,7 +31,7 @@ _HARMONICS = 6
 
 
 class Resonance(NamedTuple):
-    """A step (ps) at which slow forces drive a mode, its period (ps), and the particles of the bond or angle."""
+    """The least step (ps) at which slow forces drive a mode, its period (ps), and particles of the bond or angle."""
 
     step: float
     period: float
@@ -74,14 +74,20 @@ class Resonances:
         self._modes, self._told = [*frequencies(system, groups)], False
 
     def first(self, scheme: Scheme) -> Resonance | None:
-        """Return the resonance of the shortest step of a scheme; None without any that matters."""
+        """Return the resonance of the shortest step of a scheme; None without any that matters.
+
+        A slow spring s in the kicks raises the frequency by s/(2 m w), and the mode is driven within the growth rate of
+        k pi/h on either side.
+        """
         rates, found = [growth(scheme, k) for k in range(1, _HARMONICS + 1)], []
         for frequency, particles in self._modes:
             mass = min(self._mass[i] or math.inf for i in particles)
             w = frequency if len(particles) == 2 and mass <= _LIGHT else frequency / _COUPLED
             strong = [k for k, rate in enumerate(rates, 1) if rate * _SLOW > _GROWTH * mass * w > 0.0]
             if strong:
-                found.append(Resonance(strong[0] * math.pi / w, 2.0 * math.pi / w, particles))
+                k = strong[0]
+                highest = w + (0.5 + rates[k - 1]) * _SLOW / (mass * w)
+                found.append(Resonance(k * math.pi / highest, 2.0 * math.pi / w, particles))
         return min(found, default=None)
 
     def warn(self, scheme: Scheme, step: float) -> None:
@@ -91,12 +97,13 @@ class Resonances:
             return
         self._told = True
         what = "bond" if len(found.particles) == 2 else "angle"
+        most = math.floor(1e4 * found.step / scheme.forces) / 10.0  # fs, below the resonance
         particles = ", ".join(str(self._names[i]) for i in found.particles)
         warnings.warn(
             f"in steps of {1e3 * step:.3g} fs the slow forces may heat what is integrated within the drifts: "
             f"{scheme.name} meets the {what} of particles {particles}, of a period of about "
-            f"{1e3 * found.period:.3g} fs, at {1e3 * found.step:.3g} fs. Take at most "
-            f"{1e3 * found.step / scheme.forces:.2g} fs per force evaluation, make hydrogens heavier "
+            f"{1e3 * found.period:.3g} fs, from {1e3 * found.step:.3g} fs on. Take at most {most:.1f} fs per force "
+            "evaluation, make hydrogens heavier "
             "(openmm_exactrb.heavy_hydrogens), or watch the temperature of the solute",
             StepSizeWarning,
             stacklevel=7,  # the call of the integrator's step

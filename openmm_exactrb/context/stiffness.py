@@ -44,7 +44,8 @@ def frequencies(system: openmm.System, groups: Sequence[int] = range(32)) -> Ite
     }
     forces = [force for force in system.getForces() if force.getForceGroup() in groups]
     bonds = [parameters for force in forces for parameters in _bonds(force)]
-    length = held | {frozenset((i, j)): r for i, j, r, _ in bonds}
+    others = [parameters for force in system.getForces() if force not in forces for parameters in _bonds(force)]
+    length = held | {frozenset((i, j)): r for i, j, r, _ in (*others, *bonds)}
     for i, j, _, k in bonds:
         if frozenset((i, j)) not in held:
             yield float(np.sqrt(max(k * (_inverse(mass[i]) + _inverse(mass[j])), 0.0))), (i, j)

@@ -69,7 +69,7 @@ class Synchronisation:
         self._coordinates = 0.0  # of the inner state
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
-        #: Called when a user has set a State or a step count.
+        #: Called when a user has set a State or a step count, or began again without a seed.
         self.taken_elsewhere: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
@@ -89,6 +89,10 @@ class Synchronisation:
 
     def _outlive(self) -> None:
         self._outdated = True
+        context: Any = self._context()
+        integrator: Any = self._integrator()
+        if not context.getStepCount() and not integrator.getRandomNumberSeed():  # OpenMM would draw a new seed too
+            self.taken_elsewhere()
 
     def pull(self) -> bool:
         """Bring the state up to date with what was set in the Context since it was pushed; return whether it changed.

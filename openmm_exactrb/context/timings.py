@@ -12,9 +12,9 @@ class Timings:
     Attributes
     ----------
     forces : float
-        Inside OpenMM: setPositions, computeVirtualSites, getState.
+        Inside OpenMM, and in the compiled kernels of bonded forces: positions that are set, and evaluations.
     rotor : float
-        The free rotation of the bodies.
+        The free motion of the bodies.
     total : float
         Everything inside step().
     evaluations : int

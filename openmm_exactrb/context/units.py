@@ -35,8 +35,8 @@ def stripped(value: Any, in_unit: unit.Unit) -> Any:
 
 
 def picoseconds(size: float | unit.Quantity | None) -> float:
-    """Return a time step in ps."""
-    return plain(size, unit.picosecond, "a time step")
+    """Return a time step in ps, which must not be negative: OpenMM has no steps back."""
+    return not_negative(size, unit.picosecond, "a time step")
 
 
 def not_negative(value: Any, in_unit: unit.Unit, what: str) -> float:

@@ -169,6 +169,8 @@ class Ewald(_Periodic):
                     raise ValueError(f"a mesh of {points} points has a slow transform: take {fast}")
             if np.shape(self.mesh) not in ((), (3,)):
                 raise ValueError(f"mesh must be one number of points or three, not {self.mesh!r}")
+            points = tuple(map(int, np.ravel(self.mesh)))  # lists and arrays have no hash
+            object.__setattr__(self, "mesh", points if len(points) == 3 else points[0])
             if min(np.ravel(self.mesh)) < (self.order or 10) + ewald.LANES:
                 raise ValueError(f"a mesh needs at least order + {ewald.LANES} points along an edge, not {self.mesh!r}")
 

@@ -38,10 +38,12 @@ def dipole_strength(dipole: unit.Quantity | float) -> float:
         return checks.number(quantity, "a dipole moment", "sqrt(kJ/mol nm³)")
     if quantity.unit == unit.debye:
         # OpenMM's own factor, 0.0208227 e nm, is off by 1.6e-4.
-        quantity = quantity.value_in_unit(unit.debye) * _DEBYE_IN_E_NM * unit.elementary_charge * unit.nanometer
+        debye = checks.number(quantity.value_in_unit(unit.debye), "a dipole moment", "debye")
+        return float(debye * _DEBYE_IN_E_NM * COULOMB**0.5)
     try:
-        return float(quantity.value_in_unit(unit.elementary_charge * unit.nanometer) * COULOMB**0.5)
+        moment = quantity.value_in_unit(unit.elementary_charge * unit.nanometer)
     except TypeError:
         raise ValueError(
             f"{dipole} is not a dipole moment: give it in e nm or debye, or as a number in sqrt(kJ/mol nm^3)"
         ) from None
+    return float(checks.number(moment, "a dipole moment", "e nm") * COULOMB**0.5)

@@ -513,15 +513,52 @@ def test_substeps_of_ones_own_may_have_any_symbol():
     assert context.getStepCount() == 1
 
 
-def test_a_group_without_bonded_forces_is_nothing_to_nest():
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"fast": (7,)}, r"fast names force groups without forces \(7\): the forces of the System are in 0, 1"),
+        ({"fast": (7,), "innerSteps": 4}, "fast names force groups without forces"),
+        ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
+    ],
+)
+def test_groups_that_make_no_inner_steps_are_refused(options, message):
+    _, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
+    system.getForce(1).setForceGroup(1)
+    with pytest.raises(ValueError, match=message):
+        moving(system, positions, 0.01, "S2_2", **options)
+
+
+def test_angles_know_the_lengths_of_bonds_in_other_groups():
+    _, system, x = peptide()
+    for force in system.getForces():
+        force.setForceGroup(1 if isinstance(force, openmm.HarmonicAngleForce) else 0)
+    integrator, _context = moving(system, x, 0.002, "S2_2", fast=(1,))
+    integrator.step(1)
+    assert integrator.timings.fast_evaluations > 0
+
+
+def test_a_particle_held_by_a_bond_of_no_length_moves_as_with_openmm():
+    """An anchor without mass at the same place, as restraints are often made."""
     ends = []
-    for fast in ((7,), (1,), None):
-        _, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
-        system.getForce(1).setForceGroup(1)
-        integrator = rb.ExactRigidBodyIntegrator(0.01, "S2_2", fast=fast)
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-        context.setPositions(positions)
-        integrator.step(3)
-        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
-        assert integrator.timings.fast_evaluations == 0
-    np.testing.assert_allclose(ends, [ends[-1]] * 3, rtol=0.0, atol=1e-14)
+    for fast in ("bonded", None):
+        system = openmm.System()
+        for mass in (0.0, 12.0, 12.0):
+            system.addParticle(mass)
+        bonds, pull = openmm.HarmonicBondForce(), openmm.CustomExternalForce("3*x*y")
+        bonds.addBond(0, 1, 0.0, 1e3)
+        bonds.addBond(1, 2, 0.15, 1e5)
+        pull.addParticle(2, [])
+        system.addForce(bonds)
+        system.addForce(pull)
+        integrator, context = moving(system, [[0, 0, 0], [0, 0, 0], [0.15, 0.01, 0]], 0.0005, "W4_5", fast=fast)
+        integrator.step(40)
+        ends.append(positions_of(context))
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0.0, atol=1e-7)
+
+
+def test_times_of_nested_forces_are_no_free_motion():
+    _, system, x = peptide()
+    integrator, _context = moving(system, x, 0.004, "S2_2", fast="bonded")
+    integrator.step(20)
+    timings = integrator.timings
+    assert timings.forces + timings.rotor < timings.total

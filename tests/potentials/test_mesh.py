@@ -89,6 +89,7 @@ def test_what_is_given_is_taken():
     chosen = rb.Ewald(mesh=48, order=10, cutoff=3.0, switch=2.0).getParameters(1000, box)
     assert chosen[:3] == ("mesh", 3.0, 2.0)
     assert chosen[5:7] == (10, (48, 48, 48))
+    assert rb.Ewald(mesh=[48, 48, 48], order=10, cutoff=3.0, switch=2.0).getParameters(1000, box) == chosen
     again = rb.Ewald(cutoff=chosen.cutoff, mesh=chosen.points, order=chosen.order, switch=chosen.switch)
     assert again.getParameters(1000, box) == chosen
     assert rb.Ewald(method="direct").getParameters(1000, box).cutoff == 5.0

@@ -17,6 +17,9 @@ def test_a_dipole_moment_takes_units():
     assert rb.dipole_strength(2.35 * unit.debye) == pytest.approx(2.35 * 0.0208194334 * coulomb**0.5, rel=1e-8)
     with pytest.raises(ValueError, match="is not a dipole moment"):
         rb.dipole_strength(1.0 * unit.nanometer)
+    for wrong in (float("nan") * unit.debye, float("inf") * e_nm, [1.0, 2.0] * unit.debye):
+        with pytest.raises(ValueError, match="a dipole moment must be a finite number of"):
+            rb.dipole_strength(wrong)
 
 
 def test_two_charges_are_as_strong_as_their_dipole():

@@ -236,6 +236,20 @@ def test_noise_of_a_step_count_that_was_set_back_is_new_and_repeats_itself_in_a_
     assert ends[:2] == ends[2:]
 
 
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_context_that_begins_again_has_other_noise_unless_a_seed_is_set(seed):
+    """As OpenMM's integrators."""
+    run, ends = droplet_of(seeded(langevin, seed)), []
+    start = run.context.getState(positions=True, velocities=True)
+    for _ in range(2):
+        run.context.setPositions(start.getPositions())
+        run.context.setVelocities(start.getVelocities())
+        run.integrator.step(20)
+        ends.append(snapshot(run))
+        run.context.reinitialize()
+    assert (ends[0] == ends[1]) == (seed > 0)
+
+
 def test_runs_with_seeds_of_their_own_differ_though_they_begin_with_one_state():
     first = droplet_of(langevin())
     first.integrator.step(5)

@@ -62,7 +62,8 @@ def forces(x, bonds, of_bonds, angles, of_angles, torsions, of_torsions, pairs, 
         i, j = bonds[n]
         u = _difference(x, i, j)
         r = math.sqrt(_dot(u, u))
-        _act(out, i, j, of_bonds[n, 1] * (of_bonds[n, 0] - r) / r, u)
+        if r != 0.0:  # a bond of no length has no direction: OpenMM has no force there either
+            _act(out, i, j, of_bonds[n, 1] * (of_bonds[n, 0] - r) / r, u)
     for n in range(len(pairs)):
         i, j = pairs[n]
         u = _difference(x, i, j)
