@@ -251,7 +251,7 @@ def test_verlet_with_constraints_comes_to_the_same_trajectory(liquid):
         verlet.getIntegrator().step(round(0.05 / step))
         ends = (context.getState(positions=True).getPositions(asNumpy=True)._value for context in (exact, verlet))
         errors.append(np.abs(np.subtract(*ends)).max())
-    assert errors[1] < 5e-6  # 2e-6 for most starts
+    assert errors[1] < 5e-6  # the start depends on the processor: chaos
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 

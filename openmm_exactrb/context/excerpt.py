@@ -43,7 +43,7 @@ class Excerpt:
     part: Part
 
 
-class _Moving:
+class _BetweenBodies:
     """Which particles a force between them moves relative to each other."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies) -> None:
@@ -61,12 +61,12 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies) -> Excerpt | None
 
     Without what acts on virtual sites. None if there are no bonded ones.
     """
-    moving = _Moving(system, bodies)
+    between_bodies = _BetweenBodies(system, bodies)
     forces = [force for force in system.getForces() if isinstance(force, BONDED)]
-    terms = [tree for tree in map(_tree, forces) if _thinned(tree, moving)]
+    terms = [tree for tree in map(_tree, forces) if _thinned(tree, between_bodies)]
     if not terms:
         return None
-    pairs = [(f, _interacting(f, moving)) for f in system.getForces() if isinstance(f, openmm.NonbondedForce)]
+    pairs = [(f, _interacting(f, between_bodies)) for f in system.getForces() if isinstance(f, openmm.NonbondedForce)]
     touched = {i for tree in terms for term in _terms(tree) for i in _particles(term).values()}
     touched |= {i for _, of_force in pairs for pair in of_force for i in pair[:2]}
     chosen = _with_clusters(bodies, sorted(touched))
@@ -84,8 +84,8 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies) -> Excerpt | None
     return Excerpt(own, particles, Part(bodies.chosen(chosen, number, len(particles)), chosen))
 
 
-def _interacting(force: openmm.NonbondedForce, moving: _Moving) -> list[tuple[Any, ...]]:
-    return [pair for pair in interacting_exceptions(force) if moving(pair[:2])]
+def _interacting(force: openmm.NonbondedForce, between_bodies: _BetweenBodies) -> list[tuple[Any, ...]]:
+    return [pair for pair in interacting_exceptions(force) if between_bodies(pair[:2])]
 
 
 def _with_clusters(bodies: RigidBodies, particles: list[int]) -> NDArray[np.bool_]:
@@ -129,10 +129,10 @@ def _terms(tree: ElementTree.Element) -> Iterator[ElementTree.Element]:
     return (element for element in tree.iter() if _particles(element))
 
 
-def _thinned(tree: ElementTree.Element, moving: _Moving) -> bool:
+def _thinned(tree: ElementTree.Element, between_bodies: _BetweenBodies) -> bool:
     """Remove the terms of a force that move nothing; return whether some are left."""
     for holder in list(tree.iter()):
-        for term in [child for child in holder if _particles(child) and not moving(_particles(child).values())]:
+        for term in [child for child in holder if _particles(child) and not between_bodies(_particles(child).values())]:
             holder.remove(term)
     return any(True for _ in _terms(tree))
 

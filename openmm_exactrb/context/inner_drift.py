@@ -76,14 +76,14 @@ class InnerDrift:
         own, part = self._own, self._own.excerpt.part
         terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
         fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
-        alone = inner_steps(own.moving(self._free.drift), kick(fast, check), inner, repetitions)
+        alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
         outside = len(part.bodies.clusters) < len(self._bodies.clusters)
         others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
 
         def both(state: State, tau: float) -> State:
             return part.into(others(state, tau), alone(part.of(state), tau))
 
-        return own.keeping_up(timed(both)), Remainder(forces, fast, part)
+        return own.taking_all_as_seen(timed(both)), Remainder(forces, fast, part)
 
 
 def inner_steps(
@@ -120,7 +120,7 @@ class ExcerptContext:
         follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected
         self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, follow)
 
-    def moving(self, drift: Flow[State]) -> Flow[State]:
+    def counting_moves(self, drift: Flow[State]) -> Flow[State]:
         """Return a drift of the bodies of the excerpt that changes its positions."""
 
         def flow(state: State, tau: float) -> State:
@@ -130,7 +130,7 @@ class ExcerptContext:
 
         return flow
 
-    def keeping_up(self, drift: Flow[State]) -> Flow[State]:
+    def taking_all_as_seen(self, drift: Flow[State]) -> Flow[State]:
         """Return a drift of all bodies after which the positions of the excerpt are those of all."""
 
         def flow(state: State, tau: float) -> State:

@@ -24,10 +24,10 @@ from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchan
 # for outer schemes of order 2, and for those of higher order or with force gradients. High-order outer schemes need a
 # finer inner scheme: with S2_2, or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force
 # evaluations per ps (docs: Any molecule).
-_COARSE, _FINE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125)
+_SECOND_ORDER, _HIGHER_ORDER = ("S2_2", 0.05), ("SRKN4_6b", 0.0125)
 # A force evaluation each such part of the period or more often, and every scheme shows its order and little error with
 # bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
-_OFTEN = 1.0 / 16.0
+_LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
     "the fast forces have no bonds, and no harmonic angles between bonds of known length, from which the fastest "
@@ -74,7 +74,7 @@ class MultipleTimeSteps:
         return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
 
     @property
-    def certain(self) -> bool:
+    def asked_for(self) -> bool:
         """Whether there are inner steps whatever the System is."""
         return self.fast != AUTO
 
@@ -153,14 +153,14 @@ class FastForces:
                 f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: take it "
                 "out of fast= or out of the scheme"
             )
-        if self.settings.certain or not outer.stages:
-            return self.settings.certain
+        if self.settings.asked_for or not outer.stages:
+            return self.settings.asked_for
         known = all(isinstance(s, (Drift, GradientKick, HeatExchange)) or s == KICK for s, _ in outer.sequence)
-        return known and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _OFTEN
+        return known and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _LONGEST_PLAIN
 
 
 def _usual(outer: Scheme) -> tuple[str, float]:
-    return _COARSE if outer.order <= 2 and not outer.has_gradients else _FINE
+    return _SECOND_ORDER if outer.order <= 2 and not outer.has_gradients else _HIGHER_ORDER
 
 
 def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps | None) -> FastForces | None:
@@ -179,7 +179,7 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
 def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps) -> FastForces | None:
     excerpt = bonded_excerpt(system, bodies)
     frequency = 0.0 if excerpt is None else fastest(excerpt.system)
-    if not settings.certain:
+    if not settings.asked_for:
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:
         raise ValueError(

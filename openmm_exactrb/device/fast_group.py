@@ -21,7 +21,7 @@ _OWN = re.compile(r"^(.*) \[of force group (\d+)\]$", re.DOTALL)
 _GROUPS = 8
 
 
-def fast_forces(system: openmm.System, groups: Sequence[int] | None, active: int = -1) -> list[int]:
+def indices_of_fast(system: openmm.System, groups: Sequence[int] | None, active: int = -1) -> list[int]:
     """Return the indices of the forces of some groups, or without groups of bonded ones, in `active` groups (bits)."""
     named = _named(groups, active)
     wanted = acts if groups is not None else lambda force: isinstance(force, BONDED)
@@ -33,7 +33,7 @@ def group_of(
 ) -> int | None:
     """Return the force group that these forces have to themselves, or one that is free for them; None without any.
 
-    `groups` and `active` are those of `fast_forces`, `sums` is the group of the sums over bodies.
+    `groups` and `active` are those of `indices_of_fast`, `sums` is the group of the sums over bodies.
     """
     forces = [(i, groups_of(force)) for i, force in enumerate(system.getForces()) if acts(force)]
     own = {group for i, of_force in forces if i in fast for group in of_force & _named(groups, active)}

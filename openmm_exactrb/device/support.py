@@ -13,7 +13,7 @@ from openmm import unit
 from openmm_exactrb.context import arrays, platforms
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
-from openmm_exactrb.context.multiple_time_steps import fast_forces as find_fast_forces
+from openmm_exactrb.context.multiple_time_steps import fast_forces
 from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.device import fast_group, gather, names
 from openmm_exactrb.device.program import Layout
@@ -87,9 +87,9 @@ def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps
     x, named = arrays.positions(context.getState(positions=True)), integrator.getNamedBodies()
     refuse_unset(context)
     bodies, h = find_bodies(system, x, named), integrator.getStepSize().value_in_unit(unit.picosecond)
-    found = find_fast_forces(system, bodies, fast)
+    found = fast_forces(system, bodies, fast)
     of = None if found is None or isinstance(found.settings.fast, str) else found.settings.fast
-    which = fast_group.fast_forces(system, of, groups) if found is not None and found.acts(outer, h) else []
+    which = fast_group.indices_of_fast(system, of, groups) if found is not None and found.acts(outer, h) else []
     if which or len(bodies.clusters):
         bodies = find_bodies(system, x, named, pairs=True)  # two particles with a constraint may feel fast forces
     if why := gather.unsupported(system, bodies):
