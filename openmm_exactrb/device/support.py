@@ -12,8 +12,7 @@ from openmm import unit
 
 from openmm_exactrb.context import arrays, platforms
 from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
-from openmm_exactrb.context.multiple_time_steps import fast_forces
+from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.device import fast_group, gather, names
 from openmm_exactrb.device.program import Layout
