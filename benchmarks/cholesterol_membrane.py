@@ -42,7 +42,7 @@ PUBLISHED = (
     ("LINCS, lincs_iter 3, lincs_order 12 (published)", 30, "", *3 * ["equal"], "converged"),
 )
 #: Samples that are left out, in ps, and blocks of the error.
-BURN_IN, BLOCKS = {"DPPC-CHOL": 12.0, "DPPC": 500.0}, 10
+BURN_IN, BLOCKS = {"DPPC-CHOL": 12.0, "DPPC": 4000.0}, 10
 
 
 class Membrane:

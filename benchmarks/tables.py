@@ -135,26 +135,25 @@ def default_temperatures() -> str:
 
 def protein_steps() -> str:
     """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
-    found, body = rows("protein_steps"), []
-    names = {"T_tr": 1, "T_rot": 1, "T_solute": 1, "U": 2, "bonds": 1, "angles": 1, "torsions": 1}
-    keys = ("integrator", "masses", "fs", "picoseconds")
-    for integrator, masses, fs, length in sorted(
-        distinct(found, *keys), key=lambda key: (key[1], float(key[2]), key[0])
-    ):
-        some = [row for row in found if tuple(row[key] for key in keys) == (integrator, masses, fs, length)]
-        if len(some) < 2 or (masses == "plain" and (integrator, fs) != (LFM, "2.0")):  # no error, or for another table
+    body = []
+    names = {"T_tr": 1, "T_rot": 1, "T_rot reported": 1, "T_solute": 1, "U": 2, "bonds": 1, "angles": 1, "torsions": 1}
+    keys = ("masses", "fs", "constraints", "ensemble", "friction", "integrator", "picoseconds")
+    of_peptide = [row for row in rows("protein_steps") if row["solute"] == "peptide"]
+    for point in sorted(distinct(of_peptide, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
+        some = [row for row in of_peptide if tuple(row[key] for key in keys) == point]
+        masses, fs, constraints, ensemble, friction, integrator, length = point
+        of_defaults = masses == "plain" and integrator != "W2_3m" and (integrator, fs) != (LFM, "2.0")
+        if len(some) < 2 or of_defaults:  # no error, or for another table
             continue
-        label = THEIRS.get(integrator, f"`{integrator}`")
-        cells = (_mean(some, name, digits) for name, digits in names.items())
-        body.append(
-            (
-                {"plain": "none"}.get(masses, masses),
-                f"{float(fs):g} fs",
-                label,
-                f"{len(some)} x {float(length):g} ps",
-                *cells,
-            )
-        )
+        scheme, _, device = integrator.partition(" ")
+        how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
+        how += [f"{float(friction):g}/ps"] if friction != "5.0" else []
+        how += [f"device ({device})"] if device else []
+        label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
+        known = names if constraints == "HBonds" else {name: d for name, d in names.items() if name != "bonds"}
+        cells = (_mean(some, name, digits) if name in known else "" for name, digits in names.items())
+        length = f"{len(some)} x {float(length):g} ps"
+        body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
     units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
     return table(("hydrogens of 3 amu", "", "", "", *units), body)
 
