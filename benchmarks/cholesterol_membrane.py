@@ -227,17 +227,20 @@ def tabulate(composition, folder):
 
 
 def draw(composition, folder):
-    """Draw the equilibrated membrane from the side: one slice of it."""
+    """Draw the membrane at the end of the first run at 30 fs from the side: one slice of it."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    state = openmm.XmlSerializer.deserialize((folder / "start.xml").read_text())
+    membrane = Membrane(composition, 8)
+    context = context_of(membrane, integrator_of("exact", 0.03, 1))
+    context.loadCheckpoint((folder / "exact-30fs-1.chk").read_bytes())
+    state, topology = context.getState(positions=True), membrane.topology
     x = state.getPositions(asNumpy=True)._value
     box = np.diag(state.getPeriodicBoxVectors(asNumpy=True)._value)
-    x[:, 2] += 0.5 * box[2]  # the bilayer in the middle
-    topology, _, _ = martini.bilayer(COMPOSITIONS[composition])
+    turn = np.exp(2j * np.pi * x[~membrane.kinds[2], 2] / box[2]).mean()
+    x[:, 2] += (0.5 - np.angle(turn) / (2.0 * np.pi)) * box[2]  # the bilayer in the middle
     figure, axes = plt.subplots(figsize=(5.6, 7.0), layout="constrained")
     for residue in topology.residues():
         atoms = [atom.index for atom in residue.atoms()]
@@ -259,7 +262,7 @@ def draw(composition, folder):
     axes.set_aspect("equal")
     axes.set_xlabel("x (nm)")
     axes.set_ylabel("z (nm)")
-    axes.set_title(f"{composition} in water: cholesterol in orange")
+    axes.set_title(f"{composition} in water after 1.5 ns: cholesterol in orange")
     figure.savefig(TABLES[composition].with_suffix(".png"), dpi=110)
 
 
