@@ -1,9 +1,9 @@
 """The pair sum of soft dipoles within a cutoff in a large box, by cells, in compiled double precision.
 
 Cells have at least half the cutoff as their edges. Each pair is computed once, in the row of one of its dipoles: those
-of the cell itself and of half of the cells around it that are near enough are put together, those within the cutoff
-picked, and their arithmetic is vectorised. What a plane of cells gives to itself and to the next two planes is kept
-apart and added up in this order: any number of threads gives the same bits.
+of a block of cells itself and of half of the cells around it that are near enough are put together, those within the
+cutoff picked, and their arithmetic is vectorised. What a plane of cells gives to itself and to the next two planes is
+kept apart and added up in this order: any number of threads gives the same bits.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import inner_reordered, reordered
 from openmm_exactrb.kernels.compiled.pair import pair, truncated
+from openmm_exactrb.kernels.compiled.rows import add_columns
 from openmm_exactrb.kernels.threads import in_threads
 
 Array = NDArray[np.float64]
@@ -23,6 +24,9 @@ Cells = tuple[int, int, int]
 # Cells that a cutoff reaches beyond one, and pairs whose arithmetic is done in one go.
 _REACH, _CHUNK = 2, 256
 _LANES = 8
+# Rows of a dipole for what it gets from its plane of cells and from the two planes before, filled up to a power of two,
+# and cells along z whose dipoles share their partners.
+_ROWS, _BLOCK = np.uint64(4), 2
 
 
 def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
@@ -47,7 +51,7 @@ def near_pairs(
 ) -> tuple[float, Array, Array]:
     """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation."""
     heads, dipoles, placed = _sorted(arrows, n, m, truncation)
-    energies, partial = np.empty(n), np.zeros((_REACH + 1, n, _LANES))
+    energies, partial = np.empty(n), np.zeros((int(_ROWS) * n, _LANES))
     slabs = np.diff(heads[:: m[1] * m[2]])
 
     def sum_slabs(*part: int) -> None:
@@ -95,24 +99,21 @@ def _collect(first, last, slab, sx, sy, sz, placed, found, who, row):
         found[1, to + j] = placed[1, begin + j] + sy
     for j in range(more):
         found[2, to + j] = placed[2, begin + j] + sz
-    for d in range(np.uint64(3), np.uint64(6)):
-        for j in range(more):
-            found[d, to + j] = placed[d, begin + j]
     for j in range(more):
-        who[to + j] = np.uint64(slab * placed.shape[1]) + begin + j
+        who[to + j] = _ROWS * (begin + j) + np.uint64(slab)
     return row + last - first
 
 
 @inner_reordered
-def _partners(cell, heads, placed, m, truncation, found, who):
-    """Put the dipoles of a cell and of half of those around it together; return their number."""
+def _partners(cell, block, heads, placed, m, truncation, found, who):
+    """Put the dipoles of a block of cells and of half of those around it together; return their number."""
     x, y, z = cell // (m[1] * m[2]), cell // m[2] % m[1], cell % m[2]
-    row = _collect(heads[cell], heads[cell + 1], 0, 0.0, 0.0, 0.0, placed, found, who, 0)
+    row = _collect(heads[cell], heads[cell + block], 0, 0.0, 0.0, 0.0, placed, found, who, 0)
     for dx in range(_REACH + 1):
         for dy in range(-_REACH if dx > 0 else 0, _REACH + 1):
             X, Y = (x + dx) % m[0], (y + dy) % m[1]
-            low = z - _REACH if dx > 0 or dy > 0 else z + 1
-            high = z + _REACH + 1
+            low = z - _REACH if dx > 0 or dy > 0 else z + block
+            high = z + _REACH + block
             column = (X * m[1] + Y) * m[2]
             sx, sy, edge = truncation[0] * ((x + dx) // m[0]), truncation[1] * ((y + dy) // m[1]), truncation[2]
             for turn in range(-1, 2):
@@ -142,7 +143,7 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
         energy += e
         fx, fy, fz = fx + px, fy + py, fz + pz
         gx, gy, gz = gx + t * x - b * vx, gy + t * y - b * vy, gz + t * z - b * vz
-        work[7 * _CHUNK + q], work[8 * _CHUNK + q], work[9 * _CHUNK + q] = px, py, pz
+        work[7 * _CHUNK + q], work[8 * _CHUNK + q], work[9 * _CHUNK + q] = -px, -py, -pz
         work[10 * _CHUNK + q] = s * x - b * ux
         work[11 * _CHUNK + q] = s * y - b * uy
         work[12 * _CHUNK + q] = s * z - b * uz
@@ -155,14 +156,16 @@ def _slabs(
 ):
     """Sum the pairs of the dipoles in some planes of cells with those in half of the cells around."""
     n, end = placed.shape[1], truncation[3]
-    found, far, work = np.empty((6, n)), np.empty(n), np.zeros(13 * _CHUNK)
-    who, hits = np.empty(n, np.uint64), np.empty(n + 1, np.uint64)  # no index is negative: none is looked at for it
-    rows = partial.reshape(-1, partial.shape[2])
-    for cell in range(first * m[1] * m[2], last * m[1] * m[2]):
-        if heads[cell] == heads[cell + 1]:
+    found, far, work = np.empty((3, 2 * n)), np.empty(2 * n), np.zeros(13 * _CHUNK)
+    who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # of 64 bits, as no index is negative
+    to, blocks = np.empty(_CHUNK, np.uint64), -(-m[2] // _BLOCK)
+    for each in range(first * m[1] * blocks, last * m[1] * blocks):
+        z = each % blocks * _BLOCK
+        cell, block = each // blocks * m[2] + z, min(_BLOCK, m[2] - z)
+        if heads[cell] == heads[cell + block]:
             continue
-        number = np.uint64(_partners(cell, heads, placed, m, truncation, found, who))
-        for i in range(heads[cell], heads[cell + 1]):
+        number = np.uint64(_partners(cell, block, heads, placed, m, truncation, found, who))
+        for i in range(heads[cell], heads[cell + block]):
             x, y, z = placed[0, i], placed[1, i], placed[2, i]
             u = placed[3, i], placed[4, i], placed[5, i]
             begin = np.uint64(i - heads[cell] + 1)
@@ -181,31 +184,27 @@ def _slabs(
                     q = hits[start + h]
                     work[h] = far[q]
                     work[_CHUNK + h], work[2 * _CHUNK + h] = x - found[0, q], y - found[1, q]
-                    work[3 * _CHUNK + h], work[4 * _CHUNK + h] = z - found[2, q], found[3, q]
-                    work[5 * _CHUNK + h], work[6 * _CHUNK + h] = found[4, q], found[5, q]
-                for h in range(many, full):
-                    work[h] = np.inf
+                    to[h] = who[q]
+                    j = who[q] // _ROWS
+                    work[3 * _CHUNK + h], work[4 * _CHUNK + h] = z - found[2, q], placed[3, j]
+                    work[5 * _CHUNK + h], work[6 * _CHUNK + h] = placed[4, j], placed[5, j]
+                for h in range(many, full):  # these add nothing to the dipole itself
+                    work[h], to[h] = np.inf, _ROWS * np.uint64(i)
                     for d in range(1, 7):
                         work[d * _CHUNK + h] = 0.0
                 e, fx, fy, fz, gx, gy, gz = _arithmetic(
                     full, u, work, repulsion, coupling, attraction, minimum, alpha, truncation
                 )
                 energy += e
-                own = rows[i]
+                own = partial[_ROWS * np.uint64(i)]
                 own[0] += fx
                 own[1] += fy
                 own[2] += fz
                 own[3] += gx
                 own[4] += gy
                 own[5] += gz
-                for h in range(many):
-                    other = rows[who[hits[start + h]]]
-                    other[0] -= work[7 * _CHUNK + h]
-                    other[1] -= work[8 * _CHUNK + h]
-                    other[2] -= work[9 * _CHUNK + h]
-                    other[3] += work[10 * _CHUNK + h]
-                    other[4] += work[11 * _CHUNK + h]
-                    other[5] += work[12 * _CHUNK + h]
+                for h in range(0, full, _LANES):
+                    add_columns(work, 7 * _CHUNK + h, _CHUNK, partial, to, h)
             energies[i] = energy
 
 
@@ -215,6 +214,6 @@ def _add_up(dipoles, partial, forces, fields):
     for q in range(len(dipoles)):
         i = dipoles[q]
         for d in range(3):
-            for slab in range(partial.shape[0]):
-                forces[d, i] += partial[slab, q, d]
-                fields[d, i] += partial[slab, q, 3 + d]
+            for row in range(4 * q, 4 * q + _REACH + 1):
+                forces[d, i] += partial[row, d]
+                fields[d, i] += partial[row, 3 + d]

@@ -136,3 +136,35 @@ def sum_plane(typingctx, phi, at, stride, w, a, sums, steps):
         return context.get_dummy_value()
 
     return signature, generate
+
+
+@intrinsic
+def add_columns(typingctx, columns, at, stride, rows, numbers, first):
+    """Add 8 columns of 6 numbers, columns[at:], columns[at + stride:], ..., to the rows numbers[first:] of 8."""
+    signature = types.void(columns, at, stride, rows, numbers, first)
+
+    def generate(context, builder, signature, values):
+        code = _Code(context, builder, 2 * LANES)
+        columns, at, stride, rows, numbers, first = values
+        wide = ir.VectorType(ir.DoubleType(), 2 * LANES)
+        source, rows = code.pointer(signature.args[0], columns, at), code.pointer(signature.args[3], rows)
+        numbers = code.pointer(signature.args[4], numbers, first)
+        vectors = []
+        for _ in range(6):
+            vectors.append(builder.load(builder.bitcast(source, wide.as_pointer()), align=8))
+            source = builder.gep(source, [stride])
+        vectors += 2 * [ir.Constant(wide, 8 * [0.0])]
+        for width in (4, 2, 1):  # transpose: exchange blocks with those on the other side of the diagonal
+            for k in (k for k in range(8) if not k & width):
+                a, b = vectors[k], vectors[k + width]
+                for place, offset in ((k, 0), (k + width, width)):
+                    mask = [c - width + offset + 8 if c & width else c + offset for c in range(8)]
+                    mask = ir.Constant(ir.VectorType(ir.IntType(32), 8), mask)
+                    vectors[place] = builder.shuffle_vector(a, b, mask)
+        for h, vector in enumerate(vectors):
+            number = builder.load(code.after(numbers, h))
+            row = builder.bitcast(builder.gep(rows, [builder.mul(number, ir.IntType(64)(8))]), wide.as_pointer())
+            builder.store(code.plus(builder.load(row, align=8), vector), row, align=8)
+        return context.get_dummy_value()
+
+    return signature, generate
