@@ -51,6 +51,8 @@ def dipoles(centres, moments, commands, box=None):
         """
     )
     lmp.create_atoms(n, list(range(1, n + 1)), [1] * n, centres.ravel())
-    lmp.commands_list([f"set atom {i + 1} dipole {x} {y} {z}" for i, (x, y, z) in enumerate(moments)])
+    rows = lmp.numpy.extract_atom("id")[:n] - 1
+    mu = lmp.numpy.extract_atom("mu")[:n]
+    mu[:, :3], mu[:, 3] = moments[rows], np.linalg.norm(moments, axis=1)[rows]
     lmp.commands_string("set type 1 mass 1.0\nset type 1 diameter 1.0")
     return lmp

@@ -1,9 +1,9 @@
 """
-A Stockmayer fluid of a thousand dipoles
-========================================
+A Stockmayer fluid of eight thousand dipoles
+============================================
 
 Lennard-Jones spheres with a strong point dipole, mu² = 3, at density 0.822 and kT = 1.15: a liquid whose dielectric
-constant is about that of water. A box of a thousand holds correlations that a small one cuts off:
+constant is about that of water. A box of thousands holds correlations that a small one cuts off:
 
 - g(r), the density of spheres at a distance r, and
 - h110(r), three times the mean cosine of the angle between two dipoles, times g(r). Its integral is Kirkwood's factor
@@ -41,7 +41,8 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 DENSITY, KT, MU2 = 0.822, 1.15, 3.0
 Y = 4.0 * np.pi * DENSITY * MU2 / (9.0 * KT)
 STEP = 0.015  # ps, with one force evaluation
-SAMPLE, FRAME = 4, 40  # steps between two moments, and between two frames
+CUTOFF = 3.5  # sigma, or half of a smaller box
+SAMPLE = 4  # steps between two moments
 
 
 def main() -> None:
@@ -52,7 +53,7 @@ def main() -> None:
     except (ValueError, ArithmeticError, ImportError, OSError, openmm.OpenMMException) as error:
         sys.exit(f"stockmayer_fluid.py: {error}")
     value, error = rb.dielectric_constant(moments, edge**3, KT, blocks=min(10, len(moments)))
-    r, g, h110, kirkwood = correlations(frames[:: 1 + len(frames) // 30], edge)
+    r, g, h110, kirkwood = correlations(frames[:: 1 + len(frames) // max(8, 30_000 // args.n)], edge)
     print(f"dielectric constant of {args.n} dipoles from {args.duration:g} ps: {value:.1f} +- {error:.1f}")
     print(f"first peak of g(r): {g.max():.2f} at {r[g.argmax()]:.3f} nm; h110 there: {h110[g.argmax()]:.2f}")
     draw(r, g, h110, kirkwood, value, error, args, picture)
@@ -61,7 +62,7 @@ def main() -> None:
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="The structure and the dielectric constant of a Stockmayer fluid.")
     add = parser.add_argument
-    add("-n", type=int, default=1000, metavar="N", help="number of dipoles (%(default)s)")
+    add("-n", type=int, default=8000, metavar="N", help="number of dipoles (%(default)s)")
     add("--equilibration", type=float, default=15.0, metavar="T", help="left out at the start, ps (%(default)s)")
     add("--duration", type=float, default=200.0, metavar="T", help="length of the run after it, ps (%(default)s)")
     add("--seed", type=int, default=0, metavar="S", help="seed of positions, momenta and noise (%(default)s)")
@@ -71,6 +72,7 @@ def parse() -> argparse.Namespace:
 
 def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the total moments (n, 3), positions of centres and tips (frames, n, 2, 3), and the edge of the box."""
+    edge = (args.n / DENSITY) ** (1.0 / 3.0)
     topology, system, positions = rb.dipole_fluid(
         args.n,
         args.seed,
@@ -78,13 +80,14 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, float]:
         inertia=(0.2, 0.2, 0.2),
         attraction=1.0,
         density=DENSITY,
-        boundary=rb.Ewald(tolerance=1e-3),
+        boundary=rb.Ewald(tolerance=1e-3, cutoff=min(CUTOFF, 0.5 * edge)),
     )
     ends = {"C": -(MU2**0.5) / 0.5, "D": MU2**0.5 / 0.5}  # charges half a nm apart that make the dipole
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
+    frame = 40 * max(1, args.n // 1000)  # steps between two frames
     job = rb.Run.from_options(args, free=("duration",))
     job.add_reporter(partial(rb.MomentReporter, charges=charges), "moments.csv", SAMPLE)
-    job.add_reporter(app.DCDReporter, "trajectory.dcd", FRAME)
+    job.add_reporter(app.DCDReporter, "trajectory.dcd", frame)
     integrator = rb.ExactRigidBodyLangevinIntegrator(KT / KB, 0.5, STEP, "BAOA")
     integrator.setRandomNumberSeed(args.seed + 1)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
@@ -99,7 +102,7 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, float]:
     table = np.loadtxt(job.folder / "moments.csv", delimiter=",", skiprows=1, ndmin=2)
     trajectory = mdtraj.load(str(job.folder / "trajectory.dcd"), top=mdtraj.Topology.from_openmm(topology))
     frames = trajectory.xyz.reshape(len(trajectory), args.n, -1, 3)[:, :, -2:].astype(np.float64)
-    return table[table[:, 0] > first, 2:5], frames[int(first / FRAME) + 1 :], (args.n / DENSITY) ** (1.0 / 3.0)
+    return table[table[:, 0] > first, 2:5], frames[int(first / frame) + 1 :], edge
 
 
 def correlations(frames: np.ndarray, edge: float, width: float = 0.02) -> tuple[np.ndarray, ...]:
@@ -111,10 +114,12 @@ def correlations(frames: np.ndarray, edge: float, width: float = 0.02) -> tuple[
         u -= edge * np.round(u / edge)
         u /= np.linalg.norm(u, axis=1, keepdims=True)
         tree = cKDTree(sites[:, 0] % edge, boxsize=edge)
-        found = tree.sparse_distance_matrix(tree, bounds[-1], output_type="ndarray")
-        i, j, d = found["i"], found["j"], found["v"]
-        pairs += np.histogram(d, bounds)[0]
-        cosines += np.histogram(d, bounds, weights=np.einsum("ij,ij->i", u[i], u[j]))[0]
+        for some in np.array_split(np.arange(len(u)), 1 + len(u) // 500):  # not all pairs in memory at once
+            part = cKDTree(sites[some, 0] % edge, boxsize=edge)
+            found = part.sparse_distance_matrix(tree, bounds[-1], output_type="ndarray")
+            i, j, d = some[found["i"]], found["j"], found["v"]
+            pairs += np.histogram(d, bounds)[0]
+            cosines += np.histogram(d, bounds, weights=np.einsum("ij,ij->i", u[i], u[j]))[0]
     shells = 4.0 * np.pi / 3.0 * np.diff(bounds**3) * DENSITY * frames.shape[0] * frames.shape[1]
     kirkwood = 1.0 + np.cumsum(cosines) / (frames.shape[0] * frames.shape[1])
     return 0.5 * (bounds[1:] + bounds[:-1]), pairs / shells, 3.0 * cosines / shells, kirkwood
