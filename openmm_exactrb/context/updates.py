@@ -50,6 +50,7 @@ class ContextUpdates:
         acting = acting_updates(context)
         thermostats, barostats = ([f for f in acting if (type(f).__name__ == _THERMOSTAT) is t] for t in (True, False))
         _refuse_torn_bodies(context, barostats, named)
+        _refuse_dipoles_of_one_box(context, barostats)
         self._removals = tuple(force.getFrequency() for force in removers)
         self._barostats = barostats
         self._advance = advancing()
@@ -162,4 +163,15 @@ def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Se
             raise ValueError(
                 f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
                 "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+            )
+
+
+def _refuse_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
+    """Raise ValueError for dipole forces by formulas: in a box that changes their numbers may become wrong silently."""
+    for force in context.getSystem().getForces() if barostats else ():
+        formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
+        if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
+            raise ValueError(
+                "a barostat changes the box, which dipoles of kernel='bonds' do not follow, and those of 'openmm' only "
+                "while it is wide enough: take kernel='compiled', or remove the barostat"
             )

@@ -5,7 +5,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from force_laws import assert_lawful, evaluated, positions_of
+from force_laws import REFERENCE, assert_lawful, evaluated, positions_of
 from soft_dipoles import FIELD, arrows, assert_same, fluid
 
 OPEN = {}
@@ -101,6 +101,20 @@ def test_a_cutoff_whose_tips_have_other_nearest_images_is_refused():
         else:
             with pytest.raises(ValueError, match=r"below half the box, 2.5 nm: .* or kernel='bonds'"):
                 rb.soft_dipole_force([(0, 1)], **asked)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "boundary"),
+    [("openmm", WIDE["boundary"]), ("bonds", rb.ReactionField()), ("openmm", rb.Ewald(tolerance=1e-3))],
+)
+def test_a_barostat_is_refused_where_the_formula_needs_its_box(kernel, boundary):
+    _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel=kernel)
+    system.addForce(openmm.MonteCarloBarostat(1.0, 100.0))
+    integrator = rb.ExactRigidBodyIntegrator(0.004)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(positions)
+    with pytest.raises(ValueError, match=r"a barostat changes the box, .* take kernel='compiled'"):
+        integrator.step(1)
 
 
 def test_the_trajectory_is_the_same_to_roundoff_growth():

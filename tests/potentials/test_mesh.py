@@ -4,6 +4,8 @@ import numpy as np
 import openmm
 import pytest
 
+import dipole_scale
+import nufft_ewald
 import openmm_exactrb as rb
 from force_laws import assert_gradient, context_of, evaluated, positions_of
 from openmm_exactrb.potentials import ewald, ewald_errors
@@ -112,6 +114,37 @@ def test_what_is_given_is_taken():
 def test_what_cannot_be_met_gets_one_sentence(settings, message):
     with pytest.raises(ValueError, match=message):
         rb.Ewald(**settings).getParameters(1000, (10.0, 10.0, 10.0))
+
+
+def test_a_box_that_shrinks_below_its_mesh_is_refused():
+    context, _ = fluid(64, boundary=rb.Ewald(order=16, tolerance=1e-2), density=0.05)
+    context.setPeriodicBoxVectors(*np.diag([7.2, 10.0, 10.0]))
+    with pytest.raises(Exception, match=r"the box, 7.2 nm, has become too small .* do not fit into 15 points"):
+        context.getState(energy=True)
+
+
+def test_positions_that_are_no_numbers_end_a_run_with_one_sentence():
+    context, integrator = fluid(64, "S2_2", boundary=rb.Ewald(**MESH), density=0.5)
+    x = positions_of(context)
+    x[7, 1] = np.nan
+    context.setPositions(x)
+    with pytest.raises(ValueError, match=r"body 1 .* are not finite: set finite ones"):
+        integrator.step(1)
+
+
+@pytest.mark.validate
+@pytest.mark.parametrize("n", [125, 8000, 27000])
+def test_forces_and_fields_are_those_of_nonuniform_fourier_transforms(n):
+    """An independent sum, by finufft: also of more dipoles than a direct sum takes."""
+    pytest.importorskip("finufft")
+    R, mu, box = dipole_scale.liquid(n)
+    energy, forces, fields = nufft_ewald.dipole_sum(R, mu, box)
+    x, right = sites_of(R, mu), (forces, fields, np.cross(mu, fields))
+    for settings in [{"tolerance": t} for t in (1e-3, 1e-4, 1e-5, 1e-6)] + [{"method": "direct"}] * (n == 125):
+        total, found = dipoles_alone(x, 3 * [box], **settings)
+        errors = [np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(parts(x, found), right, strict=True)]
+        assert max(errors) < settings.get("tolerance", 1e-11)
+        assert total == pytest.approx(energy, rel=10.0 * settings.get("tolerance", 1e-12))
 
 
 def test_a_restart_goes_on_bit_for_bit_and_a_serialised_system_has_the_same_mesh():

@@ -93,6 +93,11 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
         return energy, forces[:, :n], fields[:, :n]
     alpha, steps, order, dielectric = ewald
     x, y, z = (mesh.fast_size(edge / step) for edge, step in zip(edges, steps, strict=True))
+    if min(x, y, z) < mesh.spline(order).shape[2]:
+        raise ValueError(
+            f"the box, {min(edges):g} nm, has become too small for its mesh: splines of order {order} do not fit into "
+            f"{min(x, y, z)} points; set the force up for this box"
+        )
     r, u = arrows[:3, :n].copy(), arrows[3:, :n].copy()
     return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)
 
