@@ -7,9 +7,10 @@ rounds, all contenders in turns; of several cores, wall time.
 
 rb.Ewald has a row for each tolerance. LAMMPS (pair_style lj/cut/dipole/long and pppm/dipole, where it is installed) has
 its splitting from the error of its pairs and meshes from coarse to fine until forces and torques reach each level of
-error, by cutoffs and orders: a row is the fastest of these, and on the smaller samples ewald/dipole takes part. Its
-spheres do not act, and a step is one evaluation. The rows of a level are comparable: "level" is the smallest of these
-that forces and torques reach.
+error, by cutoffs and orders: a row is the fastest of these, and on the smaller samples ewald/dipole takes part. More
+than 8000 dipoles have the settings that were the fastest for 8000, with a mesh as fine. Its spheres do not act, and a
+step is one evaluation. The rows of a level are comparable: "level" is the smallest of these that forces and torques
+reach.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from openmm_exactrb import kernels
 from openmm_exactrb.potentials import SoftDipoles, ewald_errors
 
 DENSITY, MU2 = 0.822, 3.0
+SEARCHED = 8000  # the most dipoles for which settings of LAMMPS are searched
 DIRECT = 4096  # the most dipoles of which the direct sum is timed
 LEVELS = (1e-3, 1e-4, 1e-5)
 TOLERANCES = (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6)
@@ -52,7 +54,8 @@ def main():
     if not arguments.draw:
         old = [row for row in read(arguments.csv) if int(row["n"]) not in arguments.n] if arguments.csv.exists() else []
         for n in arguments.n:
-            old = sorted(old + measure(n, arguments), key=lambda row: int(row["n"]))
+            like = [row["settings"] for row in old if row["who"] == PEER and int(row["n"]) == SEARCHED]
+            old = sorted(old + measure(n, arguments, like if n > SEARCHED else []), key=lambda row: int(row["n"]))
             with arguments.csv.open("w", newline="") as file:  # after each: the last take long
                 table = csv.DictWriter(file, list(old[0]))
                 table.writeheader()
@@ -74,8 +77,8 @@ def liquid(n):
     return R, MU2**0.5 * u / np.linalg.norm(u, axis=1, keepdims=True), box
 
 
-def measure(n, arguments):
-    """Return the rows of all contenders."""
+def measure(n, arguments, like):
+    """Return the rows of all contenders, LAMMPS with settings like these if there are any."""
     R, u, box = liquid(n)
     _, forces, fields = nufft_ewald.dipole_sum(R, u, box)
     exact = forces, np.cross(u, fields)
@@ -88,7 +91,9 @@ def measure(n, arguments):
             run = evaluation(boundary, R, u, box, cores, 4.0)
             contenders.append((who, cores, tolerance, settings, errors, run))
     if lammps_peer.INSTALLED and n in arguments.peer:
-        contenders += [(PEER, 1, "", *found) for found in fastest_peers(R, u, box, exact, arguments.cutoffs)]
+        samples = R, u, box, exact
+        peers = scaled_peers(*samples, like) if like else fastest_peers(*samples, arguments.cutoffs)
+        contenders += [(PEER, 1, "", *found) for found in peers]
     best = [math.inf] * len(contenders)
     for _ in range(arguments.rounds):
         for i, (_, cores, *_, run) in enumerate(contenders):
@@ -174,6 +179,17 @@ def fastest_peers(R, u, box, exact, cutoffs):
                 break
     for accuracy, cutoff in itertools.product((1e-2, 1e-3, 1e-4), (*cutoffs, 0.5 * box)) if len(R) < 2000 else ():
         consider(found, exact, (R, u, box, "ewald", accuracy, cutoff, ""))
+    return list({each[1]: each[1:] for each in found.values()}.values())
+
+
+def scaled_peers(R, u, box, exact, like):
+    """Return settings, errors and a run of LAMMPS for each of some settings, with their cutoffs and mesh spacings."""
+    found = {}
+    for words in like:
+        _, _, cutoff, _, points, _, _, _, order, _, alpha = words.replace(",", "").split()
+        points = kernels.load("mesh", "numba").fast_size(int(points) * box / (SEARCHED / DENSITY) ** (1 / 3))
+        mesh = f"kspace_modify mesh {points} {points} {points} order {order} gewald {alpha}"
+        consider(found, exact, (R, u, box, "pppm", 1e-3, float(cutoff), mesh))
     return list({each[1]: each[1:] for each in found.values()}.values())
 
 

@@ -216,6 +216,56 @@ def earlier_schemes() -> str:
     return table(("", "order", *(f"{rate} per ps" for rate in rates)), body)
 
 
+# -- Ewald sums of dipoles: benchmarks/dipole_scale.py and dipole_energy.py -------------------------------------------
+
+
+def dipole_costs() -> str:
+    """Return the time of an evaluation at equal measured errors, on one core."""
+    found, body = rows("dipole_scale"), []
+    for (n,) in distinct(found, "n"):
+        for level in ("0.001", "0.0001", "1e-05"):
+            best: dict[str, Row] = {}
+            for row in found:
+                reached = row["n"] == n and row["cores"] == "1" and row["level"] and float(row["level"]) <= float(level)
+                if reached and float(row["ms"]) < float(best.get(row["who"], {"ms": "inf"})["ms"]):
+                    best[row["who"]] = row
+            if level != "0.0001" and "LAMMPS" not in best:
+                continue
+            ours = best["rb.Ewald"]
+            others = [f"{float(best[who]['ms']):.3g}" if who in best else "" for who in ("direct sum", "LAMMPS")]
+            others[0] = others[0] if level == "0.0001" else ""  # timed with one tolerance
+            setting = best["LAMMPS"]["settings"] if "LAMMPS" in best else ""
+            errors = f"{float(level):.0e}".replace("e-0", "e-")
+            ms = f"{float(ours['ms']):.3g}"
+            body.append((n, errors, ms, ours["settings"], *others, setting.replace("/dipole", "")))
+    return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "with", "direct sum, ms", "LAMMPS, ms", "with"), body)
+
+
+def dipole_errors() -> str:
+    """Return the errors of forces and torques by the tolerance."""
+    found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
+    errors = {(row["tolerance"], row["n"]): f"{row['force_error']}, {row['torque_error']}" for row in found}
+    numbers = ("125", "1000", "8000", "27000")
+    body = [
+        (name, *(errors.get((tolerance, n), "") for n in numbers))
+        for name, tolerance in (("1e-3", "0.001"), ("1e-4", "0.0001"), ("1e-5", "1e-05"), ("1e-6", "1e-06"))
+    ]
+    return table(("tolerance", *(f"{n} dipoles" for n in numbers)), body)
+
+
+def dipole_energies() -> str:
+    """Return the standard deviations of the energy of a dipole on a mesh and with the direct sum, and its drift."""
+    found, body = rows("dipole_energy"), []
+    for scheme, step in distinct(found, "scheme", "step_ps"):
+        of = {(row["sum"], row["start"]): row for row in found if row["scheme"] == scheme}
+        starts = [start for method, start in of if method == "direct" and ("mesh", start) in of]
+        stds = (", ".join(of[method, start]["std"] for start in starts) for method in ("mesh", "direct"))
+        longest = max((row for row in of.values() if row["sum"] == "mesh"), key=lambda row: int(row["ps"]))
+        drift = f"{longest['drift_a_ps']} ± {longest['drift_error']} ({longest['ps']} ps)"
+        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, drift))
+    return table(("scheme", "step", "mesh, by start", "direct sum, by start", "drift a ps on the mesh"), body)
+
+
 # -- single figures of the pages -------------------------------------------------------------------------------------
 
 
@@ -248,5 +298,6 @@ def all_tables() -> dict[str, str]:
     functions = (
         *(default_energies, default_stability, default_temperatures),
         *(outputs, protein_steps, validation, ensembles, earlier_schemes),
+        *(dipole_costs, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}
