@@ -241,6 +241,15 @@ def dipole_costs() -> str:
     return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "with", "direct sum, ms", "LAMMPS, ms", "with"), body)
 
 
+def dipole_memory() -> str:
+    """Return the memory of a process with the fewest and with the most dipoles."""
+    found = [row for row in rows("dipole_scale") if row["process_MB"]]
+    few, many = (
+        f"{row['process_MB']} MB with {int(row['n']):,} dipoles".replace(",", " ") for row in found[:: len(found) - 1]
+    )
+    return f"{few}, {many}"
+
+
 def dipole_errors() -> str:
     """Return the errors of forces and torques by the tolerance."""
     found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
@@ -254,16 +263,24 @@ def dipole_errors() -> str:
 
 
 def dipole_energies() -> str:
-    """Return the standard deviations of the energy of a dipole on a mesh and with the direct sum, and its drift."""
+    """Return standard deviations of the energy of a dipole, on a mesh and with the direct sum, and its drift."""
     found, body = rows("dipole_energy"), []
     for scheme, step in distinct(found, "scheme", "step_ps"):
         of = {(row["sum"], row["start"]): row for row in found if row["scheme"] == scheme}
         starts = [start for method, start in of if method == "direct" and ("mesh", start) in of]
-        stds = (", ".join(of[method, start]["std"] for start in starts) for method in ("mesh", "direct"))
+        stds = [
+            ", ".join(f"{float(of[method, start][name]):.{digits}e}".replace("e-0", "e-") for start in starts)
+            for name, digits in (("std_early", 3), ("std", 1))
+            for method in ("mesh", "direct")
+        ]
         longest = max((row for row in of.values() if row["sum"] == "mesh"), key=lambda row: int(row["ps"]))
-        drift = f"{longest['drift_a_ps']} ± {longest['drift_error']} ({longest['ps']} ps)"
-        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, drift))
-    return table(("scheme", "step", "mesh, by start", "direct sum, by start", "drift a ps on the mesh"), body)
+        drifts = (
+            f"{row['drift_a_ps']} ± {row['drift_error']} ({row['ps']} ps)".replace("e-0", "e-")
+            for row in (longest, of["direct", longest["start"]])
+        )
+        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, *drifts))
+    head = ("mesh, 1.2 ps", "direct, 1.2 ps", "mesh, 20 ps", "direct, 20 ps", "drift a ps, mesh", "drift a ps, direct")
+    return table(("scheme", "step", *head), body)
 
 
 # -- single figures of the pages -------------------------------------------------------------------------------------
@@ -298,6 +315,6 @@ def all_tables() -> dict[str, str]:
     functions = (
         *(default_energies, default_stability, default_temperatures),
         *(outputs, protein_steps, validation, ensembles, earlier_schemes),
-        *(dipole_costs, dipole_errors, dipole_energies),
+        *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}
