@@ -84,7 +84,7 @@ def soft_dipole_force(
     The box of "bonds" is the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not change. The
     compiled kernel and the `CustomHbondForce` follow the box of the Context. The latter takes centres and tips to their
     nearest images one by one, hence its condition on the cutoff, which is not checked again if the box shrinks. The
-    integrators of this package refuse a barostat with either formula.
+    integrators of this package raise a ValueError for a barostat with either formula.
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
