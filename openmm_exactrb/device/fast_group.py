@@ -73,7 +73,7 @@ def restore(system: openmm.System) -> None:
 
 
 def answer(context: openmm.Context) -> None:
-    """Have `getState` of a Context find the forces that were moved by the group that they came from.
+    """Have ``getState`` of a Context find the forces that were moved by the group that they came from.
 
     It raises ValueError if it is asked for some of the groups that they came from, but not for all.
     """
