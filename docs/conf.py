@@ -5,6 +5,7 @@ import importlib
 import inspect
 import os
 import pkgutil
+import re
 import sys
 from collections.abc import Iterator
 from importlib.metadata import version as version_of
@@ -209,6 +210,17 @@ def moving_droplet(app: Sphinx) -> None:
         droplet.write(Path(__file__).parent / "_static" / "droplet.xyz")
 
 
+def breakable(app: Sphinx, tree: nodes.document, name: str) -> None:
+    """Let long names in cells of tables wrap between their words, not within them."""
+    for entry in tree.findall(nodes.entry):
+        for literal in entry.findall(nodes.literal):
+            words = re.split(r"(?<=[a-z])(?=[A-Z])", literal.astext())
+            literal.clear()
+            literal += nodes.Text(words[0])
+            for word in words[1:]:
+                literal += [nodes.raw("", "<wbr>", format="html"), nodes.Text(word)]
+
+
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
     app.add_domain(Python, override=True)
@@ -220,3 +232,4 @@ def setup(app: Sphinx) -> None:
     app.connect("missing-reference", by_last_name)
     app.connect("env-check-consistency", undocumented)
     app.connect("doctree-read", reachable_from_source)
+    app.connect("doctree-resolved", breakable)
