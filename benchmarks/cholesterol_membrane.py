@@ -262,7 +262,7 @@ def draw(composition, folder):
     axes.set_aspect("equal")
     axes.set_xlabel("x (nm)")
     axes.set_ylabel("z (nm)")
-    axes.set_title(f"{composition} in water after 1.5 ns: cholesterol in orange")
+    axes.set_title(f"{composition} in water after {1e-3 * state.getTime()._value:.1f} ns: cholesterol in orange")
     figure.savefig(TABLES[composition].with_suffix(".png"), dpi=110)
 
 

@@ -21,21 +21,23 @@ from openmm import unit
 import openmm_exactrb as rb
 import protein_steps
 
-RT = (unit.MOLAR_GAS_CONSTANT_R * 100.0 * unit.kelvin).value_in_unit(unit.kilojoule_per_mole)
+
+def start_of(options):
+    """Return System, positions, molecules, temperature (K) and fast forces of what is run."""
+    if not options.peptide:
+        _, system, positions = rb.rigid_water(options.molecules)
+        return system, positions, options.molecules, 100.0, None
+    topology, system, _ = protein_steps.molecules(None, "plain", "HBonds")
+    start = protein_steps.start_of(None)
+    system.setDefaultPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+    molecules = 1 + sum(residue.name == "HOH" for residue in topology.residues())
+    return system, start.getPositions(), molecules, 300.0, "bonded"
 
 
 def energies(engine, seed, options):
     """Return times (ns) and total energies (kJ/mol) of a run."""
     platform = openmm.Platform.getPlatform(options.platform)
-    if options.peptide:
-        _, system, _ = protein_steps.molecules(None, "plain", "HBonds")
-        start, kelvin = protein_steps.start_of(None), 300.0
-        system.setDefaultPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-        positions = start.getPositions()
-    else:
-        _, system, positions = rb.rigid_water(options.molecules)
-        kelvin = 100.0
-    fast = "bonded" if options.peptide else None
+    system, positions, _, kelvin, fast = start_of(options)
     integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine, fast=fast)
     context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, platform, {"Precision": "mixed"})
     context.setPositions(positions)
@@ -60,8 +62,9 @@ def main():
     parser.add_argument("--starts", type=int, default=3)
     parser.add_argument("--first", type=int, default=1, help="seed of the first start; the next one has the next seed")
     options = parser.parse_args()
-    what = "peptide in 212 molecules" if options.peptide else f"{options.molecules} molecules at 100 K"
-    molecules = 213 if options.peptide else options.molecules
+    _, _, molecules, kelvin, _ = start_of(options)
+    RT = (unit.MOLAR_GAS_CONSTANT_R * kelvin * unit.kelvin).value_in_unit(unit.kilojoule_per_mole)
+    what = f"{molecules} molecules at {kelvin:g} K"
     slopes = {"host": [], "device": []}
     print(f"{options.platform}, mixed, {options.scheme}, {what}, {1e3 * options.step:g} fs")
     print(f"{'start':>5} {'engine':7} {'kJ/mol/ns/molecule':>20} {'kJ/mol about the line':>22}")
@@ -73,7 +76,7 @@ def main():
         print(f"{seed:5d} {engine:7} {slopes[engine][-1]:20.2e} {rest:22.2e}", flush=True)
     for engine, found in slopes.items():
         error = np.std(found, ddof=1) / np.sqrt(len(found))
-        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT at 100 K is {RT:.2f} kJ/mol")
+        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT is {RT:.2f} kJ/mol")
 
 
 if __name__ == "__main__":

@@ -17,13 +17,10 @@ from pathlib import Path
 
 import numpy as np
 import openmm
-from openmm import unit
 
 import openmm_exactrb as rb
+from dipole_devices import DENSITY, KB, KT, MU2, REFERENCE
 
-DENSITY, KT, MU2 = 0.822, 1.15, 3.0
-KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-REFERENCE = openmm.Platform.getPlatform("Reference")
 LONG = ("S2_2", "S6_10")
 STEPS = {"S2_2": 0.004, "S6_10": 0.01, "SRKN6_14a": 0.015}  # ps
 EARLY = 1.2  # ps

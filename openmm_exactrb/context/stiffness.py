@@ -42,9 +42,10 @@ def frequencies(system: openmm.System, groups: Sequence[int] = range(32)) -> Ite
         frozenset((i, j)): d.value_in_unit(unit.nanometer)
         for i, j, d in map(system.getConstraintParameters, range(system.getNumConstraints()))
     }
-    forces = [force for force in system.getForces() if force.getForceGroup() in groups]
+    every = system.getForces()
+    forces = [force for force in every if force.getForceGroup() in groups]
     bonds = [parameters for force in forces for parameters in _bonds(force)]
-    others = [parameters for force in system.getForces() if force not in forces for parameters in _bonds(force)]
+    others = [parameters for force in every if force not in forces for parameters in _bonds(force)]
     length = held | {frozenset((i, j)): r for i, j, r, _ in (*others, *bonds)}
     for i, j, _, k in bonds:
         if frozenset((i, j)) not in held:
