@@ -79,14 +79,23 @@ class Substep:
 
 @dataclass(frozen=True)
 class Drift(Substep):
-    """The flow of the kinetic energy: free translation and rotation."""
+    """The flow of the kinetic energy: free translation and rotation.
+
+    Parameters
+    ----------
+    bodies : {"all", "inner", "others"}, optional
+        Which bodies move: those with inner steps, the others, or all.
+    """
+
+    bodies: str = "all"
 
     symbol: ClassVar[str] = "A"
     additive: ClassVar[bool] = True
 
     def bind(self, environment: Any) -> Flow[State]:
-        """Return the free motion of all bodies, including fast forces."""
-        drift: Flow[State] = environment.kinetic.drift
+        """Return the free motion of these bodies, including fast forces."""
+        kinetic = environment.kinetic
+        drift: Flow[State] = kinetic.drift if self.bodies == "all" else kinetic.partial[self.bodies]
         return drift
 
     def oscillator(self, tau: Any) -> Matrix:
@@ -95,7 +104,7 @@ class Drift(Substep):
 
     def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
         """Return the drift of a row."""
-        return (("drift", part),)
+        return (({"all": "drift", "inner": "inner", "others": "long"}[self.bodies], part),)
 
 
 @dataclass(frozen=True)

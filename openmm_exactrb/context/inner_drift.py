@@ -8,7 +8,7 @@ potential does not move have no part in it: their drift is one.
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -58,21 +58,23 @@ class InnerDrift:
         self,
         forces: ContextForces,
         kinetic: Kinetic,
-        timed: Callable[[Flow[State]], Flow[State]],
+        timed: Callable[..., Flow[State]],
         divergence: DivergenceCheck,
         scheme: Scheme,
         h: float,
-    ) -> tuple[Flow[State], Forces]:
+    ) -> tuple[Flow[State], Mapping[str, Flow[State]], Forces]:
         """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
 
-        timed(drift) is a drift that moves the positions and the time of the Context; h (ps) is the step of the scheme.
+        The drifts are those of all bodies and, unless all have inner steps, those of some as `Kinetic.partial` has
+        them. timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it
+        passes; h (ps) is the step of the scheme.
         """
         inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
         repetitions = self.fast.repetitions(scheme, h)
         if self._own is None:
             fast = forces.of(self.fast.groups, _COUNTER)
             drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
-            return drift, SlowGroups(forces, fast, self._timings)
+            return drift, {}, SlowGroups(forces, fast, self._timings)
         own, part = self._own, self._own.excerpt.part
         terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
         fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
@@ -83,7 +85,15 @@ class InnerDrift:
         def both(state: State, tau: float) -> State:
             return part.into(others(state, tau), alone(part.of(state), tau))
 
-        return own.taking_all_as_seen(timed(both)), Remainder(forces, fast, part)
+        def of_part(state: State, tau: float) -> State:
+            return part.into(state, alone(part.of(state), tau))
+
+        def of_others(state: State, tau: float) -> State:
+            return part.into(others(state, tau), part.of(state))
+
+        seen = own.taking_all_as_seen
+        partial = {"inner": seen(timed(of_part, passes=False)), "others": seen(timed(of_others))}
+        return seen(timed(both)), partial, Remainder(forces, fast, part)
 
 
 def inner_steps(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import weakref
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -34,6 +34,7 @@ from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 
 Array = NDArray[np.float64]
 
@@ -271,7 +272,8 @@ class Propagator:
             self._positions,
             self._memory,
         )
-        self._step, self._output = environment.bound(scheme.sequence, h), environment.bound(scheme.output, h)
+        step = canonical_momenta(scheme.sequence) if kinetic.partial else scheme.sequence
+        self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
         )
@@ -297,17 +299,18 @@ class Propagator:
         displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
         inner, scheme = self._inner_drift, settings.splitting
         drift, slow = self._timed(kinetic.drift), cast(Forces, forces)
+        partial: Mapping[str, Flow[State]] = {}
         if inner is not None and inner.fast.acts(scheme, settings.h):
             h = settings.h / settings.splits
-            drift, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
+            drift, partial, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
             if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
                 inner.warn_of_resonances(scheme, h)
         if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
-            drift = _checked(drift, check)
-        return Kinetic(drift, displaced, kinetic.tangent, kinetic.order), slow
+            drift, partial = _checked(drift, check), {name: _checked(some, check) for name, some in partial.items()}
+        return Kinetic(drift, displaced, kinetic.tangent, kinetic.order, partial), slow
 
-    def _timed(self, drift: Flow[State]) -> Flow[State]:
-        """Return a drift that moves the positions and the time of the Context."""
+    def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
+        """Return a drift that moves the positions of the Context, and its time where it `passes`."""
         positions, clock, timings = self._positions, self._clock, self._timings
 
         def flow(state: State, tau: float) -> State:
@@ -315,7 +318,8 @@ class Propagator:
             state = drift(state, tau)
             timings.rotor += time.perf_counter() - start - (timings.forces - nested)
             positions.version += 1
-            clock.drift(tau)
+            if passes:
+                clock.drift(tau)
             return state
 
         return flow

@@ -328,12 +328,13 @@ def _flattened(sequence: Sequence, scheme: Scheme, inner: Inner | None) -> Itera
             yield "last", substep.padded(part, scheme.memory)
             continue
         for name, number in substep.device_rows(part) or (("", 0.0),):
-            if name == "drift":
+            if name in ("drift", "long"):
                 yield "long", number
+            if name in ("drift", "inner"):
                 yield from _inner_stages(number, inner)
             elif name in ("kick", "thermostat"):
                 yield {"thermostat": "before"}.get(name, name), number
-            else:
+            elif name != "long":
                 raise _unsupported(substep)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Thermostat
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
@@ -105,6 +106,8 @@ def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps
         slow = tuple(fast_group.slow_groups(system, which, group, groups))
         repetitions = found.repetitions(outer, h)
         inner = Inner(found.inner(outer).sequence, lambda part: repetitions(part * h))
+        if found.excerpt is not None:
+            scheme = replace(scheme, sequence=canonical_momenta(scheme.sequence))
         return Needs(Layout(_table(scheme, inner), sums, group, slow, clusters), tuple(which))
     if not clusters:
         return Needs(Layout(Table.of(scheme), sums))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +33,15 @@ class Kinetic:
         before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
     order : int or None
         Order of the drift; None if it is exact.
+    partial : mapping of str to callable
+        Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
     """
 
     drift: Flow[State]
     displaced: Callable[[State, Array], State]
     tangent: Callable[[State], State]
     order: int | None = None
+    partial: Mapping[str, Flow[State]] = field(default_factory=dict)
 
 
 def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:

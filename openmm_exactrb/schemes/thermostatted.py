@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence, palindromic, repeated, spelled
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, HeatExchange, Substep
+from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, Drift, HeatExchange, Substep
 
 _PARTICLES = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990, for particles"
 _MIDDLE = "Z. Zhang et al., J. Phys. Chem. A 123, 6056 (2019), doi:10.1021/acs.jpca.9b02771, for particles"
@@ -70,6 +70,23 @@ WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
 def with_thermostat(scheme: Scheme) -> Scheme:
     """Return a scheme with a thermostat: half of it before and half after each step, unless it is within."""
     return _numbered(scheme, scheme.sequence if scheme.has(HEAT_EXCHANGE) else _between_halves(scheme.sequence))
+
+
+def canonical_momenta(sequence: Sequence) -> Sequence:
+    """Return the sequence of a step at whose end the momenta of bodies with inner steps are those of a heat exchange.
+
+    A drift between the last heat exchange and the end of a step leaves momenta as they are, but not those of bodies
+    with inner steps: for its time t fast forces act without the slow ones that balance them, which adds
+    -t² <f_fast M^-1 f_slow> to twice the mean kinetic energy. These bodies make that drift at the begin of the next
+    step.
+    """
+    if len(sequence) < 2 or not isinstance(sequence[-2][0], HeatExchange) or sequence[-1][0] != DRIFT:
+        return sequence
+    *rows, (_, late) = sequence
+    first, part = rows[0]
+    if first == DRIFT:
+        return (Drift("inner"), part + late), (Drift("others"), part), *rows[1:], (Drift("others"), late)
+    return (Drift("inner"), late), *rows, (Drift("others"), late)
 
 
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
