@@ -278,3 +278,47 @@ def test_a_cluster_that_finds_no_way_along_its_constraints_is_a_refusal_on_any_p
     with pytest.raises(rb.NonFiniteError, match="the cluster of particles 0, 1, 2"):
         plain.step(3)
     assert np.isfinite(positions_of(context)).all()
+
+
+def stretched(scheme, h, engine):
+    """Return the mean momentum along a bond that slow forces of 500 kJ/mol/nm stretch, and the place of a rigid body.
+
+    Nothing but friction: after 1 ps the bond is at rest but for what a step does to it. Both in OpenMM's units.
+    """
+    system, bond, pull = openmm.System(), openmm.HarmonicBondForce(), openmm.CustomExternalForce("-pull*x + rise*z")
+    for mass in (12.0, 16.0, 16.0, 1.0, 1.0):
+        system.addParticle(mass)
+    for i, j, length in ((2, 3, 0.1), (2, 4, 0.1), (3, 4, 0.16)):
+        system.addConstraint(i, j, length)
+    bond.addBond(0, 1, 0.12, 4e5)
+    for name in ("pull", "rise"):
+        pull.addPerParticleParameter(name)
+    for i, strengths in enumerate(((-500.0, 0.0), (500.0, 0.0), (0.0, 100.0))):
+        pull.addParticle(i, strengths)
+    system.addForce(bond)
+    system.addForce(pull)
+    options = {"scheme": scheme, "fast": "bonded", "engine": engine, "checkDivergence": False}
+    integrator = rb.ExactRigidBodyLangevinIntegrator(1e-25, 100.0, h, **options)
+    context = openmm.Context(system, integrator, REFERENCE)
+    apex = (2.0, 2.0, 2.0)
+    context.setPositions([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), apex, (2.08, 2.06, 2.0), (1.92, 2.06, 2.0)])
+    integrator.step(round(1.0 / h))
+    momentum = [12.0, 16.0] * velocities_of(context)[:2, 0]
+    return 0.5 * (momentum[1] - momentum[0]), positions_of(context)
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize(("scheme", "h"), [("W2_3m", 0.024), ("BAOA", 0.006)])
+def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
+    """The bond pulls throughout a step, what stretches it in kicks alone: where a step ends both must have done alike.
+
+    A drift by the time t behind the heat exchange would end with 500 t, 1.3 and 1.5 here.
+    """
+    momentum, _ = stretched(scheme, h, engine)
+    assert abs(momentum) < 1e-3
+
+
+def test_devices_end_a_step_where_the_host_does():
+    host, device = (stretched("W2_3m", 0.024, engine)[1] for engine in ("host", "device"))
+    assert abs(host[2, 2] - 2.0) > 0.01  # the body has fallen
+    np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-10)
