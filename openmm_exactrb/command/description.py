@@ -169,7 +169,7 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         return
     flexible = fast is not None
     nve, interval = (look_up(DEFAULT), _PROTEIN) if flexible else (look_up("W4_4"), _WATER_NVE)
-    nvt = "ExactRigidBodyLangevinIntegrator(300*kelvin, 1/picosecond, "
+    nvt = "ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
     yield f"constant energy: rb.ExactRigidBodyIntegrator({_step(fast, nve, interval)}"
     yield f"constant temperature: rb.{nvt}{_step(fast, splitting('W2_3m'), _WATER_NVT)}"
     yield (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import reprlib
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +34,7 @@ _NO_PERIOD = (
     "the fast forces have no bonds, and no harmonic angles between bonds of known length, from which the fastest "
     "period follows: set the number of inner steps per step with innerSteps="
 )
+_NO_INNER_STEPS = "there are no inner steps: "
 #: What `fast` may be beside force groups: bonded forces where that helps; wherever there are some.
 AUTO, BONDED = "auto", "bonded"
 
@@ -169,7 +171,12 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
     Raises
     ------
     ValueError
-        If groups have no forces, all forces are in them, or the number of inner steps has to be given.
+        If all forces are in the groups, or the number of inner steps has to be given.
+
+    Warns
+    -----
+    UserWarning
+        If the groups have no bonded forces, and so no inner steps unless the number of these is given.
     """
     if settings is None:
         return None
@@ -196,17 +203,20 @@ def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSt
     return FastForces(settings, frequency, excerpt)
 
 
-def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces:
+def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
     present = {group for force in acting(system) for group in groups_of(force)}
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
-        raise ValueError(
-            f"fast names force groups without forces ({', '.join(map(str, settings.fast))}): the forces of the System "
-            f"are in {', '.join(map(str, sorted(present))) or 'none'}"
+        warnings.warn(
+            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}), the "
+            f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}",
+            stacklevel=2,
         )
+        return None
     if present <= set(groups):
         raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:
-        raise ValueError(_NO_PERIOD)
+        warnings.warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}", stacklevel=2)
+        return None
     return FastForces(settings, frequency)

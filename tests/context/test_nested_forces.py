@@ -3,6 +3,8 @@
 import copy
 import itertools
 import pickle
+import re
+import warnings
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -513,19 +515,45 @@ def test_substeps_of_ones_own_may_have_any_symbol():
     assert context.getStepCount() == 1
 
 
+@pytest.mark.parametrize("engine", ["host", "device"])
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": (7,)}, r"fast names force groups without forces \(7\): the forces of the System are in 0, 1"),
+        ({"fast": (7,)}, r"fast names force groups without forces \(7\), the forces of the System are in 0, 1"),
         ({"fast": (7,), "innerSteps": 4}, "fast names force groups without forces"),
         ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
     ],
 )
-def test_groups_that_make_no_inner_steps_are_refused(options, message):
-    _, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
-    system.getForce(1).setForceGroup(1)
-    with pytest.raises(ValueError, match=message):
-        moving(system, positions, 0.01, "S2_2", **options)
+def test_groups_without_bonded_forces_have_nothing_to_nest_and_say_so(options, message, engine):
+    """As a script for any molecule names the group that `separate_bonded` returns, and is given water."""
+    ends = []
+    for fast in (options, {"fast": None}):
+        _, system, positions = rb.rigid_water(2)
+        (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+        field = openmm.CustomExternalForce("y^2")
+        for particle in range(system.getNumParticles()):
+            field.addParticle(particle, [])
+        for force in system.getForces():
+            force.setForceGroup(0)
+        nonbonded.setForceGroup(1)
+        system.addForce(field)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            integrator, context = moving(system, positions, 0.001, "S2_2", engine=engine, **fast)
+            integrator.step(5)
+        assert integrator.timings.fast_evaluations == 0
+        assert len(told) == (fast is options)
+        assert not told or re.search(f"there are no inner steps: .*{message}", str(told[0].message))
+        ends.append(positions_of(context))
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_group_of_bonded_forces_of_rigid_water_has_nothing_to_nest():
+    _, system, positions = rb.rigid_water(2)
+    with pytest.warns(UserWarning, match="there are no inner steps"):
+        integrator, _context = moving(system, positions, 0.001, "S2_2", fast=(rb.separate_bonded(system),))
+    integrator.step(2)
+    assert integrator.timings.fast_evaluations == 0
 
 
 def test_angles_know_the_lengths_of_bonds_in_other_groups():
