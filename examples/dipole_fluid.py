@@ -71,7 +71,7 @@ def main() -> None:
         runs = [simulate(args, args.scheme, args.rotor, args.step)]
         if args.compare:
             # The same start and the same number of force evaluations.
-            h = args.step / rb.SCHEMES[args.scheme].stages
+            h = args.step / rb.SCHEMES[args.scheme].forces
             runs.append(simulate(args, "V2", "mclachlan_reich", h, "compare"))
     except (ValueError, ArithmeticError, OSError, openmm.OpenMMException) as error:
         sys.exit(f"dipole_fluid.py: {error}")

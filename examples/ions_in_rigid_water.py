@@ -30,7 +30,7 @@ import matplotlib.pyplot as plt
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Sodium and chloride in rigid water.")
-    parser.add_argument("--steps", type=int, default=300, metavar="N", help="steps of 6 fs (%(default)s)")
+    parser.add_argument("--steps", type=int, default=300, metavar="N", help="steps of 8 fs (%(default)s)")
     parser.add_argument("--platform", default="CPU", metavar="NAME", help="OpenMM platform (%(default)s)")
     rb.Run.add_options(parser, "out/ions")
     args = parser.parse_args()
@@ -58,9 +58,10 @@ def run(args: argparse.Namespace) -> None:
         nonbondedMethod=app.PME,
         nonbondedCutoff=0.8 * nanometer,
         switchDistance=0.7 * nanometer,
+        ewaldErrorTolerance=1e-5,
         rigidWater=True,
     )
-    integrator = rb.ExactRigidBodyIntegrator(6 * femtoseconds, scheme="S2_3")
+    integrator = rb.ExactRigidBodyIntegrator(forceInterval=2 * femtoseconds, scheme="W4_4")
     platform = openmm.Platform.getPlatform(args.platform)
     simulation = app.Simulation(modeller.topology, system, integrator, platform)
     simulation.context.setPositions(modeller.positions)

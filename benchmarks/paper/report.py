@@ -71,8 +71,8 @@ WHEN = """\
 ## Consequences for the choice of a scheme
 
 - If the potential is small compared with the kinetic energy and varies slowly within a step (a perturbed free body, a
-  satellite), use `V2_C17` if output is rare, since its corrector costs 32 evaluations per output, or `V2_gradient_C17`
-  if a force gradient is available; otherwise `SABA_4` at loose and `ABA_10_6_4` at tight tolerances.
+  satellite), use `SABA_4`, or `ABA_10_6_4` at tight tolerances. `V2_C17` is better if output is rare, since its corrector
+  costs 32 evaluations per output, and `V2_gradient_C17` if a force gradient is available.
 - If the potential is as large as the kinetic energy (T0 = ε, dipoles, every liquid), these schemes have no advantage.
   [Which integrator, scheme and step](which.md) has recommendations for molecules.
 - With McLachlan-Reich instead of the exact flow, every scheme falls to order 2, except for compositions of Verlet steps
