@@ -186,7 +186,10 @@ class Tuning:
         text = (
             f"an error of {target:.3g} kJ/mol per body was {why} {least.error:.2g}, with {least.method} and a step of "
         )
-        return f"{text}{1e3 * least.step:.3g} fs" + (f". {self._about_floor()}" if self.floor is not None else "")
+        text = f"{text}{1e3 * least.step:.3g} fs"
+        if self.floor is not None:
+            return f"{text}. {self._about_floor()}"
+        return text + (f". The forces may limit it: {'; '.join(self.causes)}" if self.causes else "")
 
     def __str__(self) -> str:
         head = (

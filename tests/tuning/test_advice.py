@@ -195,6 +195,14 @@ def test_what_longer_runs_contradict_is_not_promised():
     assert "In brackets: a longer run" in str(result)
 
 
+def test_an_error_out_of_reach_names_what_the_forces_may_set_before_the_floor_is_found():
+    cause = "NonbondedForce has an ewaldErrorTolerance of 0.0005: 1e-05 is tight"
+    result = recorded(causes=(cause,))
+    assert result.floor is None
+    with pytest.raises(tuning.UnreachableError, match=f"The forces may limit it: {cause}"):
+        result.best(1e-9)
+
+
 def test_a_scheme_of_ones_own_comes_back_as_itself(droplet):
     own = replace(rb.SCHEMES["S2_2"], name="own")
     result = rb.tune(*droplet, schemes=[own, "V2"], duration=0.05, levels=3, platform="Reference", report=None)
