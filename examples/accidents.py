@@ -2,9 +2,9 @@
 Runs that survive accidents
 ===========================
 
-All longer examples take ``--checkpoint``, ``--resume`` and ``--overwrite``. In a script of one's own it is
-:class:`openmm_exactrb.Run`. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk the same command continues: no frame and
-no line is lost or doubled.
+All longer examples have the options ``--checkpoint``, ``--resume`` and ``--overwrite``, which
+:class:`openmm_exactrb.Run` provides for your own scripts. After Ctrl-C, SIGTERM, ``kill -9`` or a full disk, the same
+command with ``--resume`` continues the run, and no frame and no line is lost or duplicated.
 """
 
 import tempfile
@@ -27,8 +27,8 @@ def make_simulation():
 
 
 # %%
-# A run knows its folder, its reporters and how often to write a checkpoint. ``advance`` goes to a step, from the start
-# or, with ``resume=True``, from the last checkpoint. On a command line
+# A ``Run`` has a folder, reporters and an interval between checkpoints. ``advance`` performs the steps up to a given
+# one, from the start or, with ``resume=True``, from the last checkpoint. On a command line
 # :meth:`Run.add_options <openmm_exactrb.Run.add_options>` and
 # :meth:`Run.from_options <openmm_exactrb.Run.from_options>` do the same.
 
@@ -42,7 +42,7 @@ def go(folder, until, resume=False):
 
 
 # %%
-# One run goes to the end. The other one stops half way, and is resumed by a new Simulation, as it would be by a new
+# One run goes to the end. The other stops half way and is resumed by a new Simulation, as it would be in a new
 # process.
 
 with tempfile.TemporaryDirectory() as folder:
@@ -53,9 +53,10 @@ with tempfile.TemporaryDirectory() as folder:
 print("the same bytes:", resumed == undisturbed)
 
 # %%
-# On the Reference platform the bytes are the same, as here; on others the run continues from the same state, and
-# differs as two runs do whose forces are summed in another order. A checkpoint of another run, or a damaged one, is
-# refused in one line and nothing is changed. ``tests/runs/test_accidents.py`` kills real runs at random moments.
+# On the Reference platform, as here, the files are identical byte for byte. On other platforms the run continues
+# from the same state, and differs as much as two runs whose forces are summed in another order. For a checkpoint that
+# is damaged or belongs to another run, an error of one line is raised, and nothing is changed.
+# ``tests/runs/test_accidents.py`` kills real runs at random moments.
 
 
 def potential(table):

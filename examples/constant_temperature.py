@@ -2,8 +2,8 @@
 Constant temperature
 ====================
 
-27 rigid water molecules from rest to 300 K: the temperatures of translation and rotation, and a run that samples
-exactly.
+This example heats 27 rigid water molecules from rest to 300 K, prints the temperatures of translation and rotation, and
+then samples exactly by hybrid Monte Carlo.
 """
 
 from pathlib import Path
@@ -34,8 +34,8 @@ translational, rotational = np.mean(temperatures[100:], axis=0)
 print(f"second half: translation {translational:.0f} K, rotation {rotational:.0f} K")
 
 # %%
-# Both come up to 300 K together, since the thermostat acts on both. Of so few molecules a temperature is known to a
-# tenth at any one time.
+# Both rise to 300 K together, since the thermostat acts on both. The temperature of so few molecules fluctuates by a
+# tenth.
 
 out = Path("out/constant_temperature")
 out.mkdir(parents=True, exist_ok=True)
@@ -50,8 +50,8 @@ figure.legend(loc="outside right center")
 figure.savefig(out / "temperatures.png", dpi=150)
 
 # %%
-# The same water with Metropolis's decisions: what is sampled is exact at any step, and a larger step is paid for with
-# refused proposals.
+# The same water with a Metropolis test: the sampled distribution is exact at any step size, but larger steps are
+# rejected more often.
 
 for fs in (4, 8, 12):
     hybrid = rb.ExactRigidBodyHybridIntegrator(300 * kelvin, 5 / picosecond, fs * femtoseconds)
@@ -60,4 +60,4 @@ for fs in (4, 8, 12):
     exact.context.setPositions(simulation.context.getState(positions=True).getPositions())
     hybrid.setVelocitiesToTemperature(300 * kelvin, 1)
     exact.step(200)
-    print(f"steps of {fs:2d} fs: {hybrid.acceptanceRate():.2f} of {hybrid.tally().proposed} proposals were taken")
+    print(f"steps of {fs:2d} fs: {hybrid.acceptanceRate():.2f} of {hybrid.tally().proposed} proposals were accepted")

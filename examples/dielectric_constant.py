@@ -2,20 +2,20 @@
 The dielectric constant of a Stockmayer fluid
 =============================================
 
-A box of Lennard-Jones spheres with point dipoles and all their images, by an Ewald sum. Every half picosecond all
-momenta are drawn anew, so that the run samples the canonical ensemble. The fluctuations of the total dipole moment give
-the dielectric constant. The picture is its running estimate with the standard error from block averages, beside what
-LAMMPS gave for the same state. ``--long-range "reaction field"`` truncates the dipoles instead, which needs no numba
-and is good enough for weak ones (``--dipole2 1``).
+The system is a box of Lennard-Jones spheres with point dipoles and all their images, by an Ewald sum. Every half
+picosecond all momenta are drawn again, so that the run samples the canonical ensemble. The dielectric constant follows
+from the fluctuations of the total dipole moment. The picture shows its running estimate with the standard error from
+block averages, next to the value of LAMMPS for the same state. ``--long-range "reaction field"`` truncates the dipole
+interactions instead, which does not need numba and is sufficient for weak dipoles (``--dipole2 1``).
 
-``--core wca --density 0.05 --temperature 1`` is a ferrofluid, spheres that only repel: a state known from the
-literature. It is dilute, and its short chains turn slowly: ``--duration 10000 --step 0.03``.
+With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other: a ferrofluid in a state known
+from the literature. It is dilute, and its short chains turn slowly, so use ``--duration 10000 --step 0.03``.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
-This page shows ``python examples/dielectric_constant.py --dipole2 1 --duration 150``, weak dipoles, for which a short
-run is enough. Without options the script takes mu² = 3 and 2000 ps.
+This page shows ``python examples/dielectric_constant.py --dipole2 1 --duration 150``: for weak dipoles a short run is
+sufficient. Without options the script simulates dipoles of mu² = 3 for 2000 ps.
 """
 
 from __future__ import annotations

@@ -2,13 +2,14 @@
 A droplet of dipoles
 ====================
 
-The system for which the method was first shown: soft spheres that repel each other as :math:`1/r^{12}`, each with a
-point dipole. OpenMM computes the forces, the rotation is exact. The script writes a trajectory (DCD, with its topology
-as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints what the run cost.
+This is the system for which the method was first published: soft spheres that repel each other as :math:`1/r^{12}`,
+each with a point dipole. OpenMM computes the forces, and the rotation is exact. The script writes a trajectory (DCD,
+with its topology as PDB), the energies (CSV, every digit of float64) and a picture of the energy error, and prints the
+cost of the run.
 
-With ``--compare`` it runs twice from the same start and with the same number of force evaluations: with the exact
-rotation under a scheme of order 4, and with the usual pair, velocity Verlet and the McLachlan-Reich rotation. This page
-shows ``python examples/dipole_fluid.py -n 64 --duration 6 --compare``.
+With ``--compare`` it makes two runs from the same start with the same number of force evaluations: one with the exact
+rotation and a scheme of order 4, the other with the usual combination of velocity Verlet and the McLachlan-Reich
+rotation. This page shows ``python examples/dipole_fluid.py -n 64 --duration 6 --compare``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 
 
 # %%
-# ``main`` checks before it runs that no file of an earlier run would be replaced. What goes wrong is told in one line.
+# Before it runs, ``main`` checks that no file of an earlier run would be replaced. Errors are printed in one line.
 
 
 @dataclass
@@ -145,7 +146,7 @@ finite = number(float, "finite number", lambda value: True)
 
 # %%
 # The simulation is an ordinary one of OpenMM. :class:`openmm_exactrb.Run` has the reporters, writes checkpoints, and
-# goes on from one after an accident.
+# resumes from the last one after an interruption.
 
 
 def simulate(args: argparse.Namespace, scheme: str, rotor: str, h: float, subfolder: str = "") -> Outcome:
@@ -205,7 +206,7 @@ def set_momenta(context: openmm.Context, args: argparse.Namespace, integrator: r
 
 
 # %%
-# The rest prints and draws.
+# The remaining code prints and draws the results.
 
 
 def report(runs: list[Outcome], out: Path) -> None:
@@ -241,10 +242,10 @@ def draw(runs: list[Outcome], file: Path) -> None:
 
 
 # %%
-# The step of the first line is six times as long as that of the second, because its scheme has six stages. The last
-# columns tell where the time went: on a droplet so small the free rotation costs little.
+# The step in the first line is six times as long as that in the second, because its scheme has six stages. The last
+# columns show where the time was spent: even in such a small droplet the free rotation costs little.
 #
-# ``--paper`` starts from the lattice of the paper, which is compressed and flies apart. With
+# ``--paper`` starts from the lattice of the paper, which is compressed, so that the spheres fly apart. With
 # ``boundary=rb.ReactionField()`` :func:`openmm_exactrb.dipole_fluid` makes a liquid in a box.
 
 if __name__ == "__main__":

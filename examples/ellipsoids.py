@@ -2,16 +2,16 @@
 A nematic liquid crystal by compression
 =======================================
 
-Ellipsoids three times as long as thick with the potential GB(3, 5, 2, 1) of Gay and Berne, at kT = 1. A barostat
-compresses them step by step: the lattice of parallel ellipsoids of the start melts into an isotropic liquid at the
-first pressure, in which all directions are alike, and the liquid becomes a nematic one at the last, in which the axes
-share a direction while the centres have no order. E. de Miguel et al., Mol. Phys. 74, 405 (1991),
-doi:10.1080/00268979100102321, found isotropic, nematic and smectic B phases of this model, the nematic one above
-kT = 0.8 only.
+These ellipsoids are three times as long as thick and interact by the Gay-Berne potential GB(3, 5, 2, 1), at kT = 1. A
+barostat compresses them in stages. At the first pressure, the initial lattice of parallel ellipsoids melts into an
+isotropic liquid, in which all directions are equivalent. At the last pressure the liquid is nematic: the axes share a
+direction while the centres have no order. E. de Miguel et al., Mol. Phys. 74, 405 (1991),
+doi:10.1080/00268979100102321, found isotropic, nematic and smectic B phases of this model, the nematic one only above
+kT = 0.8.
 
 The order parameter S is the largest eigenvalue of Q, the mean of (3 u u - 1)/2 over the axes u: 1 if they are all
-parallel. Layers would show in the density waves of the box with wavelengths from 1.5 to 5, as an amplitude near 1 of
-the largest. Random axes and centres of n ellipsoids have some of either too, which the script prints.
+parallel. If there were layers, the largest density wave of the box with a wavelength from 1.5 to 5 would have an
+amplitude near 1. For comparison, the script prints both numbers for random axes and centres of n ellipsoids.
 
 Units are reduced: diameter, epsilon and mass of an ellipsoid are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.

@@ -2,8 +2,8 @@
 Equipartition
 =============
 
-Translation and rotation of 64 rigid water molecules at one temperature, or not: OpenMM's
-``LangevinMiddleIntegrator`` and ours, over the time between two forces.
+Do translation and rotation of 64 rigid water molecules have the same temperature? This example compares OpenMM's
+``LangevinMiddleIntegrator`` with ``ExactRigidBodyLangevinIntegrator`` at several intervals between force evaluations.
 """
 
 from pathlib import Path
@@ -31,9 +31,9 @@ translation, rotation = integrator.temperatures()
 print(f"after 6 ps: translation {translation._value:.0f} K, rotation {rotation._value:.0f} K")
 
 # %%
-# Of so few molecules a temperature is known to some 20 K at any one time. The difference of the two, as a mean over 40
-# ps, is known to about 3 K. OpenMM's integrator has velocities of atoms: the centres of mass are translation, and all
-# that is left is rotation, since the molecules are rigid.
+# The temperature of so few molecules fluctuates by some 20 K. The mean difference of the two temperatures over 40 ps
+# has an error of about 3 K. OpenMM's integrator has velocities of atoms. Their kinetic energy is that of the centres of
+# mass, which is translation, and the rest, which is rotation, since the molecules are rigid.
 
 R = 0.00831446  # kJ/mol/K
 MASSES = np.array([system.getParticleMass(i)._value for i in range(3)])
@@ -86,5 +86,5 @@ figure.legend(loc="outside lower center", ncols=2)
 figure.savefig(out / "equipartition.png", dpi=150)
 
 # %%
-# The page on constant temperature has the same of a periodic box, with smaller errors, and tells where the differences
-# come from.
+# The page on temperature has the same comparison for a periodic box, with smaller errors, and explains the
+# differences.

@@ -2,13 +2,13 @@
 Chains in a ferrofluid
 ======================
 
-Magnetic particles that only repel but for their dipoles, at a volume fraction of 2.6 %: a WCA fluid with the dipoles
-of all periodic images by an Ewald sum. With lambda = mu²/kT = 8 two particles in contact, head to tail, are bound by
-15.7 kT, and chains and rings grow from particles that were alone at the start.
+Magnetic particles at a volume fraction of 2.6 %, which repel each other except for their dipoles: a WCA fluid with the
+dipoles of all periodic images by an Ewald sum. With lambda = mu²/kT = 8, two particles in contact, head to tail, are
+bound by 15.7 kT. Chains and rings grow from particles that are separate at the start.
 
-The picture shows the box at the end, a colour for each of the largest clusters, and how the mean size of clusters grew.
-Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
-Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
+The picture shows the box at the end, with a colour for each of the largest clusters, and the growth of the mean cluster
+size. Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps.
+After Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
 This page shows ``python examples/ferrofluid.py -n 125 --duration 20``.
 """

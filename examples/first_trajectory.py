@@ -2,7 +2,7 @@
 The shortest script
 ===================
 
-27 soft dipoles: their trajectory, their energies, and a picture, within seconds.
+This script simulates 27 soft dipoles and writes their trajectory, their energies and a picture, within seconds.
 """
 
 from pathlib import Path
@@ -33,7 +33,7 @@ time, total = energies[:, 1], energies[:, -1]
 print(f"{len(time)} frames in {out}; the total energy went from {total[0]:.6f} to {total[-1]:.6f} kJ/mol")
 
 # %%
-# Kinetic and potential energy are exchanged; their sum stays.
+# Kinetic and potential energy are exchanged; their sum is constant.
 
 plt.style.use("tableau-colorblind10")
 figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")

@@ -19,15 +19,16 @@ print("attitude", q.round(6))
 print("momentum", m.round(6))
 
 # %%
-# ``q`` is the attitude as a unit quaternion, scalar first, which turns coordinates of the body into those of space;
-# ``m`` is the angular momentum seen from the body. In space it does not move, and the kinetic energy is constant.
+# ``q`` is the orientation as a unit quaternion, scalar first, which maps coordinates of the body to those of space;
+# ``m`` is the angular momentum in the frame of the body. In space the angular momentum is constant, as is the kinetic
+# energy.
 
 print(f"the momentum in space moved by {np.abs(rotation_matrix(q) @ m - m0).max():.1e}")
 print(f"the kinetic energy changed by {abs((m * m / inertia).sum() / (m0 * m0 / inertia).sum() - 1.0):.1e} of it")
 
 # %%
-# A flow has no step size. A thousand steps of 5 end where one of 5000 does, up to the rounding of a thousand steps, and
-# a step back undoes a step.
+# A flow has no step-size error. A thousand steps of 5 end in the same state as one step of 5000, up to the roundoff
+# of a thousand steps, and a step back undoes a step.
 
 many = q0, m0
 for _ in range(1000):
@@ -38,8 +39,8 @@ print(f"a thousand steps and one differ by {np.abs(many[1] - once[1]).max():.1e}
 print(f"a step forth and back by {np.abs(back[1] - m0).max():.1e}")
 
 # %%
-# Many bodies are rows; every one may have its own moments, momentum and time. Here they are one body at many times. It
-# was set turning about its middle axis: it turns over, and over.
+# Arrays with many rows describe many bodies, each with its own moments, momentum and time. Here the rows are one
+# body at many times. It starts by rotating about its middle axis, and turns over again and again.
 
 t = np.linspace(0.0, 60.0, 601)
 _, path = rb.free_rotor(inertia, q0, np.tile([1e-3, 1.0, 1e-3], (len(t), 1)), t)
@@ -54,9 +55,9 @@ axes.legend(loc="upper right")
 plt.show()
 
 # %%
-# Torques enter by a splitting: free flows and kicks by turns. The heavy top has the potential ``epsilon`` times the
-# height of its axis, and the torque ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical seen from the body. Here are
-# a thousand steps of a scheme of order 4:
+# Torques enter by a splitting, which alternates free flows and kicks. The heavy top has the potential ``epsilon``
+# times the height of its axis, and the torque ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical in the frame of the body.
+# Here are a thousand steps of a scheme of order 4:
 
 epsilon, h, scheme = 0.1, 0.1, rb.SCHEMES["SRKN4_6b"]
 

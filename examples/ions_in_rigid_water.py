@@ -2,9 +2,9 @@
 Ions in rigid water
 ===================
 
-Particles without constraints move beside the rigid bodies, by the same splitting: this script puts sodium and chloride
-into a box and changes nothing else. It writes a trajectory and its energies, and draws the temperatures of translation
-and rotation. After an accident the same command with ``--resume`` continues.
+Particles without constraints move together with the rigid bodies, by the same splitting: this script adds sodium and
+chloride to a box of water and changes nothing else. It writes a trajectory and its energies, and draws the temperatures
+of translation and rotation. After an interruption the same command with ``--resume`` continues.
 
 This page shows ``python examples/ions_in_rigid_water.py --steps 100``.
 """
@@ -41,7 +41,8 @@ def main() -> None:
 
 
 # %%
-# Force field and System are those of any script. The bodies are found in the constraints, and what has none is an ion.
+# Force field and System are those of any script. The bodies are found from the constraints; particles without
+# constraints are ions.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -81,8 +82,8 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# A start that has been minimised takes half of the kinetic energy into its potential energy. So the momenta are drawn
-# anew a few times, until both kinds of motion have the temperature that is wanted.
+# After a minimisation, half of the kinetic energy becomes potential energy. The momenta are therefore drawn several
+# times, until both kinds of motion have the desired temperature.
 
 
 def equilibrate(simulation: app.Simulation, times: int = 20) -> None:

@@ -2,10 +2,10 @@
 Molecules made rigid by hand
 ============================
 
-A force field may describe a molecule as flexible, with bonds and angles and no constraint. ``bodies=`` makes it rigid
-all the same: the shape is that of the positions at the first step, and what acts within the molecule only adds a
-constant to the energy. Here it is a small cluster of the flexible OPLS-AA benzene. The script writes a trajectory, its
-energies and a picture; ``--resume`` goes on after an accident.
+If a force field describes a molecule as flexible, with bonds and angles and no constraint, ``bodies=`` makes it rigid
+nevertheless: the shape is that of the positions at the first step, and forces within the molecule only add a constant
+to the energy. This example is a small cluster of the flexible OPLS-AA benzene. The script writes a trajectory, its
+energies and a picture; ``--resume`` continues after an interruption.
 
 This page shows ``python examples/rigid_benzene.py -n 8 --steps 100``.
 """
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 # %%
-# Molecules in random attitudes on a lattice. ``bodies=`` names the particles of each.
+# Molecules with random orientations on a lattice. ``bodies=`` has the particles of each molecule.
 
 
 def run(args: argparse.Namespace) -> None:
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The force field, flexible as it was published, and shape and energy of a molecule.
+# The force field, flexible as it was published, and the shape and energy of a molecule.
 
 
 def cluster(n: int) -> tuple[app.Topology, openmm.System]:
@@ -144,8 +144,8 @@ def draw(molecules: np.ndarray, title: str, file: Path) -> None:
 
 
 # %%
-# The energy of bonds and angles is the same before and after to the last digit printed: nothing within a molecule
-# moved. The step is 30 fs, which no integrator could take with the bonds of the flexible molecule.
+# The energy of bonds and angles is the same before and after, to the last digit printed: the molecules stayed rigid.
+# The step is 30 fs, which would be unstable with the bonds of the flexible molecule.
 
 if __name__ == "__main__":
     main()

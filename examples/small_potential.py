@@ -2,11 +2,11 @@
 Where the potential is small
 ============================
 
-If the torques are weak, a body turns nearly freely, and the exact flow does nearly all of the work. Schemes for this
-case make the error of the first order in the potential very small: they need a free flow that is exact.
+If the torques are weak, a body rotates almost freely, and the exact flow does almost all of the work. Schemes for this
+case make the error of first order in the potential very small; they require an exact free flow.
 
-Heavy tops whose potential is a thousandth of their kinetic energy, over 50 units of time: the median over 20 tops of
-the largest relative energy error.
+This example measures the energy error of heavy tops whose potential energy is a thousandth of their kinetic energy,
+over 50 units of time: the median over 20 tops of the largest relative error.
 """
 
 import matplotlib.pyplot as plt
@@ -66,7 +66,7 @@ for name, errors in curves.items():
     print(f"{name:<28}" + "".join(f"{value:>10.1e}" for value in errors))
 
 # %%
-# The same as a picture. The colours are those of Okabe and Ito, which colour-blind readers tell apart.
+# The same as a picture. The colours are those of Okabe and Ito, which colour-blind readers can distinguish.
 
 figure, axes = plt.subplots(figsize=(7.0, 4.6), layout="constrained")
 colours = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00")

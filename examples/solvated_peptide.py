@@ -4,8 +4,8 @@ A peptide in rigid water
 
 From a PDB file to a trajectory: alanine dipeptide with constrained bonds to hydrogen, in a box of rigid water. A step
 of 4 fs evaluates the nonbonded forces once; bonds, angles and torsions have steps of their own within it. The script
-writes a trajectory and its energies, and draws the total energy. After an accident the same command with ``--resume``
-goes on.
+writes a trajectory and its energies, and draws the total energy. After an interruption the same command with
+``--resume`` continues.
 
 This page shows ``python examples/solvated_peptide.py --steps 100``.
 """
@@ -31,7 +31,8 @@ PEPTIDE = Path(sys.argv[0]).resolve().parent / "data" / "alanine_dipeptide.pdb"
 
 
 # %%
-# One line is ours. With a force every 4 fs the integrator nests the bonded forces of any System.
+# One line belongs to this package. With one evaluation of the nonbonded forces every 4 fs, the integrator gives bonded
+# forces inner steps.
 
 
 def nve() -> rb.ExactRigidBodyIntegrator:
@@ -86,7 +87,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The kinetic energy rises and falls by tens of kJ/mol; their sum stays.
+# The kinetic energy fluctuates by tens of kJ/mol; the sum of kinetic and potential energy is constant.
 
 
 def draw(table: np.ndarray, file: Path) -> None:
@@ -106,7 +107,8 @@ def draw(table: np.ndarray, file: Path) -> None:
 
 
 # %%
-# How many bonded evaluations a step takes follows from the fastest bond; ``inner`` and ``innerSteps`` set it otherwise.
+# The number of bonded evaluations per step follows from the fastest bond or angle; ``inner`` and ``innerSteps``
+# override it.
 
 
 def main() -> None:

@@ -3,13 +3,13 @@ A Stockmayer fluid of eight thousand dipoles
 ============================================
 
 Lennard-Jones spheres with a strong point dipole, mu² = 3, at density 0.822 and kT = 1.15: a liquid whose dielectric
-constant is about that of water. A box of thousands holds correlations that a small one cuts off:
+constant is about that of water. A box of thousands of dipoles contains correlations that a small box cuts off:
 
 - g(r), the density of spheres at a distance r, and
 - h110(r), three times the mean cosine of the angle between two dipoles, times g(r). Its integral is Kirkwood's factor
   g_K, from which the dielectric constant follows a second time, by (eps - 1)(2 eps + 1)/(9 eps) = y g_K in an infinite
-  sample, y = 4 pi rho mu²/(9 kT). Between conductors h110 has a tail that is spread over the whole box: with the
-  fluctuation formula eps = 1 + 3 y G, where G counts all of the box.
+  sample, y = 4 pi rho mu²/(9 kT). Between conductors h110 has a tail that is spread over the whole box, so that the
+  fluctuation formula eps = 1 + 3 y G needs the sum G over the whole box.
 
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.

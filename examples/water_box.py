@@ -2,11 +2,11 @@
 A box of rigid water
 ====================
 
-An ordinary OpenMM script: force field, PME, Simulation, DCDReporter. One line changes, and the energy error with it:
-the integrator is ours. It moves the same box from the same start once with OpenMM's ``VerletIntegrator`` and once with
-:class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with a force evaluation every 2 fs. It writes a trajectory (DCD
-with its topology as PDB), the energies and a picture of the energy error; after an accident the same command with
-``--resume`` goes on.
+This is an ordinary OpenMM script, with a force field, PME, a Simulation and a DCDReporter. Only the line of the
+integrator changes, and with it the energy error. The script simulates the same box from the same start once with
+OpenMM's ``VerletIntegrator`` and once with :class:`openmm_exactrb.ExactRigidBodyIntegrator`, both with one force
+evaluation every 2 fs. It writes a trajectory (DCD with its topology as PDB), the energies and a picture of the energy
+error. After an interruption the same command with ``--resume`` continues.
 
 This page shows ``python examples/water_box.py --duration 2``.
 """
@@ -102,7 +102,7 @@ def run(args: argparse.Namespace) -> None:
 
 
 # %%
-# The box comes from a file or is made; a Langevin run brings it to 300 K.
+# The box is read from a file or built; a Langevin run brings it to 300 K.
 
 
 def read_box(file: Path) -> app.PDBFile:
@@ -168,8 +168,8 @@ def draw(errors: dict[str, np.ndarray], molecules: int, interval: float, file: P
 
 
 # %%
-# Both lines swing about a mean. How far they swing is the error of the method, and the smaller it is, the closer the
-# run stays to the energy surface that it samples. Try ``--force-interval 1``, or ``--scheme W2_1``.
+# Both lines fluctuate about a mean. The amplitude is the error of the method: the smaller it is, the closer the run
+# stays to a surface of constant energy. Try ``--force-interval 1``, or ``--scheme W2_1``.
 
 if __name__ == "__main__":
     main()

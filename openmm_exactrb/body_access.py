@@ -30,7 +30,7 @@ class BodyAccess:
 
     @abstractmethod
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies in addition to those that constraints make."""
+        """Return the particles of the bodies in addition to those that constraints define."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
@@ -43,9 +43,9 @@ class BodyAccess:
         return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
 
     def totalEnergy(self) -> unit.Quantity:
-        """Return the energy that a run should keep, in kJ/mol: kinetic, and potential of the force groups that act.
+        """Return the total energy, in kJ/mol: kinetic, and potential of the integration force groups.
 
-        The kinetic part is that of the bodies in float64, also where the platform's velocities are rounded.
+        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
@@ -54,16 +54,16 @@ class BodyAccess:
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
-        A linear body has two rotational ones, a particle none. With a CMMotionRemover three translational are missing,
-        whatever its interval is: between two removals nothing but a thermostat, or forces from outside, moves the
-        centre of mass.
+        A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover three
+        translational ones are subtracted, whatever its interval: between two removals, only a thermostat or external
+        forces move the centre of mass.
         """
         propagator = self._up_to_date()
         bodies = propagator.sync.bodies
         return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
 
     def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return the translational and the rotational temperature of the bodies; nan of what has no freedom."""
+        """Return the translational and the rotational temperature of the bodies; nan without degrees of freedom."""
         pairs, R = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True), unit.MOLAR_GAS_CONSTANT_R
         one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
         return one, other
@@ -71,7 +71,7 @@ class BodyAccess:
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
 
-        Unlike the method of the Context, it is right for linear bodies and for bodies without constraints.
+        Unlike the method of the Context, it is correct for linear bodies and for bodies without constraints.
 
         Parameters
         ----------
@@ -90,24 +90,24 @@ class BodyAccess:
         sync.replace(sync.state.renewed(sync.bodies.canonical_momenta(sync.state.rounded, kT, rng, at_rest)))
 
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
-        """Bring the bodies to a minimum of the potential energy.
+        """Minimise the potential energy.
 
-        Bodies stay rigid, those named by hand too, which OpenMM's own minimiser bends. Where constraints leave a
-        molecule a motion of its own, OpenMM's minimiser does it.
+        Bodies stay rigid, including those named by hand, which OpenMM's own minimiser would deform. If molecules are
+        constrained but not rigid, OpenMM's minimiser is used.
 
         Parameters
         ----------
         tolerance : float or Quantity
-            The largest component of a force that may be left, in kJ/mol/nm if it has no unit; the root mean square of
-            all for OpenMM's minimiser.
+            Largest component of a force at the minimum, in kJ/mol/nm if it has no unit; for OpenMM's minimiser, the
+            root mean square of all components.
         maxIterations : int, optional
-            0 for as many as it takes.
+            0 for no limit.
 
         Raises
         ------
         ValueError
             If the tolerance is not a positive force, the number of iterations is not whole, or bodies are named by hand
-            where constraints leave a molecule a motion of its own.
+            and molecules are constrained but not rigid.
         NonFiniteError
             If the energy or a force at the start is not finite.
         ArithmeticError
@@ -116,7 +116,7 @@ class BodyAccess:
         Warns
         -----
         MinimisationWarning
-            If the energy does not fall any more above the tolerance.
+            If the energy stops falling before the tolerance is reached.
         """
         force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
         iterations = checks.whole(maxIterations, "maxIterations", least=0)
@@ -125,8 +125,8 @@ class BodyAccess:
         if len(bodies.clusters):
             if self.getNamedBodies():
                 raise ValueError(
-                    "bodies named by hand cannot be minimised together with molecules with constraints: minimise with "
-                    "simulation.minimizeEnergy() before bodies are named"
+                    "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
+                    "call simulation.minimizeEnergy() before you name bodies"
                 )
             start = sync.context.getState(positions=True).getPositions()
             try:
@@ -136,7 +136,7 @@ class BodyAccess:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
                     "OpenMM's minimiser lost the constraints, for which its solver does not converge; positions are "
-                    "those of before: take overlaps out by short steps with much friction and checkDivergence=False"
+                    "unchanged: remove overlaps by short steps with high friction and checkDivergence=False"
                 ) from error
             sync.push()
             return
@@ -151,12 +151,12 @@ class BodyAccess:
         return sync.bodies, BodyState(*(a.copy() for a in sync.bodies.tangent(sync.state.rounded)))
 
     def fullState(self) -> tuple[RigidBodies, State]:
-        """Return the bodies and their state in sums high + low of `openmm_exactrb.compensated`, as it is shown."""
+        """Return the bodies and their state as sums high + low of `openmm_exactrb.compensated`."""
         sync = self._up_to_date().sync
         return sync.bodies, State(*(a.copy() for a in sync.state))
 
     def setBodyState(self, state: BodyState | State) -> None:
-        """Give the bodies a state: positions, orientations and momenta, as `bodyState` or `fullState` returns them.
+        """Set the state of the bodies: positions, orientations and momenta, as returned by `bodyState` or `fullState`.
 
         Raises
         ------
@@ -168,7 +168,9 @@ class BodyAccess:
             raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
-            raise ValueError("a state of bodies must have finite numbers for all of them: take one of bodyState()")
+            raise ValueError(
+                "a state of bodies must have finite numbers for all of them: use one returned by bodyState()"
+            )
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
         sync.replace(State(*map(np.ascontiguousarray, full)))

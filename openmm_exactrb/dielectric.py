@@ -42,20 +42,21 @@ def dielectric_constant(
         Total dipole moment in sqrt(kJ/mol nm³), evenly spaced in time; moments in e nm times
         ``dipole_strength(1 * elementary_charge * nanometer)``.
     volume : float
-        Of the box, in nm³.
+        Volume of the box, in nm³.
     kT : float
         In kJ/mol.
     dielectric : float
-        eps' of the surroundings: that of the `ReactionField` or `Ewald` which the run had.
+        eps' of the surroundings, as in the `ReactionField` or `Ewald` of the run.
     blocks : int
-        Into which the run is cut for the error. Each of them should be many times as long as the moment remembers.
+        Number of blocks into which the run is divided for the error. Each block should be many times as long as the
+        correlation time of the moment.
 
     Returns
     -------
     value : float
-        Infinity where M fluctuates more than it can in any dielectric with these surroundings.
+        The dielectric constant; infinity if M fluctuates more than is possible in these surroundings.
     error : float
-        Standard error from the means over the blocks of Mx², My² and Mz², which have one mean and are independent.
+        Standard error from the block means of Mx², My² and Mz², which are independent and have the same expectation.
 
     Raises
     ------
@@ -65,7 +66,7 @@ def dielectric_constant(
 
     Notes
     -----
-    <M> is taken as zero, which it is without a field, and not from the run: the mean square about the mean of a short
+    <M> is zero without a field, and is not estimated from the run: the mean square deviation from the mean of a short
     run would be too small.
     """
     M = checks.array(moments, "moments", _ASKED)

@@ -40,16 +40,16 @@ def ellipsoids(
     """Build uniaxial ellipsoids in a cubic box, with the potential GB(kappa, kappa_prime, 2, 1) of Gay and Berne.
 
     See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies are those of OpenMM's
-    GayBerneForce, whose torques do not belong to them where well depths depend on the direction (OpenMM 8.6). Numbers
-    have the units that are named, or are Quantities.
+    GayBerneForce, whose torques are not consistent with its energies if well depths depend on the direction (OpenMM
+    8.6). Numbers are in the units stated below, or are Quantities.
 
     Parameters
     ----------
     n : int
-        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k² l of them, with
-        k about kappa times l, leave no hole: 36, 288 or 972 for kappa = 3.
+        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k² l ellipsoids, with k
+        about kappa times l, fill the lattice: 36, 288 or 972 for kappa = 3.
     seed : int
-        Of the holes of the lattice, and of the angles about the axes.
+        Seed of the positions of vacancies in the lattice, and of the angles about the axes.
     kappa : float
         Length along the axis as a multiple of the diameter; below 1 for a disc.
     kappa_prime : float
@@ -61,33 +61,33 @@ def ellipsoids(
         Diameter across the axis (nm), and well depth of two crossed ellipsoids (kJ/mol). The potential is shifted by
         sigma, or by the thickness kappa sigma of a disc.
     density : float, optional
-        Ellipsoids per nm³; 0.9/kappa of 1/sigma³.
+        Ellipsoids per nm³; by default 0.9/(kappa sigma³).
     cutoff, switch : float, optional
-        Distance of the centres where the energy of a pair ends, and where the switch begins that takes it there, in
-        nm; sigma more than the longest diameter, and 0.9 of the cutoff.
+        Distances of the centres at which the energy of a pair ends and its switch begins, in nm. By default sigma more
+        than the longest diameter, and 0.9 of the cutoff.
 
     Returns
     -------
     topology : openmm.app.Topology
-        One residue ELL an ellipsoid: its sites with mass, and the virtual sites C (centre) and D, a quarter of sigma
-        from it along the axis, with a bond between them.
+        One residue ELL per ellipsoid: its sites with mass, and the virtual sites C (centre) and D, a quarter of sigma
+        from C along the axis, with a bond between them.
     system : openmm.System
-        Constraints hold the sites together. Three sites with mass have the moments of a flat body, so that there are
-        four.
+        Constraints hold the sites together. There are four sites with mass, since three would have the moments of a
+        flat body.
     positions : Quantity
         (n_particles, 3) in nm.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, a unit does not fit, the cutoff is more than half the box, or the lattice has
-        no room for the ellipsoids.
+        If a number is out of its range, a unit does not fit, the cutoff is more than half the box, or the ellipsoids do
+        not fit on the lattice.
     ModuleNotFoundError
         If numba is not installed, which compiles the potential.
 
     Notes
     -----
-    The formula attracts again where ellipsoids overlap deeply. There the energy is not a number, and a run ends with a
+    If ellipsoids overlap deeply, the formula would be attractive again. The energy is then nan, and a run ends with a
     `NonFiniteError`.
     """
     n, kappa = checks.whole(n, "n"), checks.positive(kappa, "kappa")
@@ -101,7 +101,7 @@ def ellipsoids(
     kernels.require("ellipsoids")
     if cutoff > 0.5 * box:
         raise ValueError(
-            f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: take more ellipsoids, or a "
+            f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: use more ellipsoids, or a "
             "shorter cutoff"
         )
     centres = box * _lattice(n, np.random.default_rng(checks.whole(seed, "the seed", 0)), box / sigma, kappa)
@@ -139,8 +139,8 @@ def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Arra
     k, m = layers[int(np.argmax(room))]
     if max(room) < _CLOSEST:
         raise ValueError(
-            f"{n} parallel ellipsoids have no room on a lattice at this density: neighbours come within "
-            f"{max(room):.2f} of their contact; take a lower density, or another n"
+            f"{n} parallel ellipsoids do not fit on a lattice at this density: neighbours come within "
+            f"{max(room):.2f} of their contact; use a lower density, or another n"
         )
     cells = np.array(list(itertools.product(range(k), range(k), range(m))), dtype=np.float64)
     places = ((cells[:, None] + _CELL) / (k, k, m)).reshape(-1, 3)

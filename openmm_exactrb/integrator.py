@@ -39,39 +39,39 @@ Array = NDArray[np.float64]
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
-    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints
-    move with them, and so do clusters that their constraints leave internal motions. After every step(n) the Context
-    holds positions, velocities, time and step count, and changes made to it between calls are honoured. Each call
-    evaluates the forces at its starting positions again; within a call no force is evaluated twice.
+    Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
+    and clusters that constraints do not make rigid, move with them. After every call of step(n) the Context contains
+    positions, velocities, time and step count, and changes made to it between calls are taken into account. A scheme
+    that begins with a kick evaluates the forces again at the start of each call; within a call no force is evaluated
+    twice.
 
     Parameters
     ----------
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
+        Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once a step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or with a thermostat "BAOA"; hybrid Monte Carlo has
-        "S2_2".
+        A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of hybrid
+        Monte Carlo is "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
-        Particles of rigid bodies in addition to those that constraints make. Their shape is that of the positions at
-        the first step; what acts within them only adds a constant to the energy.
+        Particles of rigid bodies, in addition to the bodies that constraints define. Their shape is that of the
+        positions at the first step; forces within them only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
-        Forces that are integrated with inner steps within the drifts of the scheme: "bonded" ones, which are bonds,
-        angles, torsions and pairs three bonds apart, or those of some force groups. The other forces, which are what
-        costs, are evaluated as often as before. "auto": bonded ones, if a step evaluates forces less often than each
-        sixteenth of the shortest period of bonds and angles. None: no inner steps.
+        Forces that are integrated with inner steps within the drifts of the scheme: "bonded" for bonds, angles,
+        torsions and pairs three bonds apart, or numbers of force groups. The other forces, which determine the cost,
+        are evaluated as often as without inner steps. "auto": bonded forces, if the interval between force evaluations
+        exceeds a sixteenth of the shortest period of bonds and angles. None: no inner steps.
     inner : str or Scheme, optional
-        Scheme of the inner steps; if it is not given S2_2, or SRKN4_6b in schemes of higher order than 2 or with force
-        gradients.
+        Scheme of the inner steps: by default S2_2, or SRKN4_6b if the scheme has order above 2 or force gradients.
     innerSteps : int, optional
-        Inner steps for the time of a step, at least one for each drift. If it is not given, a drift has an evaluation
-        for each twentieth of the shortest period of bonds and angles, with SRKN4_6b each eightieth, or more.
+        Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least
+        once per twentieth of the shortest period of bonds and angles, with SRKN4_6b once per eightieth.
     engine : {"auto", "host", "device"}, optional
-        What carries the steps out. "host": kernels of this package. "device": a program of OpenMM's
-        CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": the device on a
-        GPU for bodies and atoms without inner steps, if it supports them, else the host: see `engineNote`.
+        Where steps are performed. "host": by kernels of this package. "device": by a program of OpenMM's
+        CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": on the device if
+        it is a GPU, supports the System, and there are no inner steps; otherwise on the host (see `engineNote`).
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
@@ -79,14 +79,14 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this times
         `forceEvaluationsPerStep`, so that schemes of equal intervals cost about the same.
     checkDivergence : bool, optional
-        Whether a jump of the total energy is an error. Switch it off where forces or substeps of your own do work, as
-        in active matter. Energies are not compared either where a force may do so: a PythonForce, or one of a plugin.
-        Numbers that are not finite are an error in any case.
+        Whether a jump of the total energy is an error. Pass False if forces or substeps of your own do work, as in
+        active matter. Energies are also not compared if a force may do work: a PythonForce, or a force of a plugin.
+        Numbers that are not finite are always an error.
 
     Raises
     ------
     ValueError
-        If an argument is not one of those above, or not for the device that was asked for.
+        If an argument is invalid, or not supported by ``engine="device"``.
 
     Attributes
     ----------
@@ -164,9 +164,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations of a step. A processed scheme needs `Scheme.output_forces` more for each call of `step`.
+        """Force evaluations per step. A processed scheme needs `Scheme.output_forces` more for each call of `step`.
 
-        Those of fast forces are not counted.
+        Evaluations of fast forces are not counted.
         """
         return self._scheme.forces
 
@@ -176,7 +176,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is no time, or needs what engine="device" does not support.
+            If it is not a time, or engine="device" does not support it.
         """
         before, self._h = self._h, picoseconds(size)
         super().setStepSize(self._h)
@@ -190,7 +190,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set which force groups act, as a set or by their bits; ValueError if it is neither."""
+        """Set the force groups that act, as a set or by their bits; a ValueError is raised for anything else."""
         self._engine.set_groups(self, checks.force_groups(groups))
         self._changed()
         if isinstance(self._propagator, DevicePropagator):
@@ -206,33 +206,33 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is no whole number from 0 to 2^31 - 1.
+            If it is not a whole number from 0 to 2^31 - 1.
         """
         super().setRandomNumberSeed(valid_seed(checks.whole(seed, "the seed", 0)))
         self._noise.set(self, seed)
 
     def getSeedInUse(self) -> int:
-        """Return the seed of the noise: the one that was asked for, else that of a checkpoint or the drawn one.
+        """Return the seed of the noise: the one that was set, or else that of a checkpoint or the one that was drawn.
 
-        0 before it is drawn. ``getRandomNumberSeed`` returns what was asked for.
+        It is 0 before a seed is drawn. ``getRandomNumberSeed`` returns the seed that was set.
         """
         return self._noise.in_use(self)
 
     def getEngine(self) -> str:
-        """Return which engine makes the steps, "host" or "device"; with engine="auto" the Context decides."""
+        """Return the engine that performs the steps, "host" or "device"; with engine="auto" the Context decides."""
         if self._engine.open and self._unsettled():
             self._engine.settle(self._found(), self)
         return "device" if self._engine.on_device else "host"
 
     def engineNote(self) -> str:
-        """Return the reason for the engine, a sentence."""
+        """Return the reason for the choice of the engine, as a sentence."""
         self.getEngine()
         return self._engine.note
 
     def bind(self, context: openmm.Context) -> None:
         """Bind the integrator to its Context.
 
-        Only needed where `step` cannot find the Context that was made with this integrator. Positions may be set later.
+        This is only needed if `step` cannot find the Context of this integrator. Positions may be set later.
 
         Parameters
         ----------
@@ -242,7 +242,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is no Context, or has another integrator.
+            If it is not a Context, or has another integrator.
         """
         if not isinstance(context, openmm.Context):
             raise ValueError(
@@ -264,13 +264,13 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If the number is not whole or negative, there is no Context yet, nothing in the System can move, a barostat
-            would tear bodies, or positions are not finite or not rigid. The state stays what it was.
+            If the number is negative or not whole, there is no Context yet, nothing in the System can move, a barostat
+            would tear bodies, or positions are not finite or not rigid. The state is then unchanged.
         RuntimeError
-            If this integrator is within a step already, in another thread.
+            If this integrator is already performing a step in another thread.
         IntegrationError
-            If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error the
-            Context holds the last valid step; on the device or with a processor, that before this call.
+            If the state becomes non-finite (NonFiniteError) or the total energy jumps. As after any other error, the
+            Context contains the last valid step; on the device or with a processed scheme, the state before this call.
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()
@@ -293,8 +293,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Raise RuntimeError within a step, when the state is not whole."""
         if not self._at_work.acquire(blocking=False):
             raise RuntimeError(
-                "this integrator is within a step already, of another thread or of a force that calls it: wait until "
-                "step() has returned, and give each thread an integrator and a Context of its own"
+                "this integrator is already performing a step, in another thread or from a force that calls it: wait "
+                "until step() has returned, and give each thread an integrator and a Context of its own"
             )
 
     def _settings(self) -> Settings:
@@ -320,7 +320,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._version += 1
 
     def getSettings(self) -> dict[str, dict[str, Any]]:
-        """Return all that makes this integrator: arguments, and what OpenMM's setters set."""
+        """Return all settings of this integrator: its arguments, and values set by OpenMM's setters."""
         rotor = self._rotor.name if ROTORS.get(self._rotor.name) is self._rotor else self._rotor
         arguments = {"stepSize": self._h, "scheme": self._scheme, "rotor": rotor, "bodies": self._bodies}
         settings = {name: getattr(self, f"get{name}")() for name in _SETTINGS}

@@ -16,34 +16,34 @@ _WATER = Counter({8: 1, 1: 2})  # by atomic numbers: deuterium is hydrogen
 def heavy_hydrogens(
     system: openmm.System, topology: app.Topology, mass: float | unit.Quantity = 3.0, water: bool = True
 ) -> None:
-    """Give hydrogens another mass, taken from the heavier atom that each is bonded to.
+    """Change the mass of hydrogens; the difference is taken from the heavier atom to which each is bonded.
 
-    Call it before the Context is made. The mass of each molecule stays what it is. Slower librations of water and
-    slower angles with hydrogen allow longer steps.
+    Call it before the Context is created. The mass of each molecule does not change. Librations of water and vibrations
+    of angles with hydrogen become slower, which allows longer steps.
 
-    What changes is the dynamics: moments of inertia and with them rotation, vibrations with hydrogen, and diffusion and
-    viscosity by several percent. Averages of positions do not depend on masses: neither those of rigid molecules nor
-    those of atoms without constraints. Where constraints hold several bonds of one atom, as HBonds does, the angles
-    between them have a weight sqrt(det(J M^-1 J^T)) of masses: between two bonds of a carbon with hydrogens of 3 amu
-    10 degrees off the tetrahedral angle make 0.005 kT.
+    The dynamics changes: rotation, because the moments of inertia change, vibrations with hydrogen, and by several
+    percent diffusion and viscosity. Averages of positions do not depend on masses, neither for rigid molecules nor for
+    atoms without constraints. There is a small exception if several bonds of one atom are constrained, as with HBonds:
+    the angles between these bonds have a weight sqrt(det(J M^-1 J^T)) that depends on masses. For two bonds of a carbon
+    with hydrogens of 3 amu, it amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
 
     Parameters
     ----------
     system : openmm.System
-        Is changed.
+        The System, which is changed.
     topology : openmm.app.Topology
-        With the elements of its atoms and their bonds.
+        The Topology, with the elements of the atoms and their bonds.
     mass : float or Quantity
-        Of each hydrogen afterwards, in amu if it has no unit.
+        New mass of each hydrogen, in amu if it has no unit.
     water : bool
-        Whether water's hydrogens are among them. Water is a residue of one oxygen and two hydrogens, with virtual sites
-        or without.
+        Whether to include the hydrogens of water. Water is a residue of one oxygen and two hydrogens, with or without
+        virtual sites.
 
     Raises
     ------
     ValueError
-        If a heavier atom would have less mass than its hydrogens, a hydrogen is not bonded to any, or System and
-        Topology do not belong together. Then no mass is changed.
+        If a heavier atom would become lighter than its hydrogens, a hydrogen is not bonded to a heavier atom, or System
+        and Topology do not belong together. No mass is changed then.
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(
@@ -82,7 +82,7 @@ def heavy_hydrogens(
         if left[donor.index] < wanted:
             raise ValueError(
                 f"{_name(donor)} would be left with {left[donor.index]:.4g} amu, less than its hydrogens of "
-                f"{wanted:g} amu: take a smaller mass"
+                f"{wanted:g} amu: use a smaller mass"
             )
     for i, value in enumerate(left):
         system.setParticleMass(i, value)

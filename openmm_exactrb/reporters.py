@@ -67,12 +67,12 @@ class EnergyReporter(_Lines):
         Steps between two lines.
     append : bool, optional
         Append to the lines of an existing file, and write the names of the columns only if it is empty. A file that
-        ends within a line, left by a script that was killed, raises a ValueError.
+        ends within a line, because a script was killed, raises a ValueError.
 
     Notes
     -----
-    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is flushed at once, so that a run
-    that crashes leaves all lines before.
+    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is flushed immediately, so that a
+    run that crashes leaves all earlier lines in the file.
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
@@ -84,7 +84,7 @@ class EnergyReporter(_Lines):
         Raises
         ------
         ValueError
-            If the Simulation has another integrator than an `ExactRigidBodyIntegrator`.
+            If the integrator of the Simulation is not an `ExactRigidBodyIntegrator`.
         """
         if not isinstance(simulation.integrator, ExactRigidBodyIntegrator):
             raise ValueError(

@@ -27,7 +27,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     Raises
     ------
     ValueError
-        If it is neither a State nor the file of one, has no positions, or has another number of particles.
+        If the source is neither a State nor a file of a State, has no positions, or has another number of particles.
 
     Examples
     --------

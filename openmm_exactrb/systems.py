@@ -96,12 +96,12 @@ def dipole_fluid(
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
 
-    Numbers have the units that are named, or are Quantities.
+    Numbers are in the units stated below, or are Quantities.
 
     Parameters
     ----------
     n : int
-        Number of spheres, on the first places of a cubic lattice about the origin, with random orientations.
+        Number of spheres, on the innermost sites of a cubic lattice about the origin, with random orientations.
     seed : int
     mass : float
         In amu.
@@ -112,20 +112,21 @@ def dipole_fluid(
     sigma, epsilon : float
         Size (nm) and strength (kJ/mol) of the soft sphere.
     attraction : float
-        0 for soft spheres, 1 for the attraction of Lennard-Jones: the Stockmayer fluid.
+        0 for soft spheres, 1 for the attraction of the Lennard-Jones potential: the Stockmayer fluid.
     wca : bool
-        With an attraction, whether the spheres only repel: Lennard-Jones up to its minimum. For schemes of order 2.
+        With an attraction, whether the spheres only repel, by the Lennard-Jones potential up to its minimum. No scheme
+        then keeps an order above 2.
     spacing : float
         Lattice constant in nm.
     perturbation : float
-        Standard deviation of the positions about the lattice, as a part of its constant.
+        Standard deviation of the positions about the lattice, relative to its constant.
     trap : float
-        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Soft dipoles
-        alone bind to chains, and the chains drift apart: nothing but a trap holds a droplet together.
+        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap a
+        droplet does not stay together: soft dipoles form chains, which drift apart.
     boundary : Open, ReactionField or Ewald
         With one of the last two the spheres fill a cubic box, on a lattice given by `density` instead of `spacing`.
     density : float, optional
-        Spheres per nm³ in the box; 0.8/sigma³, a liquid.
+        Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" takes the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
@@ -133,17 +134,17 @@ def dipole_fluid(
     Returns
     -------
     topology : openmm.app.Topology
-        One residue a sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole) with a
-        bond between them. With an Ewald sum by kernel="openmm" the charged ends of a rod, P and N, come before C.
+        One residue per sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole) with a
+        bond between them. With `Ewald` and kernel="openmm", the charged ends of a rod, P and N, precede C.
     system : openmm.System
-        Constraints hold the sites together, the potential acts on the virtual sites.
+        Constraints hold the sites together, and the potential acts on the virtual sites.
     positions : Quantity
         (n_particles, 3) in nm.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, a unit does not fit, or an option is one of the other boundaries.
+        If a number is out of its range, a unit does not fit, or an option does not apply to the boundary.
     ModuleNotFoundError
         If the compiled kernel is asked for and numba is not installed.
     """
@@ -320,14 +321,14 @@ def rigid_water(
     Parameters
     ----------
     n : int
-        Number of molecules: a droplet on the first places of a cubic lattice, or a periodic cube that they fill without
-        vacancies.
+        Number of molecules, in a droplet on the innermost sites of a cubic lattice, or in a periodic cube that they
+        fill without vacancies.
     seed : int
     model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
-        A force field file that comes with OpenMM, or with this package (TIP4P/2005, doi:10.1063/1.2121687).
+        Water model, from a force field file of OpenMM or of this package (TIP4P/2005, doi:10.1063/1.2121687).
     spacing : float or Quantity
-        Lattice constant in nm, the cube root of the volume of a molecule: the default has 1.000 g/cm³, the density of
-        water, in a periodic box of any number of molecules.
+        Lattice constant in nm, the cube root of the volume per molecule. By default the density is that of water, 1.000
+        g/cm³, in a periodic box of any number of molecules.
     **options
         For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
         periodic nonbondedMethod makes a periodic cube.
@@ -342,8 +343,8 @@ def rigid_water(
     Raises
     ------
     ValueError
-        If the model is unknown, a number is out of its range, or molecules of TIP4P/2005 are to bend: it has no
-        strength of bonds and angles.
+        If the model is unknown, a number is out of its range, or TIP4P/2005 is requested with ``rigidWater=False``,
+        since it has no force constants of bonds and angles.
     """
     if model not in _WATER_MODELS:
         raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
@@ -369,8 +370,6 @@ def rigid_water(
     modeller.addExtraParticles(force_field)
     system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
     if model == "tip4p2005" and system.getNumConstraints() < 3 * n:
-        raise ValueError(
-            "tip4p2005 is rigid, its bonds and angles have no strength: leave rigidWater=False away, or take tip4pew"
-        )
+        raise ValueError("tip4p2005 has no force constants of bonds and angles: omit rigidWater=False, or use tip4pew")
     placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
     return modeller.topology, system, unit.Quantity(placed, unit.nanometer)

@@ -497,7 +497,7 @@ def test_a_second_thread_is_refused_within_a_step_and_the_first_one_loses_nothin
     thread = threading.Thread(target=simulation.integrator.step, args=(3,))
     thread.start()
     within.wait(10.0)
-    with pytest.raises(RuntimeError, match=r"within a step already, .* give each thread an integrator"):
+    with pytest.raises(RuntimeError, match=r"already performing a step, .* give each thread an integrator"):
         ask(simulation.integrator)
     asked.set()
     thread.join()

@@ -2,7 +2,7 @@
 The energy error of all schemes
 ===============================
 
-Every scheme of the catalogue on heavy tops, at the same cost. A scheme that is added gets a row by itself.
+Every scheme of the catalogue on heavy tops, at the same cost. New schemes get a row automatically.
 """
 
 import matplotlib.pyplot as plt
@@ -30,7 +30,8 @@ def largest_error(scheme, per_time):
 errors = {name: [largest_error(scheme, k) for k in evaluations] for name, scheme in rb.SCHEMES.items()}
 
 # %%
-# A row for each scheme, by order, and within an order by the error at most evaluations: to the left is better.
+# Each scheme has a row. Rows are sorted by order, and within an order by the error at the largest number of
+# evaluations. Further to the left is better.
 
 names = sorted(errors, key=lambda name: (rb.SCHEMES[name].order, -errors[name][-1]), reverse=True)
 colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, len(evaluations)))

@@ -38,7 +38,7 @@ sizes = np.bincount(chain)
 largest = np.argsort(-sizes)[:6]
 
 # %%
-# Chains are drawn as lines from centre to centre, which an arrow for each dipole points along.
+# Chains are drawn as lines from centre to centre, with an arrow for each dipole.
 
 figure = plt.figure(figsize=(8.2, 7.4), layout="constrained")
 axes = figure.add_subplot(projection="3d")

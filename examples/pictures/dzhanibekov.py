@@ -2,7 +2,7 @@
 The Dzhanibekov flip
 ====================
 
-A body that turns about its middle axis, by the exact flow and by McLachlan-Reich at the same large step.
+A body rotates about its middle axis, computed with the exact flow and with McLachlan-Reich at the same large step.
 """
 
 import matplotlib.pyplot as plt

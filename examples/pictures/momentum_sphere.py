@@ -2,8 +2,8 @@
 The momentum sphere
 ===================
 
-Orbits of the angular momentum of a free body, in two families parted by the separatrix. Each point is one call from the
-start of its curve.
+Orbits of the angular momentum of a free body form two families, divided by the separatrix. Each point was computed by a
+single call from the start of its curve.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,7 @@
 The path of a satellite
 =======================
 
-Where the earth stands in the sky of a satellite, and the energy error of its motion at two steps.
+The direction of the earth in the frame of a satellite, and the energy error of its motion at two step sizes.
 """
 
 import matplotlib as mpl

@@ -1,4 +1,4 @@
-"""A sphere to draw on, for the pictures beside it."""
+"""A sphere to draw on, for the other pictures."""
 
 import numpy as np
 from mpl_toolkits.mplot3d import Axes3D

@@ -72,8 +72,8 @@ def load(args: argparse.Namespace) -> Box:
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _AMBER | _GROMACS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
         raise ValueError(
-            "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml, a prmtop and an inpcrd, or "
-            "a top and a gro, or none with --solvate, "
+            "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml, a prmtop and an inpcrd, or a top "
+            "and a gro), or none with --solvate, "
             f"not {' '.join(map(str, args.files))}"
         )
     if not args.forcefield:
@@ -167,7 +167,7 @@ def _system(
         if args.cutoff > 0.5 * width:
             raise ValueError(
                 f"the box is {width:.3g} nm wide, and --cutoff {args.cutoff:g} more than half of that: "
-                "make it smaller, or take a larger box"
+                "use a smaller cutoff or a larger box"
             )
         options = {
             "nonbondedMethod": app.PME,

@@ -101,7 +101,9 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
     known, default = (look_up, DEFAULT) if args.ensemble == "nve" else (splitting, Langevin.scheme)
     scheme = known(args.scheme or default)
     if args.step is None and args.force_interval is None and args.scheme in WITH_THERMOSTAT:
-        raise ValueError(f"--step auto tunes at constant energy, but {args.scheme} has a thermostat: give a --step")
+        raise ValueError(
+            f"--step auto tunes at constant energy, but {args.scheme} contains a thermostat: give a --step"
+        )
     return scheme
 
 

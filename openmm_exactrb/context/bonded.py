@@ -29,16 +29,16 @@ _GROUPS = 32
 
 
 def separate_bonded(system: openmm.System) -> int:
-    """Give the bonded forces of a System a force group of their own, for OpenMM's ``MTSIntegrator`` and ``fast=(1,)``.
+    """Move the bonded forces of a System to a separate force group, for OpenMM's ``MTSIntegrator`` and ``fast=(1,)``.
 
-    Bonded are bonds, angles and torsions, also those of formulas: HarmonicBondForce, HarmonicAngleForce,
-    PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce, CustomBondForce, CustomAngleForce and CustomTorsionForce.
-    Energies and forces stay what they are. Call it before the Context is made.
+    Bonded forces are HarmonicBondForce, HarmonicAngleForce, PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce,
+    CustomBondForce, CustomAngleForce and CustomTorsionForce. Energies and forces do not change. Call it before the
+    Context is created.
 
     Parameters
     ----------
     system : openmm.System
-        Is changed: its bonded forces get the first group that no other force is in.
+        The System, which is changed: its bonded forces are moved to the first group that contains no other force.
 
     Returns
     -------
@@ -48,7 +48,7 @@ def separate_bonded(system: openmm.System) -> int:
     Raises
     ------
     ValueError
-        If it is no System, or the other forces are in all groups.
+        If it is not a System, or no group is free of other forces.
     """
     if not isinstance(system, openmm.System):
         raise ValueError(

@@ -104,8 +104,8 @@ class ContextEnvironment:
         """Return the flow of the thermostat at its n-th place in a step."""
         if self.settings.thermostat is None:
             raise ValueError(
-                f"scheme {self.settings.scheme.name} has a thermostat within it, but the integrator has none: give it "
-                "one with thermostat="
+                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
+                "thermostat="
             )
         flow: Flow[State] = self.settings.thermostat.flow(self, number)
         return flow

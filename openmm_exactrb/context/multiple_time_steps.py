@@ -152,8 +152,8 @@ class FastForces:
         twice = [group for group in groups if self.groups >> group & 1]
         if twice:
             raise ValueError(
-                f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: take it "
-                "out of fast= or out of the scheme"
+                f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: "
+                "remove it from fast= or from the scheme"
             )
         if self.settings.asked_for or not outer.stages:
             return self.settings.asked_for

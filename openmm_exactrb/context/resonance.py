@@ -100,11 +100,11 @@ class Resonances:
         most = math.floor(1e4 * found.step / scheme.forces) / 10.0  # fs, below the resonance
         particles = ", ".join(str(self._names[i]) for i in found.particles)
         warnings.warn(
-            f"in steps of {1e3 * step:.3g} fs the slow forces may heat what is integrated within the drifts: "
-            f"{scheme.name} meets the {what} of particles {particles}, of a period of about "
-            f"{1e3 * found.period:.3g} fs, from {1e3 * found.step:.3g} fs on. Take at most {most:.1f} fs per force "
-            "evaluation, make hydrogens heavier "
-            "(openmm_exactrb.heavy_hydrogens), or watch the temperature of the solute",
+            f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
+            f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
+            f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most {most:.1f} fs per force "
+            "evaluation, make hydrogens heavier (openmm_exactrb.heavy_hydrogens), or monitor the temperature of "
+            "the solute",
             StepSizeWarning,
             stacklevel=7,  # the call of the integrator's step
         )

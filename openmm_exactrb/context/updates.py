@@ -68,13 +68,13 @@ class ContextUpdates:
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
-                "System, or take ExactRigidBodyIntegrator"
+                "System, or use ExactRigidBodyIntegrator"
             )
         for parameter, name in self.temperatures.items():
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: give both the same, with "
+                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same, with "
                     f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
                 )
 
@@ -162,7 +162,7 @@ def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Se
         if len({molecule[particle] for particle in body}) > 1:
             raise ValueError(
                 f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
-                "molecule for OpenMM: join its particles by bonds, for example of a HarmonicBondForce of strength 0"
+                "molecule for OpenMM: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
             )
 
 
@@ -172,6 +172,6 @@ def _refuse_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) ->
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
             raise ValueError(
-                "a barostat changes the box, which dipoles of kernel='bonds' do not follow, and those of 'openmm' only "
-                "while it is wide enough: take kernel='compiled', or remove the barostat"
+                "a barostat changes the box, which dipoles with kernel='bonds' do not follow, and with 'openmm' only "
+                "while it is wide enough: use kernel='compiled', or remove the barostat"
             )

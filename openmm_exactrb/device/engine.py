@@ -127,7 +127,7 @@ class DevicePropagator:
         raise NonFiniteError(
             f"within the {n} steps after step {step} positions became infinite, a body turned more than "
             f"{_HASTE[-1][0]:g} times as fast as the fastest one before, or forces on a body were beyond {MOST:.2g} "
-            "kJ/mol/nm. The Context keeps the state before this call: take a smaller step size or fewer steps a call, "
+            "kJ/mol/nm. The Context keeps the state before this call: use a smaller step size or fewer steps a call, "
             "or minimise the energy first"
         )
 
@@ -268,7 +268,7 @@ class DevicePropagator:
         needed = haste * self._rate * abs(self._step_size(integrator)) * self._table.longest_drift / RANGE
         if not needed <= _NEVER:
             raise NonFiniteError(
-                f"the fastest body would need {needed:.2g} rotations in a drift: take a smaller step size, or set "
+                f"the fastest body would need {needed:.2g} rotations in a drift: use a smaller step size, or set "
                 "velocities that bodies can have"
             )
         return math.ceil(needed)

@@ -103,8 +103,8 @@ def _found(system: openmm.System, groups: Any) -> Any:
     if moved.keys() & asked:
         names = ", ".join(map(str, sorted(moved)))
         raise ValueError(
-            f"the fast forces of groups {names} share one group while the engine on the device has the Context: ask "
-            "for all of these groups, or for one of them in a Context of another integrator"
+            f"the fast forces of groups {names} share one group while the engine on the device has the Context: "
+            "request all of these groups, or one of them in a Context with another integrator"
         )
     return groups
 

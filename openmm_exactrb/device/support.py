@@ -113,7 +113,7 @@ def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps
         return Needs(Layout(Table.of(scheme), sums))
     if outer.order > 2:
         raise UnsupportedError(
-            f"flexible molecules with constraints move by steps of RATTLE on the device, with which {outer.name} would "
+            f"on the device, flexible molecules with constraints move by RATTLE, with which {outer.name} would "
             "be of order 2"
         )
     return Needs(Layout(_table(scheme, None), sums, clusters=True))
@@ -151,7 +151,7 @@ def _check_constraints(system: openmm.System, bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if not _is_star(kind):
             raise UnsupportedError(
-                f"{kind.name(0)} has constraints that OpenMM's SHAKE does not take: on the device these may hold an "
+                f"{kind.name(0)} has constraints that OpenMM's SHAKE does not support: on the device these may hold an "
                 "atom to at most three others, all of one mass and at one distance, as constraints=HBonds makes them"
             )
     held = np.zeros(bodies.n_particles, dtype=bool)
@@ -160,8 +160,9 @@ def _check_constraints(system: openmm.System, bodies: RigidBodies) -> None:
     for rigid in bodies.kinds:
         if rigid.turns and rigid.particles.shape[1] != _TRIANGLE and held[rigid.particles].any():
             raise UnsupportedError(
-                f"{bodies.name(rigid.bodies.start)} is held rigid by constraints that OpenMM's SETTLE does not take, "
-                "together with flexible molecules with constraints: name it in bodies= and remove its constraints"
+                f"{bodies.name(rigid.bodies.start)} is held rigid by constraints that OpenMM's SETTLE does not "
+                "support, together with flexible molecules with constraints: name it in bodies= and remove its "
+                "constraints"
             )
 
 

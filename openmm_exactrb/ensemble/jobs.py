@@ -25,13 +25,13 @@ class Job:
     Parameters
     ----------
     function : callable
-        A function at the top level of a script or of a module that the workers can import. It returns what JSON can
-        hold, or numpy arrays, which become lists. It depends on its arguments only, including seeds.
+        A function at the top level of a script or of a module that the workers can import. It must return values that
+        JSON can represent, or numpy arrays, which become lists, and depend on its arguments only, including seeds.
     **arguments
         Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
-        System, State, Force or Integrator of OpenMM. The job keeps a copy, which travels to the worker: instead of
-        large ones pass the path of a file, or a function that builds them. Use a ``pathlib.Path`` for a file that the
-        function reads, and a str for one that it writes.
+        System, State, Force or Integrator of OpenMM. The job keeps copies, which are sent to the worker: instead of
+        large objects, pass the path of a file, or a function that builds them. Use a ``pathlib.Path`` for a file that
+        the function reads, and a str for one that it writes.
 
     Raises
     ------

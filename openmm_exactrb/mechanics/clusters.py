@@ -156,7 +156,7 @@ class ClusterKind:
         if bad.any():
             raise ValueError(
                 f"particle {self.particles[0, np.argmax(bad)]} of {self.name(0)} has the mass "
-                f"{self.masses[np.argmax(bad)]:g}: a constraint needs masses at both ends, give it one or remove its "
+                f"{self.masses[np.argmax(bad)]:g}: a constraint needs masses at both ends: set a mass or remove its "
                 "constraints"
             )
         bad = ~((self.lengths > 0.0) & np.isfinite(self.lengths)) | (self.pairs[:, 0] == self.pairs[:, 1])
@@ -186,9 +186,9 @@ class ClusterKind:
             worst = int(np.argmin(independence))
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
-                f"{self.name(worst).capitalize()} is at a singular place, where the constraint of particles {i} and "
-                f"{j} follows from the others, as for three particles of a triangle on a line: move them, or remove "
-                "it; what is flat or straight has to be rigid as a whole, by all its distances or as one of bodies="
+                f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
+                f"{i} and {j} follows from the others, as for three particles of a triangle on a line: move them, or "
+                "remove it; a flat or straight part must be rigid as a whole, by all its distances or by bodies="
             )
 
 

@@ -28,13 +28,13 @@ _FEW = 10_000
 _ROUNDED, _NOTHING = 1e-4, 1e-6
 #: What the Context holds after a step or call that diverged, and what to do.
 ADVICE = (
-    "The Context keeps the state before this {}: take a smaller step size (numbers without a unit are ps), or minimise "
+    "The Context keeps the state before this {}: use a smaller step size (numbers without a unit are ps), or minimise "
     "the energy first"
 )
 
 
 class IntegrationError(ArithmeticError):
-    """A run has diverged: its step is too large, or its start is no state of molecules."""
+    """A run has diverged: the step is too large, or bodies overlap at the start."""
 
 
 class NonFiniteError(IntegrationError):

@@ -31,7 +31,7 @@ _REACHED = 1e-9
 
 
 class ShapeWarning(UserWarning):
-    """Positions were a little away from the shapes of the bodies, and were put on them."""
+    """Positions deviated slightly from the shapes of the bodies and were corrected."""
 
 
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
@@ -142,7 +142,7 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warnings.warn(
-        f"positions of {(distance > RIGIDITY).sum()} bodies were not quite those of their shapes and were put on them: "
+        f"positions of {(distance > RIGIDITY).sum()} bodies deviated from their shapes and were corrected: "
         f"the largest distance is {distance[worst]:.2g} nm, in {name}",
         ShapeWarning,
         stacklevel=2,

@@ -72,8 +72,8 @@ def minimised(
                 break
             reach *= 0.1
     warnings.warn(
-        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, where "
-        "the energy does not fall any more: take a larger tolerance, or forces in double precision",
+        f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, "
+        "because the energy stopped falling: use a larger tolerance, or forces in double precision",
         MinimisationWarning,
         stacklevel=2,
     )

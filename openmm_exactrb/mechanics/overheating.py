@@ -18,7 +18,7 @@ _TOO_HOT, _ERRORS = 0.05, 4.0
 
 
 class StepSizeWarning(UserWarning):
-    """A step is too long for averages: it meets a resonance, or the run is hotter than its thermostat."""
+    """A step is too long for correct averages: it is near a resonance, or the run is hotter than its thermostat."""
 
 
 class Overheating:
@@ -78,7 +78,7 @@ class Overheating:
                 self._told = True
                 warnings.warn(
                     f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, in the "
-                    f"mean over {duration:.3g} ps, which its friction does not explain: take a "
+                    f"mean over {duration:.3g} ps, which its friction does not explain: use a "
                     "smaller step size, or more friction",
                     StepSizeWarning,
                     stacklevel=5,  # the call of the integrator's step

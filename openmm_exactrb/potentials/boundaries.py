@@ -38,12 +38,12 @@ class Open:
     periodic: ClassVar[bool] = False
 
     def truncation(self, box: Edges | None, n: int = 1) -> None:
-        """Return None; ValueError for a box."""
+        """Return None; raise a ValueError for a box."""
         if box is not None:
             raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return that there are none."""
+        """Return that there are no images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +83,14 @@ class ReactionField(_Periodic):
 
     The field is -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ for a pair (Barker and Watts, Mol. Phys. 26, 789 (1973)). The
     radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume as the switched one: a uniform
-    polarisation then has the reaction field that `dielectric` asks for, which the fluctuation formula of
-    `dielectric_constant` relies on.
+    polarisation then has the reaction field of `dielectric`, as the fluctuation formula of `dielectric_constant`
+    requires.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Where the energy of a pair ends, and where its switch begins, in nm; half the shortest edge of the box, and
-        three quarters of the cutoff.
+        Distances at which the energy of a pair ends and its switch begins, in nm. By default half the shortest edge of
+        the box, and three quarters of the cutoff.
     dielectric : float
         Relative permittivity around the cutoff sphere: infinity for a conductor, 1 for truncation without a field.
 
@@ -101,37 +101,36 @@ class ReactionField(_Periodic):
     """
 
     def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
-        """Return cutoff, begin of the switch (nm) and strength of the reaction field (1/nm³) in a box."""
+        """Return the cutoff and the beginning of the switch (nm), and the strength of the reaction field (1/nm³)."""
         cutoff, switch = self.distances(box)
         return cutoff, switch, reaction(self.dielectric) / sharp_volume(cutoff, switch)
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return that they are not summed."""
+        """Return that images are not summed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
-    The sum in reciprocal space goes over all waves, or over those of a mesh (smooth particle mesh Ewald). Whatever
-    is not given is chosen so that the sum is fast and meets the tolerance; ``getParameters`` returns it. The
-    switch acts on the spheres and on next to nothing of the dipoles. Either sum has an exact gradient: whatever its
-    tolerance, in a fixed box it is smooth, and a symplectic scheme keeps its energy. Where the box changes, the
-    energy jumps by up to about the tolerance. It needs the compiled kernel, or ``kernel="openmm"`` of
-    `dipole_fluid`.
+    The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Parameters that are not given
+    are chosen such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The switch acts on the
+    spheres, and hardly on the dipoles. Forces are the exact gradient of the energy: in a fixed box the energy is smooth
+    whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about
+    the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Where the energy of a pair ends, and where its switch begins, in nm. By default the fastest cutoff of a mesh, or
-        half the shortest edge of the box for the direct sum; and three quarters of the cutoff. The cutoff ends the
-        attraction of the spheres too: give it where results are to be compared.
+        Distances at which the energy of a pair ends and its switch begins, in nm. By default the cutoff is the fastest
+        one for a mesh, or half the shortest edge of the box for the direct sum; the switch begins at three quarters of
+        it. The cutoff also truncates the attraction of the spheres, so set it if you compare results.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
-        Error of the dipoles' forces, fields and torques, as a part of their root mean square in a liquid or gas.
+        Error of the dipoles' forces, fields and torques, relative to their root mean square in a liquid or gas.
     method : {"auto", "direct", "mesh"}
-        "auto" takes the faster.
+        "auto" selects the faster one.
     mesh : int or (3,) int, optional
         Points of the mesh along each edge, with factors up to 5; implies "mesh".
     order : int, optional
@@ -157,7 +156,7 @@ class Ewald(_Periodic):
         if self.method not in ("auto", "direct", "mesh"):
             raise ValueError(f"unknown method {self.method!r}: choose one of auto, direct, mesh")
         if self.method == "direct" and not (self.mesh is None and self.order is None):
-            raise ValueError("the direct sum has no mesh: omit mesh and order, or take method='mesh'")
+            raise ValueError("the direct sum has no mesh: omit mesh and order, or use method='mesh'")
         if self.order is not None and (checks.whole(self.order, "order") % 2 or not 4 <= self.order <= 16):
             raise ValueError(f"order must be an even number from 4 to 16, not {self.order!r}")
         if self.mesh is not None:
@@ -166,7 +165,7 @@ class Ewald(_Periodic):
             for points in np.ravel(self.mesh):
                 fast = scipy.fft.next_fast_len(checks.whole(points, "each number of points of the mesh"), real=True)
                 if fast != points:
-                    raise ValueError(f"a mesh of {points} points has a slow transform: take {fast}")
+                    raise ValueError(f"a mesh of {points} points has a slow transform: use {fast}")
             if np.shape(self.mesh) not in ((), (3,)):
                 raise ValueError(f"mesh must be one number of points or three, not {self.mesh!r}")
             points = tuple(map(int, np.ravel(self.mesh)))  # lists and arrays have no hash
@@ -175,17 +174,17 @@ class Ewald(_Periodic):
                 raise ValueError(f"a mesh needs at least order + {ewald.LANES} points along an edge, not {self.mesh!r}")
 
     def getParameters(self, n: int, box: Sequence[float]) -> ewald.EwaldParameters:
-        """Return how the sum over n dipoles in a box (its edges in nm) is computed: what was given or chosen.
+        """Return the parameters, given or chosen, of the sum over n dipoles in a box (its edges in nm).
 
         Raises
         ------
         ValueError
-            If the box is too small for the cutoff, or what is given does not meet the tolerance.
+            If the box is too small for the cutoff, or the given parameters do not meet the tolerance.
         """
         return _parameters(self, checks.whole(n, "n"), edges_of(box))
 
     def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
-        """Return cutoff and begin of the switch (nm) for n dipoles in a box, and no reaction field."""
+        """Return the cutoff and the beginning of the switch (nm) for n dipoles in a box, and no reaction field."""
         self.distances(box)
         assert box is not None
         chosen = self.getParameters(n, box)
@@ -215,7 +214,7 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
     if not choices or (by_mesh and boundary.tolerance < ewald.LEAST_TOLERANCE):
         raise ValueError(
             f"no mesh of up to {ewald.MOST_POINTS} points along an edge meets a tolerance of {boundary.tolerance:g} "
-            f"for {n} dipoles with what is given: ask for less, give a longer cutoff or a higher order, or take "
+            f"for {n} dipoles with the given parameters: use a larger tolerance, a longer cutoff, a higher order, or "
             "method='direct'"
         )
     # At nearly equal costs the direct sum stays: spheres of a small box then attract up to half of it.
@@ -224,7 +223,7 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
     if chosen.error > boundary.tolerance:
         raise ValueError(
             f"a mesh of {chosen.points} points with splines of order {chosen.order} and a cutoff of {chosen.cutoff:g} "
-            f"nm has an error of {chosen.error:.1g}, above the tolerance of {boundary.tolerance:g}: give more points, "
+            f"nm has an error of {chosen.error:.1g}, above the tolerance of {boundary.tolerance:g}: use more points, "
             "a longer cutoff or a larger tolerance"
         )
     _log.info("Ewald sum of %d dipoles: %s", n, chosen)

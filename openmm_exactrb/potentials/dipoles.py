@@ -47,28 +47,29 @@ def soft_dipole_force(
     sigma, epsilon : float
         In nm and kJ/mol.
     attraction : float
-        How much of the attraction -4 epsilon (sigma/r)^6 of Lennard-Jones there is: 1 for the Stockmayer fluid.
+        Factor of the Lennard-Jones attraction -4 epsilon (sigma/r)^6: 1 for the Stockmayer fluid.
     wca : bool
-        Whether the spheres' energy ends at its minimum, raised to be zero there (Weeks, Chandler and Andersen, J. Chem.
-        Phys. 54, 5237 (1971)): with an attraction of 1 the repulsive spheres of many a ferrofluid. The second
-        derivative has a step there: take a scheme of order 2, none keeps a higher one.
+        Whether the energy of the spheres is truncated at its minimum, and shifted to be zero there (Weeks, Chandler and
+        Andersen, J. Chem. Phys. 54, 5237 (1971)). With an attraction of 1, these are the repulsive spheres of many
+        ferrofluid models. The second derivative is discontinuous there, so no scheme keeps an order above 2.
     box : sequence of three float, optional
-        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; set the same ones with
+        Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; also set them with
         ``System.setDefaultPeriodicBoxVectors``.
     boundary : Open, ReactionField or Ewald
-        What is around the sample: nothing, a dielectric beyond a cutoff, or all its images.
+        Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images.
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Which force computes it. "compiled": a kernel in double precision on all cores, which needs numba and is some
-        fifty times faster on a CPU. "openmm", for OpenCL, CUDA and HIP, where it stays on the device: a
-        `CustomHbondForce`, if there is a cutoff. "bonds": a `CustomCompoundBondForce` with a bond for each pair, which
-        is faster on Reference and takes any cutoff. "auto": the compiled kernel if numba is installed, else bonds.
-        The platform is not known here, so none of them depends on it. `Ewald` needs the compiled kernel.
+        Type of the force. "compiled": a kernel in double precision on all cores, which needs numba and is some fifty
+        times faster on a CPU. "openmm": a `CustomHbondForce`, if there is a cutoff, which stays on the device with
+        OpenCL, CUDA and HIP. "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on
+        Reference and supports any cutoff. "auto": the compiled kernel if numba is installed, otherwise bonds; the
+        choice does not depend on the platform, which is not known here. `Ewald` needs the compiled kernel.
 
     Returns
     -------
     openmm.CustomHbondForce, openmm.CustomCompoundBondForce or openmm.PythonForce
-        All have the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`, (strength/length)²,
-        and with an attraction `soft_attraction`, 4 epsilon sigma^6 times it. Energies and forces agree to 1e-13.
+        The force, with the Context parameters `soft_repulsion`, 4 epsilon sigma^12, `dipole_coupling`,
+        (strength/length)², and with an attraction `soft_attraction`, 4 epsilon sigma^6 times the attraction. Energies
+        and forces of the three types agree to 1e-13.
 
     Raises
     ------
@@ -81,10 +82,10 @@ def soft_dipole_force(
 
     Notes
     -----
-    The box of "bonds" is the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not change. The
-    compiled kernel and the `CustomHbondForce` follow the box of the Context. The latter takes centres and tips to their
-    nearest images one by one, hence its condition on the cutoff, which is not checked again if the box shrinks. The
-    integrators of this package raise a ValueError for a barostat with either formula.
+    With "bonds", the box is given by the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
+    change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The latter moves centres and tips
+    to their nearest images individually, hence its condition on the cutoff, which is not checked again if the box
+    shrinks. The integrators of this package raise a ValueError for a barostat with "bonds" and "openmm".
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """
@@ -118,8 +119,8 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
         kernel = "compiled" if kernels.available() else "bonds"
     if needs_compiled and kernel != "compiled":
         raise ValueError(
-            "only the compiled kernel has an Ewald sum in one force: ask for kernel='compiled', for two forces by "
-            "dipole_rod_forces, or for boundary=ReactionField()"
+            "only the compiled kernel has an Ewald sum in one force: use kernel='compiled', or "
+            "dipole_rod_forces for two forces, or boundary=ReactionField()"
         )
     return kernel
 
@@ -129,7 +130,7 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
     half, reach = 0.5 * min(edges), cutoff + 2.0 * length
     if not reach < half:
         raise ValueError(
-            f"kernel='openmm' needs cutoff + 2 length, {reach:g} nm, below half the box, {half:g} nm: take a shorter "
+            f"kernel='openmm' needs cutoff + 2 length, {reach:g} nm, below half the box, {half:g} nm: use a shorter "
             "cutoff, a larger box, or kernel='bonds'"
         )
 

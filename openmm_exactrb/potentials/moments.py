@@ -15,12 +15,12 @@ _DEBYE_IN_E_NM = 1e-21 / 299792458.0 / 1.602176634e-19 * 1e9
 
 
 def dipole_strength(dipole: unit.Quantity | float) -> float:
-    """Convert a dipole moment to sqrt(kJ/mol nm³), where the energy of two dipoles is mu²/r³ times an angle's factor.
+    """Convert a dipole moment to sqrt(kJ/mol nm³): the energy of two dipoles is mu²/r³ times an angular factor.
 
     Parameters
     ----------
     dipole : Quantity or float
-        A moment in units of charge times length (e nm, debye), or a number that already is in sqrt(kJ/mol nm³).
+        A moment in units of charge times length (e nm, debye), or a number that is already in sqrt(kJ/mol nm³).
 
     Raises
     ------

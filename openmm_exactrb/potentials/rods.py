@@ -78,7 +78,7 @@ def dipole_rod_forces(
     parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
-            f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: take a "
+            f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: use a "
             "shorter cutoff or shorter rods"
         )
     coupling = parameters.pop("dipole_coupling")
@@ -114,7 +114,7 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
         raise ValueError(f"rods of charges are for boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
-            f"rods of charges reach a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: take a larger one, "
+            f"rods of charges reach a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a larger one, "
             "or kernel='compiled'"
         )
     if boundary.cutoff is None:

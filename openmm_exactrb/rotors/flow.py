@@ -48,7 +48,7 @@ def _check_one_number(
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):
         raise ValueError(
             f"q {q}, m {m}, t {t} and moments {moments} are not of one number N of bodies: "
-            "give q (4, N), m (3, N), and t and moments one for all or one a body"
+            "give q (4, N), m (3, N), and t and moments one for all or one per body"
         )
 
 

@@ -26,7 +26,7 @@ def free_rotor(
     m0 : (3,) or (N, 3) array_like
         Angular momenta in the body frame; zero is allowed.
     t : float or (N,) array_like
-        Time, of any sign and size.
+        Time, of any sign and magnitude.
     method : str or Rotor, optional
         A key of `ROTORS`, or an entry of your own.
 
@@ -34,19 +34,19 @@ def free_rotor(
     -------
     q1 : (4,) or (N, 4) array
     m1 : (3,) or (N, 3) array
-        New arrays; the arguments are not changed. A body with a number that is not finite becomes nan,
-        its neighbours are not touched.
+        New arrays; the arguments are not changed. A body with a number that is not finite becomes nan; other bodies are
+        not affected.
 
     Warns
     -----
     NotConvergedWarning
-        If a step is too long for some bodies, which are then nan; only flows whose `largest_angle` is finite.
+        If a step is too long for some bodies, which are then nan. Only rotors whose `largest_angle` is finite warn.
 
     Raises
     ------
     ValueError
-        If what is given are no real numbers, shapes do not fit together, the method is unknown, moments are not
-        positive, or a quaternion is zero.
+        If the arguments are not real numbers, shapes do not match, the method is unknown, moments are not positive, or
+        a quaternion is zero.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def _normalised(q: Array) -> Array:
     """Return quaternions of norm one; those that have it already are not changed."""
     largest = np.abs(q).max(axis=0, initial=0.0)
     if (largest == 0.0).any():
-        raise ValueError("a quaternion of q0 is zero: it must have a direction, (1, 0, 0, 0) turns nothing")
+        raise ValueError("a quaternion of q0 is zero: use (1, 0, 0, 0) for no rotation")
     norm = np.sqrt(np.einsum("in,in->n", q, q))
     off = ~(np.abs(norm - 1.0) < 1e-12)
     if not off.any():

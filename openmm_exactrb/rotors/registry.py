@@ -28,7 +28,7 @@ WIDEST = 1e15
 
 @dataclass(frozen=True)
 class Rotor:
-    """A way to advance free rigid bodies.
+    """A method that advances free rigid bodies.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Rotor:
         factory(inertia) -> flow, with component-first inertia (3, 1) or (3, N).
     reference : str
     keeps_energy : bool
-        Whether the kinetic energy is kept to roundoff; if not, to the order of the flow.
+        Whether the kinetic energy is conserved to roundoff; if not, it is conserved to the order of the flow.
     largest_angle : float
-        Every body takes a step of h norm(m)/min(I) up to this; beyond it the flow may have no answer.
+        Largest h norm(m)/min(I) for which the flow works for every body; beyond it, the flow may fail.
     sums : bool
-        Whether the flow also takes the double-doubles of `openmm_exactrb.compensated`.
+        Whether the flow also accepts the double-doubles of `openmm_exactrb.compensated`.
     """
 
     name: str
@@ -117,7 +117,7 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     method : str or Rotor
         A key of `ROTORS`, or an entry of your own.
     inertia : (3,) or (N, 3) array_like
-        Principal moments of inertia in any order: one body's for all, or one row a body.
+        Principal moments of inertia in any order: the same for all bodies, or one row per body.
 
     Returns
     -------
@@ -127,12 +127,13 @@ def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
     Raises
     ------
     ValueError
-        If there is no such rotor, or moments are no real numbers, not positive and finite, not of this shape, below
-        ``SMALLEST_MOMENT``, above ``LARGEST_MOMENT``, or further apart than ``WIDEST``.
+        If there is no such rotor, or moments are not real, positive and finite numbers of this shape, are below
+        ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``.
 
     Notes
     -----
-    I1 + I2 >= I3, as the moments of all masses have it, is not asked for: the equations do not need it.
+    I1 + I2 >= I3, which the moments of all mass distributions satisfy, is not required, because the equations do not
+    need it.
     """
     entry, columns = look_up(method), _columns(inertia)
     return fitting(columns, entry.factory(columns), entry.sums)

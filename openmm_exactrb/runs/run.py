@@ -33,11 +33,11 @@ _CHUNK = 10
 
 
 class Run:
-    """A Simulation with its files in one folder, which continues after any accident as if nothing had happened.
+    """A Simulation with its files in one folder, which can be resumed after any interruption.
 
-    Checkpoints save the state and the lengths of all output files at intervals. A resumed run cuts the files to these
-    lengths and loads the state, so that no frame is lost or doubled; on the Reference platform every file ends in the
-    same bits as without the accident.
+    Checkpoints save the state and the lengths of all output files at intervals. A resumed run truncates the files to
+    these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform every file is
+    identical, byte for byte, to that of an uninterrupted run.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ class Run:
     resuming : bool
         Whether there is a checkpoint to continue from.
     wall : float
-        Seconds that the run took so far, without those that an accident lost.
+        Seconds that the run has taken so far, without the time lost by interruptions.
 
     Raises
     ------
     FileExistsError
-        If the folder holds an earlier run that is neither resumed nor overwritten.
+        If the folder contains an earlier run that is neither resumed nor overwritten.
     TypeError, ValueError
         If the checkpoint is damaged or of another version, or an argument is invalid.
     """
@@ -106,7 +106,7 @@ class Run:
     def from_options(cls, args: argparse.Namespace, subfolder: str = "", *, free: Iterable[str] = ()) -> Run:
         """Create a run in --out, or a subfolder of it, from the options of `add_options`.
 
-        All other options, but for those that are `free`, are settings, which must be the same when it is resumed.
+        All options except `free` ones are settings, which must be the same when the run is resumed.
         """
         settings = {name: value for name, value in vars(args).items() if name not in {*_OPTIONS, *free}}
         options = {"resume": args.resume, "overwrite": args.overwrite, "every": args.checkpoint}
@@ -118,7 +118,7 @@ class Run:
         Raises
         ------
         FileExistsError
-            If it exists, and the run is neither resumed nor may overwrite.
+            If it exists, and the run neither is resumed nor may overwrite files.
         """
         file = self.folder / name
         if file.exists() and not (self.resuming or self._overwrite):
@@ -135,11 +135,11 @@ class Run:
         ----------
         reporter : callable
             Creates the reporter from the path, the interval and ``append=``, for example `EnergyReporter` or OpenMM's
-            DCDReporter and StateDataReporter; pass further options by a `functools.partial`.
+            DCDReporter and StateDataReporter. Use `functools.partial` for further options.
         name : str
-            Of the file in the folder.
+            Name of the file in the folder.
         interval : int
-            Steps between two reports; the start is reported too.
+            Number of steps between two reports; the start is reported too.
 
         Raises
         ------
@@ -157,29 +157,29 @@ class Run:
     def advance(self, simulation: Any, until: int, progress: Callable[[int], object] | None = None) -> None:
         """Advance a Simulation to a step, from its start or from the checkpoint.
 
-        On SIGINT (Ctrl-C), SIGTERM and SIGHUP it finishes the steps in progress, writes a checkpoint and raises
+        On SIGINT (Ctrl-C), SIGTERM and SIGHUP the run finishes the steps in progress, writes a checkpoint and raises
         SystemExit with the status 128 + the number of the signal. A second signal acts at once. A run that fails before
         its first step leaves no file.
 
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            At its start. When a run is resumed its state does not matter, but bodies named by hand take their shape
-            from the first positions, which must be the same again.
+            A Simulation at its start. When a run is resumed, the state of the Simulation does not matter, except that
+            bodies named by hand get their shape from its positions, which must be those of the first start.
         until : int
             Number of the last step.
         progress : callable, optional
-            Called with the number of steps made since its last call; first with that of the checkpoint.
+            Called with the number of steps since its last call, and first with the number of the checkpoint.
 
         Raises
         ------
         ValueError
-            If the checkpoint is of another System, platform, version, integrator or setting, or a file is shorter than
-            it was; nothing is changed then.
+            If the checkpoint is of another System, platform, version, integrator or setting, or a file has become
+            shorter. Nothing is changed then.
         BlockingIOError
             If another process is running in the folder.
         IntegrationError
-            If the integration diverges; the checkpoint is of the last good step.
+            If the integration diverges. The checkpoint is that of the last valid step.
         OSError
             If a file cannot be written, for example on a full disk. The run can be resumed.
         SystemExit
@@ -200,7 +200,7 @@ class Run:
             except IntegrationError as error:
                 self._save(simulation)
                 files = ", ".join([*self._outputs.names, TOPOLOGY, CHECKPOINT])
-                raise type(error)(f"{error}. All before it is on disk: {self.folder}: {files}") from error
+                raise type(error)(f"{error}. Everything before it is on disk: {self.folder}: {files}") from error
             except OSError as error:
                 self._explain(error)
             except Exception:
@@ -224,7 +224,7 @@ class Run:
         BlockingIOError
             If another process is running in the folder.
         FileExistsError, ValueError
-            If another process has begun a run there, or has continued this one.
+            If another process has started a run in the folder, or has continued this one.
         """
         if self._locked:
             yield

@@ -306,7 +306,7 @@ CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for sche
 def scheme(name: str | Scheme) -> Scheme:
     """Look a scheme up; a `Scheme` is passed through. ValueError if the catalogue has none of this name."""
     if name in [*WITH_THERMOSTAT]:
-        raise ValueError(f"scheme {name} has a thermostat within it: ExactRigidBodyLangevinIntegrator takes it")
+        raise ValueError(f"scheme {name} contains a thermostat: use it with ExactRigidBodyLangevinIntegrator")
     return _found(name, CATALOGUE)
 
 

@@ -67,7 +67,7 @@ def force_gradient(
     if drifts[0] != "A":
         drifts, kicks = kicks, drifts
     if pattern != pattern[::-1] or {*drifts} != {"A"} or not {*kicks} <= {"B", "C"} or not kicks:
-        raise ValueError(f"scheme {name}: {pattern!r} is no palindrome in which drifts A and kicks B or C take turns")
+        raise ValueError(f"scheme {name}: {pattern!r} is not a palindrome of alternating drifts A and kicks B or C")
     half = (len(kicks) + 1) // 2
     if kicks[:half].count("C") != len(e):
         raise ValueError(f"scheme {name}: give e for each C of the first half of {pattern!r}, not {len(e)} numbers")

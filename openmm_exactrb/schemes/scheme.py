@@ -30,23 +30,23 @@ class Scheme:
     order : int
         Order in the step size.
     sequence : tuple of (Substep, float)
-        The substeps of one step with their parts of it.
+        The substeps of one step, each with its fraction of the step.
     kind : {"general", "nystroem"}
         A Nyström scheme needs a kinetic energy that is quadratic in the momenta.
     reference : str
     generalised : tuple of int
-        Generalised orders, where the scheme is made for a small V; else empty.
+        Generalised orders, if the scheme is for a small V; otherwise empty.
     processor : tuple of (Substep, float)
-        Substeps before the first step, which change to the coordinates of the steps; their inverse changes back. Only
-        then the state is that of the problem, and its energy of the accuracy promised.
+        Substeps before the first step, which map to the coordinates of the steps; their inverse maps back to the true
+        coordinates.
     output : tuple of (Substep, float)
-        A cheaper way back, where there is one, for what is looked at while the run continues in the inner coordinates:
-        its error does not accumulate.
+        A cheaper map to the true coordinates, if there is one, for output while the run continues in the inner
+        coordinates: its error does not accumulate.
 
     Raises
     ------
     ValueError
-        If the sequence is empty, or has something else than substeps in it.
+        If the sequence is empty, or contains anything other than substeps.
     """
 
     name: str

@@ -111,9 +111,7 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     ValueError if it is not symmetric in time or has a thermostat in it, which Metropolis's rule does not allow.
     """
     if scheme.has(HEAT_EXCHANGE):
-        raise ValueError(
-            f"{scheme.name} has a thermostat within it, but a proposal has none: choose a scheme such as S2_2"
-        )
+        raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")
     refuse_lopsided(scheme)
     rows = repeated(scheme.sequence, steps)
     return replace(scheme, sequence=tuple((substep, part / steps) for substep, part in rows))

@@ -32,14 +32,14 @@ class Options(TypedDict, total=False):
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     """An `ExactRigidBodyIntegrator` with a thermostat of the package.
 
-    The seed and what the steps add up travel with checkpoints and States; temperature and friction are settings, which
-    a new process gives again.
+    Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are
+    settings, which a new process has to set again.
 
     Parameters
     ----------
     thermostat : Thermostat
     stepSize, scheme, rotor, **options
-        As `ExactRigidBodyIntegrator` takes them; the schemes also those with the thermostat within them.
+        As in `ExactRigidBodyIntegrator`; schemes that contain the thermostat are also allowed.
     """
 
     _thermostat: Any
@@ -59,7 +59,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         return self._thermostat.temperature * unit.kelvin
 
     def setTemperature(self, temperature: float | unit.Quantity) -> None:
-        """Set the temperature of the thermostat, in K if it has no unit; a barostat has one of its own.
+        """Set the temperature of the thermostat, in K if it has no unit; that of a barostat is set separately.
 
         Raises
         ------
@@ -69,22 +69,22 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self._change(temperature=temperature)
 
     def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return the translational and rotational temperatures, means of before and after the last heat exchange.
+        """Return the translational and rotational temperatures, means of those before and after the last heat exchange.
 
-        With "BAOAB" and "ABOBA" the thermostat is in the middle of a step, where momenta are nearer to canonical
-        than at its end: there `temperatures`, like the velocities of the Context, is biased.
+        With "BAOAB" and "ABOBA" the thermostat acts in the middle of a step, where momenta are closer to canonical than
+        at its end. There `temperatures`, like the velocities of the Context, is biased.
 
         Raises
         ------
         ValueError
-            If the state of the bodies is not the one that a step made here has left.
+            If the state of the bodies is not that after a step of this integrator.
         """
         propagator = self._up_to_date()
         if isinstance(propagator, DevicePropagator):
             raise ValueError("momenta within a step are not available on the device: use engine='host'")
         around = None if self._left is None else propagator.environment.around
         if around is None or self._left is not propagator.sync.state:
-            raise ValueError("there is no heat exchange to take temperatures around: make a step first")
+            raise ValueError("there are no temperatures around a heat exchange yet: make a step first")
         energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in around]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

@@ -98,14 +98,14 @@ class Metropolis(Substep):
 
 @dataclass(frozen=True)
 class HybridMonteCarlo(Langevin):
-    """Langevin's friction and noise between proposals that Metropolis's rule decides on.
+    """Friction and noise of Langevin dynamics between proposals, which a Metropolis test accepts or rejects.
 
     Parameters
     ----------
     temperature, friction, rotationalFriction
-        As in `Langevin`; the temperature is above zero.
+        As in `Langevin`; the temperature must be positive.
     stepsPerProposal : int, optional
-        Steps of the scheme that a proposal is made of.
+        Number of steps of the scheme in a proposal.
     """
 
     stepsPerProposal: int = 1
@@ -130,29 +130,30 @@ class HybridMonteCarlo(Langevin):
 
 
 class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
-    """Exact sampling: the splitting proposes, Metropolis decides, momenta turn round where the answer is no.
+    """Generalised hybrid Monte Carlo: averages without a step-size error.
 
-    Generalised hybrid Monte Carlo (doi:10.1016/0370-2693(91)90812-5): a step is a proposal between two halves of the
-    flow of `ExactRigidBodyLangevinIntegrator`'s thermostat. The distribution is canonical at any step, where the
-    potential energy of the platform is exact. Momenta change their sign at refusals, so that it is no dynamics.
+    A step is a proposal between two halves of the flow of `ExactRigidBodyLangevinIntegrator`'s thermostat
+    (doi:10.1016/0370-2693(91)90812-5). The splitting makes the proposal, a Metropolis test accepts or rejects it, and
+    momenta are reversed on rejection, so that the trajectory has no dynamical meaning. The distribution is canonical at
+    any step size, up to the errors of the platform's potential energy.
 
     Parameters
     ----------
     temperature, frictionCoeff
-        As in `ExactRigidBodyLangevinIntegrator`; the temperature is above zero.
+        As in `ExactRigidBodyLangevinIntegrator`; the temperature must be positive.
     stepSize : float or Quantity, optional
-        Time of a proposal, in ps if it has no unit. Give it or ``forceInterval``.
+        Duration of a proposal, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and without a thermostat within it, such
-        as the default, "S2_2". The inner steps are those for the time of one step of the scheme.
+        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and must not contain a thermostat, such
+        as the default, "S2_2". The number of inner steps is that for one step of the scheme.
     stepsPerProposal : int, optional
-        Steps of the scheme that a proposal is made of, of the size stepSize/stepsPerProposal.
+        Number of steps of the scheme in a proposal, each of the size stepSize/stepsPerProposal.
 
     Raises
     ------
     ValueError
-        As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner one is not
-        symmetric or ``stepsPerProposal`` no whole number above zero.
+        As `ExactRigidBodyLangevinIntegrator`, and if the temperature is zero, the scheme or the inner scheme is not
+        symmetric, or ``stepsPerProposal`` is not a positive whole number.
     """
 
     _thermostat: HybridMonteCarlo
@@ -174,21 +175,21 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations that a proposal costs; one more after a refusal, and with schemes that begin with a drift.
+        """Force evaluations of a proposal; one more after a rejection, and with schemes that begin with a drift.
 
-        The potential energy comes with the forces.
+        The potential energy is computed together with the forces.
         """
         return self._thermostat.splitting(self._scheme)[0].forces
 
     def tally(self) -> Tally:
-        """Return how many proposals were taken, and how many there were, since `resetTally` or the beginning."""
+        """Return the numbers of accepted proposals and of all proposals since `resetTally` or the beginning."""
         return Tally(*(int(variables.get(self, name)) for name in (variables.ACCEPTED, variables.PROPOSED)))
 
     def acceptanceRate(self) -> float:
-        """Return the part of the proposals that was taken; nan before the first."""
+        """Return the fraction of accepted proposals; nan before the first proposal."""
         return self.tally().rate
 
     def resetTally(self) -> None:
-        """Count from zero again."""
+        """Reset the counts of `tally` to zero."""
         for name in (variables.ACCEPTED, variables.PROPOSED):
             variables.put(self, name, 0.0)

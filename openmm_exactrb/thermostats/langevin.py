@@ -42,7 +42,7 @@ class Langevin(Thermostat):
     friction : float or Quantity
         Of translation, in 1/ps if it has no unit.
     rotationalFriction : float or Quantity, optional
-        Of rotation; that of translation unless given.
+        Of rotation, in 1/ps if it has no unit; by default that of translation.
     """
 
     temperature: float
@@ -111,7 +111,7 @@ def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, 
         if elapsed == 0.0:
             return x
         if elapsed < 0.0:
-            raise ValueError("friction has no way back in time: use a positive step, or friction 0")
+            raise ValueError("stepSize must be positive when friction is non-zero")
         # As a change of x, for then rounding fades together with the friction.
         fade, spread = math.expm1(-elapsed), math.sqrt(-math.expm1(-2.0 * elapsed))
         change = fade * x[0] + (spread * width) * at.normals(part, width.shape)
@@ -129,10 +129,10 @@ def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, 
 class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
-    Linear and angular momenta are damped and get noise, the angular ones in the principal axes of the body. Free
-    particles and linear molecules take part with the degrees of freedom that they have. Everything else is as in
-    `ExactRigidBodyIntegrator`. A scheme of the catalogue is enclosed by two halves of that flow: without friction it
-    gives the trajectory of that integrator, bit for bit.
+    Friction and noise act on linear momenta and on angular momenta in the principal axes of each body, for as many
+    degrees of freedom as a particle or a linear molecule has. Everything else is as in `ExactRigidBodyIntegrator`. A
+    scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow: without friction it gives the
+    trajectory of `ExactRigidBodyIntegrator`, bit for bit.
 
     Parameters
     ----------
@@ -141,33 +141,35 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     frictionCoeff : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Give it or ``forceInterval``.
+        Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme : str or Scheme, optional
-        A key of `openmm_exactrb.SCHEMES` without a processor or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, which have
-        the thermostat within them, or a scheme of your own. The default, "BAOA", is the splitting of
-        LangevinMiddleIntegrator and evaluates forces once a step. "W2_3m" evaluates them three times: translation and
-        rotation of rigid water are within a kelvin of each other up to 6 fs per force (SPC/E, TIP4P/2005; friction
-        5/ps).
+        A key of `openmm_exactrb.SCHEMES` without a processor, or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose
+        schemes contain the thermostat, or a scheme of your own. The default, "BAOA", is the splitting of
+        LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m" evaluates them three times per step;
+        with it, the temperatures of translation and rotation of rigid water are within 1 K of each other up to 6 fs per
+        force evaluation (SPC/E, TIP4P/2005; friction 5/ps).
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
-        Friction of rotation; that of translation unless given.
+        Friction of rotation, in 1/ps if it has no unit; by default that of translation.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
-        As in `ExactRigidBodyIntegrator`. The device draws other random numbers from the same seed; there too the noise
-        of a step depends on the seed and the number of the step alone. It has no `temperaturesAroundThermostat`.
+        As in `ExactRigidBodyIntegrator`. With the same seed, the device draws other random numbers than the host; there
+        too the noise of a step depends only on the seed and the number of the step. `temperaturesAroundThermostat` is
+        not available on the device.
 
     Raises
     ------
     ValueError
-        If temperature or a friction is negative or not finite, or scheme, rotor or step size do not fit.
+        If the temperature or a friction is negative or not finite, or the scheme, the rotor or the step size is
+        invalid.
 
     Notes
     -----
-    `step` raises ValueError if the System has a thermostat too, or a barostat of another temperature.
+    `step` raises a ValueError if the System also has a thermostat, or a barostat of another temperature.
 
-    The noise is that of the seed and the number of the step: a second trajectory needs another seed.
+    The noise depends only on the seed and the number of the step: a second trajectory needs another seed.
     """
 
     _thermostat: Langevin
@@ -190,7 +192,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         return self._thermostat.frictions[0] * _RATE
 
     def setFriction(self, coeff: float | unit.Quantity) -> None:
-        """Set the friction of translation, and of rotation where that has none of its own, in 1/ps without a unit."""
+        """Set the friction of translation, and of rotation unless set separately, in 1/ps if it has no unit."""
         self._change(friction=coeff)
 
     def getRotationalFriction(self) -> unit.Quantity:
@@ -198,7 +200,7 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         return self._thermostat.frictions[1] * _RATE
 
     def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
-        """Set the friction of rotation, in 1/ps if it has no unit; None for that of translation."""
+        """Set the friction of rotation, in 1/ps if it has no unit; None means that of translation."""
         self._change(rotationalFriction=coeff)
 
     def _arguments(self) -> dict[str, Any]:

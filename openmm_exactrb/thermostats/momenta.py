@@ -14,10 +14,10 @@ from openmm_exactrb.thermostats.face import ThermostattedIntegrator
 
 
 class CanonicalMomenta:
-    """Draw all momenta again at intervals: a run that samples the canonical ensemble.
+    """Sample the canonical ensemble by drawing all momenta at intervals.
 
-    Between two draws the run is at constant energy. It is Andersen's thermostat that strikes all bodies at once
-    (J. Chem. Phys. 72, 2380 (1980)): static averages are canonical up to the error of the scheme, time correlations
+    Between two draws the run is at constant energy. This is Andersen's thermostat (J. Chem. Phys. 72, 2380 (1980))
+    applied to all bodies at once: static averages are canonical up to the error of the scheme, and time correlations
     longer than an interval are not those of the free system.
 
     Parameters
@@ -31,13 +31,13 @@ class CanonicalMomenta:
     Raises
     ------
     ValueError
-        If the temperature is negative or not finite, or interval or seed are no whole numbers; at the first step, if
-        the integrator is not of this package or has a thermostat of its own.
+        If the temperature is negative or not finite, or the interval or the seed is not a whole number; at the first
+        step, if the integrator is not one of this package or has its own thermostat.
 
     Notes
     -----
-    It is appended to ``Simulation.reporters``. The momenta after a draw depend on the seed and the number of the step
-    only, so that a run that is resumed ends as one without a break.
+    Append it to ``Simulation.reporters``. The momenta after a draw depend only on the seed and the number of the step,
+    so that a resumed run ends in the same state as an uninterrupted one.
     """
 
     def __init__(self, temperature: float | unit.Quantity, reportInterval: int, seed: int = 0) -> None:
@@ -46,16 +46,16 @@ class CanonicalMomenta:
         self._seed = whole(seed, "the seed", least=0)
 
     def settings(self) -> str:
-        """Return in words what decides on the momenta that are drawn."""
+        """Return the settings that determine the momenta, as text."""
         return f"{self._temperature!r} K every {self._interval} steps, seed {self._seed}"
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
-        """Return to OpenMM when momenta are due."""
+        """Return when momenta are due, as OpenMM requires."""
         integrator = simulation.integrator
         if not isinstance(integrator, ExactRigidBodyIntegrator) or isinstance(integrator, ThermostattedIntegrator):
             raise ValueError(
-                "CanonicalMomenta is the thermostat of an ExactRigidBodyIntegrator at constant energy: take it out of "
-                f"the reporters of a {type(integrator).__name__}"
+                "CanonicalMomenta is the thermostat of an ExactRigidBodyIntegrator at constant energy: remove it "
+                f"from the reporters of a {type(integrator).__name__}"
             )
         steps = self._interval - simulation.currentStep % self._interval
         return {"steps": steps, "periodic": None, "include": []}

@@ -50,7 +50,7 @@ WEIGHTS: Mapping[int, tuple[float, ...]] = {
 
 @dataclass(frozen=True)
 class NoseHooverChain(Thermostat):
-    """Chains of thermostats with a coordinate and a velocity each, the first of which scales momenta.
+    """Nosé-Hoover chains: thermostats with a coordinate and a velocity each, the first of which scales momenta.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class NoseHooverChain(Thermostat):
             scale, moved = math.inf, chain
         if not (math.isfinite(scale) and np.isfinite(moved).all()):
             raise IntegrationError(
-                "a Nosé-Hoover chain diverged within a step: take a smaller step size, a lower collisionFrequency "
+                "a Nosé-Hoover chain diverged within a step: use a smaller step size, a lower collisionFrequency "
                 f"than {self.collisionFrequency:g}/ps, or a larger numMTS. The Context keeps the state before this step"
             )
         return scale, moved
@@ -196,15 +196,15 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     Parameters
     ----------
     temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
-        As in `NoseHooverChain`; the three numbers are those of OpenMM's NoseHooverIntegrator.
+        As in `NoseHooverChain`; the three numbers have the meaning that they have in OpenMM's NoseHooverIntegrator.
     stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
 
     Notes
     -----
-    Momenta that are all zero have no direction and stay: draw some with `setVelocitiesToTemperature` first. A run
-    continues from a checkpoint or State of the same chain length only. Small or stiff systems may not be ergodic: one
-    harmonic oscillator is not, with a chain of one link.
+    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. A run continues only
+    from a checkpoint or State of the same chain length. Small or stiff systems may not be ergodic; a harmonic
+    oscillator with a chain of one link, for example, is not.
     """
 
     _thermostat: NoseHooverChain
@@ -234,9 +234,10 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         self._change(collisionFrequency=frequency)
 
     def conservedEnergy(self) -> unit.Quantity:
-        """Return the total energy and that of the chains: it is as constant as the energy without a thermostat.
+        """Return the total energy plus that of the chains.
 
-        Take a scheme of the catalogue to watch it. A barostat or a ``CMMotionRemover`` changes it too.
+        It is as constant as the total energy without a thermostat. To monitor it, use a scheme of the catalogue. A
+        barostat or a ``CMMotionRemover`` changes it too.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

@@ -33,7 +33,7 @@ Rescaling = Callable[[Array, Array, float, Instant], tuple[Array, Array, float]]
 
 @dataclass(frozen=True)
 class StochasticRescaling(Thermostat):
-    """All momenta are multiplied by one number, so that the kinetic energy has its canonical distribution.
+    """Multiplication of all momenta by one number, such that the kinetic energy has its canonical distribution.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def rescaling(
 
     def factor(kinetic: float, f: int, tau: float, at: Instant, part: Purpose) -> float:
         if tau < 0.0:
-            raise ValueError("a thermostat has no way back in time: use a positive step")
+            raise ValueError("stepSize must be positive with a thermostat")
         if kinetic == 0.0 or f == 0 or tau == 0.0:
             return 1.0
         rng = at.generator(part)
@@ -155,10 +155,10 @@ def scaled(x: Array, factor: float) -> Array:
 
 
 class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
-    """Rigid-body dynamics at constant temperature that is hardly disturbed: stochastic velocity rescaling.
+    """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
-    All momenta are multiplied by one number now and then, so that the kinetic energy has its canonical distribution
-    (doi:10.1063/1.2408420). Diffusion and correlations stay those of the free system where friction would change them.
+    At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
+    (doi:10.1063/1.2408420). Diffusion and time correlations are hardly changed, whereas friction would change them.
 
     Parameters
     ----------
@@ -169,9 +169,9 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
 
     Notes
     -----
-    Momenta that are all zero have no direction and stay: draw some with `setVelocitiesToTemperature` first. The degrees
-    of freedom are those of `degreesOfFreedom`. As this thermostat keeps a total momentum of zero at zero, add a
-    ``CMMotionRemover`` to a System whose forces do so too: it lets the three missing ones be counted as missing.
+    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. The degrees of freedom
+    are those of `degreesOfFreedom`. This thermostat preserves a total momentum of zero. If the forces of the System do
+    so too, add a ``CMMotionRemover``, so that three degrees of freedom are subtracted.
     """
 
     _thermostat: StochasticRescaling
@@ -198,15 +198,15 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
         self._change(relaxationTime=time)
 
     def heat(self) -> unit.Quantity:
-        """Return the energy that the thermostat gave to the bodies since the integrator was made."""
+        """Return the energy that the thermostat has added to the bodies since the integrator was created."""
         return variables.get(self, variables.HEAT) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
         """Return the total energy less the heat.
 
         It is as constant as the total energy of the splitting without a thermostat: its drift and noise are the error
-        of the step. Take a scheme of the catalogue to watch it; those with the thermostat within them end their steps
-        where the sum of kinetic and potential energy is not what a step keeps. A barostat or a ``CMMotionRemover``
-        changes it too.
+        of the step. To monitor it, use a scheme of the catalogue: a scheme that contains the thermostat does not
+        conserve the sum of kinetic and potential energy at the end of its steps. A barostat or a ``CMMotionRemover``
+        changes the effective energy too.
         """
         return self.totalEnergy() - self.heat()

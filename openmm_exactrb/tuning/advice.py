@@ -50,14 +50,14 @@ def tune(
     seed: int = 0,
     report: Callable[[str], None] | None = progress,
 ) -> Tuning:
-    """Measure energy error and wall time of schemes on a system, and find the cheapest for a wanted error.
+    """Measure energy error and wall time of schemes on a system, and find the cheapest one for a given error.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). Survey runs are as long as `duration`, and their errors are extrapolated
-    from the growth of the variance with the length of the run. The recommended setting is run over the whole horizon
-    first, since the energy may drift for picoseconds. Costs are those of `Simulation.step`, which calls the
-    integrator every ten steps. If the System has bonds and angles that move, schemes with
-    ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
+    (rigid bodies and single particles). Survey runs are as long as `duration`, and their errors are extrapolated from
+    the growth of the variance with the length of the run. Since the energy may drift over picoseconds, the recommended
+    setting is then run over the whole horizon. Costs are those of `Simulation.step`, which calls the integrator every
+    ten steps. If the System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried
+    too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
@@ -67,8 +67,8 @@ def tune(
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
     target : float, optional
-        Wanted standard deviation of the total energy in kJ/mol per body. Without one all step sizes are measured; ask
-        the result for settings.
+        Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target all step sizes are
+        measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
         By default `CANDIDATES`. A scheme of your own needs a name that is not in the catalogue. OpenMM's
         VerletIntegrator is measured too if constraints hold all bodies.
@@ -78,9 +78,9 @@ def tune(
         In K, required if all velocities are zero. Positions without velocities are minimised; Langevin dynamics then
         brings the start to the temperature.
     platform : str or openmm.Platform, optional
-        By default the one that OPENMM_DEFAULT_PLATFORM names, else the fastest but for OpenCL on a CPU.
+        By default the one named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest except for OpenCL on a CPU.
     properties : mapping, optional
-        Of the platform; by default mixed precision if there is a choice.
+        Properties of the platform; by default mixed precision if there is a choice.
     bodies : sequence of sequences of int, optional
         As in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
@@ -90,11 +90,11 @@ def tune(
         Length of the survey runs, in ps without a unit. By default 100 over the root mean square frequency of the
         system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this.
     levels : int, optional
-        Largest number of step sizes, each smaller by sqrt(2), from the largest stable one on.
+        Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
     seed : int, optional
         Of the momenta.
     report : callable, optional
-        Gets a line of text per run, by default written to stderr; None for silence.
+        Called with a line of text per run; by default it is written to stderr. None for no output.
 
     Returns
     -------
@@ -103,8 +103,8 @@ def tune(
     Raises
     ------
     ValueError
-        If something is missing or does not fit, all velocities are zero without a temperature, the temperature is not
-        reached, or a scheme is unknown or cannot be used.
+        If an argument is missing or invalid, all velocities are zero and no temperature is given, the temperature is
+        not reached, or a scheme is unknown or cannot be used.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol per body")
     plain = schemes_named(CANDIDATES if schemes is None else schemes)

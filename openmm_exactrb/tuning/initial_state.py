@@ -132,7 +132,7 @@ def initial_state(
             parameters |= dict(start.getParameters())
         start = start.getPositions(asNumpy=True)
     if start is None:
-        raise ValueError("there is no start: give a State or positions, or a Simulation")
+        raise ValueError("there is no start: pass a State or positions, or a Simulation")
     twin, left_out = conservative(system)
     x = _coordinates(start, system, unit.nanometer, "positions")
     v = np.zeros_like(x) if velocities is None else velocities

@@ -23,7 +23,7 @@ _MARKERS = "sD^vpPX*"
 
 
 class UnreachableError(ValueError):
-    """No measured setting has so small an error or cost."""
+    """No measured setting reaches the target."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,9 @@ class Tuning:
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`, for
-            which the setting was confirmed by a run over the horizon; for others it is interpolated between measured
-            ones.
+            Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`,
+            whose setting was confirmed by a run over the horizon; for other targets the setting is interpolated between
+            measured ones.
         method : str, optional
             A scheme, or "VerletIntegrator"; by default all schemes.
 
@@ -135,13 +135,13 @@ class Tuning:
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
 
-        Steps were tried up to the first unstable one, at most 19 % above, or up to the one in which free bodies turn by
-        a radian between two forces.
+        Steps were tried up to the first unstable one, at most 19 % above the returned one, or up to the one in which
+        free bodies turn by a radian between two force evaluations.
 
         Raises
         ------
         ValueError
-            If the method was not measured, or no step of it was stable.
+            If the method was not measured, or none of its steps was stable.
         """
         (name,) = self._methods(method)
         if math.isnan(step := self._largest_stable(name)):
@@ -149,7 +149,7 @@ class Tuning:
         return step
 
     def curve(self, method: str) -> list[Point]:
-        """Return the stable points of a method that no longer run contradicts, cheapest first."""
+        """Return the stable points of a method, cheapest first, without those that a longer run contradicted."""
         return stable_curve(self.points, method)
 
     def _methods(self, method: str | None) -> list[str]:
@@ -252,17 +252,17 @@ class Tuning:
         return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"
 
     def draw(self, file: str | os.PathLike[str]) -> None:
-        """Draw energy error against cost: the best schemes in colours, the others in grey; needs matplotlib.
+        """Draw energy error against cost, with the best schemes in colours and the others in grey.
 
         Parameters
         ----------
         file : str or path
-            With the suffix of a format that matplotlib writes.
+            Its suffix must be that of a format that matplotlib writes.
 
         Raises
         ------
         ModuleNotFoundError
-            Without matplotlib.
+            If matplotlib is not installed.
         """
         try:
             from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -16,7 +16,7 @@ CASES = [
     (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
-    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA has a thermostat within it"),
+    (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA contains a thermostat"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has a thermostat"),
     (
         ["droplet.pdb", "--forcefield", "tip3p.xml", "--step", "4fs", "--force-interval", "2fs"],
@@ -26,7 +26,7 @@ CASES = [
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water model? Add --water"),
     (["cut.pdb", "--forcefield", "tip3p.xml"], "there is no line END"),
-    (["system.xml"], "give one file, of PDB (.pdb) or PDBx (.cif), or two, system.xml and state.xml"),
+    (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
     ([], "there is nothing to run"),
@@ -116,7 +116,7 @@ def test_a_barostat_of_the_system_is_not_one_of_the_command(tmp_path, capsys):
     for file, content in zip(files, (system, context.getState(positions=True)), strict=True):
         file.write_text(openmm.XmlSerializer.serialize(content))
     assert main(["run", *map(str, files), "--out", str(tmp_path / "out")]) == 2
-    assert "take the MonteCarloBarostat out of the System" in capsys.readouterr().err
+    assert "remove the MonteCarloBarostat from the System" in capsys.readouterr().err
 
 
 def test_a_run_is_not_replaced(serialised, tmp_path, capsys):

@@ -116,7 +116,7 @@ def edges(context):
 def test_constraints_that_do_not_name_every_pair_give_the_shape():
     integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
     context = octahedron(1.1, integrator)
-    with pytest.warns(rb.ShapeWarning, match="were put on them"):
+    with pytest.warns(rb.ShapeWarning, match="were corrected"):
         integrator.step(2)
     np.testing.assert_allclose(edges(context), 0.2, rtol=0.0, atol=1e-14)
     context.setPositions(OCTAHEDRON)  # those of the constraints: nothing is warned of

@@ -108,7 +108,7 @@ def test_a_singular_place_is_refused():
         system.addConstraint(i, (i + 1) % 4, 0.1)
     context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.001), REFERENCE)
     context.setPositions(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.1, 0, 0]]))
-    with pytest.raises(ValueError, match="singular place"):
+    with pytest.raises(ValueError, match="singular configuration"):
         context.getIntegrator().step(1)
 
 

@@ -62,7 +62,7 @@ def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error_and_l
     context.setPositions(positions)
     context.computeVirtualSites()
     before = context.getState(positions=True).getPositions(asNumpy=True)._value
-    with pytest.raises(ArithmeticError, match="take overlaps out by short steps with much friction"):
+    with pytest.raises(ArithmeticError, match="remove overlaps by short steps with high friction"):
         integrator.minimizeEnergy(maxIterations=20)
     np.testing.assert_array_equal(context.getState(positions=True).getPositions(asNumpy=True)._value, before)
 
@@ -139,5 +139,5 @@ def test_a_step_onto_or_over_a_singular_place_is_an_error_and_leaves_the_state_b
 
 def test_a_start_at_a_singular_place_is_refused_by_name():
     _context, integrator = folding(0.0, 0.01)
-    with pytest.raises(ValueError, match="singular place, where the constraint of particles"):
+    with pytest.raises(ValueError, match="singular configuration, where the constraint of particles"):
         integrator.step(1)

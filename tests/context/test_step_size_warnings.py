@@ -63,7 +63,7 @@ def driven(scheme, interval):
 def test_the_step_that_is_advised_lies_below_the_resonance(scheme, edge):
     """The least step that is warned of is where the energy begins to grow, and the advice is the tenth below it."""
     assert driven(scheme, edge) < 2.0  # no warning, which would be an error
-    with pytest.warns(rb.StepSizeWarning, match=f"Take at most {1e3 * edge:.1f} fs per force evaluation"):
+    with pytest.warns(rb.StepSizeWarning, match=f"Use at most {1e3 * edge:.1f} fs per force evaluation"):
         assert driven(scheme, 1.035 * edge) > 1e3
 
 
@@ -99,7 +99,7 @@ def nested(interval, mass=None):
 def test_a_step_beyond_the_first_resonance_warns_once():
     integrator, _context = nested(0.008)
     with pytest.warns(
-        rb.StepSizeWarning, match=r"in steps of 24 fs .* W2_3m meets the angle of particles .* Take at mo"
+        rb.StepSizeWarning, match=r"in steps of 24 fs .* W2_3m is near a resonance with the angle of .* Use at mo"
     ):
         integrator.step(1)
     integrator.setStepSize(0.02401)

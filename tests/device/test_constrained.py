@@ -294,8 +294,8 @@ def test_strong_friction_gives_stars_and_water_the_energies_of_the_temperature()
 @pytest.mark.parametrize(
     ("constraints", "options", "sentence"),
     [
-        ("AllBonds", {}, "the cluster of particles .* has constraints that OpenMM's SHAKE does not take"),
-        ("HAngles", {}, "has constraints that OpenMM's SHAKE does not take"),
+        ("AllBonds", {}, "the cluster of particles .* has constraints that OpenMM's SHAKE does not support"),
+        ("HAngles", {}, "has constraints that OpenMM's SHAKE does not support"),
         ("HBonds", {"scheme": "SRKN4_6b", "fast": None}, "SRKN4_6b would be of order 2"),
         ("HBonds", {"scheme": "Chin4A"}, "together with inner steps or flexible molecules with constraints"),
     ],
@@ -325,7 +325,7 @@ def test_fast_forces_on_rigid_bodies_are_refused_by_name():
 def test_unequal_hydrogens_are_refused():
     _, system, x = peptide()
     system.setParticleMass(1, 3.0)
-    with pytest.raises(ValueError, match="SHAKE does not take"):
+    with pytest.raises(ValueError, match="SHAKE does not support"):
         stepped(moving(system, x, v=0.0 * x), 1)
 
 

@@ -289,7 +289,7 @@ def test_speeds_whose_powers_have_no_end_are_measured_otherwise(droplet):
 def test_rotations_without_end_are_refused(droplet):
     device = context_of(*droplet, "device", scheme="S2_2", h=0.001)
     device.setVelocities(1e7 * shown(device)[1])
-    with pytest.raises(rb.NonFiniteError, match=r"would need .* rotations in a drift: take a smaller step size"):
+    with pytest.raises(rb.NonFiniteError, match=r"would need .* rotations in a drift: use a smaller step size"):
         device.getIntegrator().step(1)
 
 

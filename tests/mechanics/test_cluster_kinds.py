@@ -69,6 +69,6 @@ def test_graphs_that_cannot_be_held_are_refused_with_a_reason(masses, pairs, len
 def test_a_triangle_on_a_line_is_a_singular_place():
     triangle = kind([12.0, 16.0, 16.0], [(0, 1), (0, 2), (1, 2)], [0.12, 0.12, 0.24])
     x = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.0], [-0.12, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="particles 0, 1, 2 is at a singular place"):
+    with pytest.raises(ValueError, match="particles 0, 1, 2 is in a singular configuration"):
         triangle.refuse_singular(x[None], np.array([True]))
     triangle.refuse_singular(x[None], np.array([False]))

@@ -103,7 +103,7 @@ def test_what_is_given_is_taken():
         ({"method": "fast"}, "unknown method"),
         ({"method": "direct", "order": 8}, "the direct sum has no mesh"),
         ({"order": 7}, "order must be an even number"),
-        ({"mesh": 41}, "a mesh of 41 points has a slow transform: take 45"),
+        ({"mesh": 41}, "a mesh of 41 points has a slow transform: use 45"),
         ({"mesh": (40, 40)}, "one number of points or three"),
         ({"mesh": 8}, "at least order"),
         ({"cutoff": 6.0}, "cutoff must be at most half the box"),

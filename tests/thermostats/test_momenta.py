@@ -66,5 +66,5 @@ def test_an_integrator_that_has_a_thermostat_or_no_bodies_is_refused(integrator)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions(positions)
     simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
-    with pytest.raises(ValueError, match=f"take it out of the reporters of a {type(integrator).__name__}"):
+    with pytest.raises(ValueError, match=f"remove it from the reporters of a {type(integrator).__name__}"):
         simulation.step(1)

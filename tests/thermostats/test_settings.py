@@ -80,7 +80,7 @@ def test_other_bad_settings_get_a_sentence_too():
         rb.ExactRigidBodyHybridIntegrator(0.0, 1.0, 0.002)
     with pytest.raises(ValueError, match="together must be True or False, not 'no'"):
         rb.ExactRigidBodyRescalingIntegrator(300.0, 1.0, 0.002, together="no")
-    with pytest.raises(ValueError, match="BAOAB has a thermostat within it"):
+    with pytest.raises(ValueError, match="BAOAB contains a thermostat"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, scheme="BAOAB")
     with pytest.raises(ValueError, match="stepsPerProposal must be a whole number"):
         rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 0.002, stepsPerProposal=0)
@@ -163,10 +163,10 @@ def test_a_heat_exchange_without_a_thermostat_is_refused():
     own = Scheme("mine", 2, spelled("B A O A B"))
     simulation = droplet_of(rb.ExactRigidBodyIntegrator(0.01, scheme=own))
     before = snapshot(simulation)
-    with pytest.raises(ValueError, match="mine has a thermostat within it, but the integrator has none"):
+    with pytest.raises(ValueError, match="mine contains a thermostat, but the integrator has none"):
         simulation.integrator.step(1)
     assert snapshot(simulation) == before
-    with pytest.raises(ValueError, match="BAOAB has a thermostat within it"):
+    with pytest.raises(ValueError, match="BAOAB contains a thermostat"):
         rb.ExactRigidBodyIntegrator(0.01, scheme="BAOAB")
 
 

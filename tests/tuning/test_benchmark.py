@@ -61,7 +61,7 @@ def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
     system, state = droplet
     bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
     strange = schemes.Scheme("strange", 2, schemes.spelled("A O A"))
-    with pytest.raises(ValueError, match="has a thermostat within it, but the integrator has none"):
+    with pytest.raises(ValueError, match="contains a thermostat, but the integrator has none"):
         bench.error(Method(strange), 0.001, 0.1, 0.1)
 
 
