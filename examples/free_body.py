@@ -56,8 +56,8 @@ plt.show()
 
 # %%
 # Torques enter by a splitting, which alternates free flows and kicks. The heavy top has the potential ``epsilon``
-# times the height of its axis, and the torque ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical in the frame of the body.
-# Here are a thousand steps of a scheme of order 4:
+# times the height of its axis, and the torque ``epsilon (u2, -u1, 0)``, where ``u`` is the vertical in the frame of the
+# body. These are a thousand steps of a scheme of order 4:
 
 epsilon, h, scheme = 0.1, 0.1, rb.SCHEMES["SRKN4_6b"]
 

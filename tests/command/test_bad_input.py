@@ -17,7 +17,10 @@ CASES = [
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA contains a thermostat"),
-    (["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"], "BAOA has a thermostat"),
+    (
+        ["droplet.pdb", "--forcefield", "spce.xml", "--ensemble", "nvt", "--scheme", "BAOA"],
+        "BAOA contains a thermostat",
+    ),
     (
         ["droplet.pdb", "--forcefield", "tip3p.xml", "--step", "4fs", "--force-interval", "2fs"],
         "give --step or --force-interval, not both",

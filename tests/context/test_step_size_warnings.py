@@ -126,7 +126,7 @@ def test_the_particles_of_the_warning_are_those_of_the_system():
     integrator, context = nested(0.008)
     with pytest.warns(rb.StepSizeWarning) as told:
         integrator.step(1)
-    named = str(told[0].message).split("particles ")[1].split(", of")[0]
+    named = str(told[0].message).split("particles ")[1].split(", whose")[0]
     mass = [context.getSystem().getParticleMass(int(i))._value for i in named.split(", ")]
     assert sorted(mass)[:2] == pytest.approx([1.008, 1.008])  # H-C-H
     assert told[0].filename == __file__
