@@ -106,7 +106,7 @@ def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps
         slow = tuple(fast_group.slow_groups(system, which, group, groups))
         repetitions = found.repetitions(outer, h)
         inner = Inner(found.inner(outer).sequence, lambda part: repetitions(part * h))
-        if found.excerpt is not None:
+        if found.excerpt is not None:  # here inner steps move all particles that are in no rigid body, ions too
             scheme = replace(scheme, sequence=canonical_momenta(scheme.sequence))
         return Needs(Layout(_table(scheme, inner), sums, group, slow, clusters), tuple(which))
     if not clusters:
