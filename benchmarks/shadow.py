@@ -7,12 +7,15 @@ places of oscillators, all of which share one temperature; the thermostat sets t
 acts. What comes out is T_rot - T_tr and the error of the potential energy for each scheme and each time a force
 evaluation. It knows nothing of resonances of long steps with fast motion, which heat, and of friction, which pulls
 each mode to the temperature of the thermostat.
+
+A liquid is no set of oscillators: to second order its potential energy has an error of its own, which `Anharmonicity`
+predicts from two short runs at other temperatures.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import openmm
@@ -22,16 +25,24 @@ import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme, shadow, splitting
 from openmm_exactrb.substeps import HEAT_EXCHANGE
 
-TEMPERATURE = 298.15
+TEMPERATURE, APART = 298.15, 15.0  # K; how far two runs are from it
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
-def momenta(model: str, picoseconds: float):
-    """Return linear and angular momenta, (steps, 3, n), of 216 molecules, each over the root of its mass or moment."""
-    _, system, positions = rb.rigid_water(
+def molecules(model: str, heavy: bool) -> tuple[openmm.System, unit.Quantity]:
+    """Return 216 molecules, with hydrogens of 3 amu if they are to be heavy."""
+    topology, system, positions = rb.rigid_water(
         216, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85, ewaldErrorTolerance=1e-4
     )
+    if heavy:
+        rb.heavy_hydrogens(system, topology, 3.0)
+    return system, positions
+
+
+def momenta(model: str, picoseconds: float, heavy: bool = False):
+    """Return linear and angular momenta, (steps, 3, n), of the molecules, each over the root of its mass or moment."""
+    system, positions = molecules(model, heavy)
     integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004, scheme="S2_2")
     integrator.setRandomNumberSeed(1)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
@@ -99,6 +110,80 @@ def predicted(scheme: Scheme, interval: float, frequencies, translational, rotat
     )
 
 
+@dataclass(frozen=True)
+class Anharmonicity:
+    """What makes a liquid other than oscillators, to second order in the step.
+
+    Next to the heat exchange a splitting keeps H + h² (a v·V''v + b f·M⁻¹f), where K = 1 + 2a (w h)² and
+    Q = 1 + 2b (w h)². The thermostat sets <p²> on the whole, and motion shares what is kept. So the density of
+    positions is that of V but for a factor, with which the mean of V is off by
+    h² <f·M⁻¹f> ((c - 1) a - (a + b) s) more than that of oscillators, wherever in the last drift it is read. For
+    oscillators c is 1 and s is 0.
+
+    Attributes
+    ----------
+    squares : float
+        Mean of f·M⁻¹f and of the same of torques, in kJ/mol/ps² per molecule.
+    capacity : float
+        c, the configurational heat capacity over that of as many oscillators.
+    stiffening, error : float
+        s = d ln(<f·M⁻¹f>/kT) / d ln T at constant volume, and its error.
+    """
+
+    squares: float
+    capacity: float
+    stiffening: float
+    error: float
+
+    @classmethod
+    def measured(cls, model: str, picoseconds: float, heavy: bool = False) -> Anharmonicity:
+        """Return that of 216 molecules, from runs of this length with a step of 1 fs."""
+        temperatures = TEMPERATURE + np.array([-APART, APART])
+        runs = [squares_and_energies(model, kelvin, picoseconds, heavy) for kelvin in temperatures]
+        (low, high), (cold, hot) = ([run[k] for run in runs] for k in (0, 1))
+        blocks = [np.log([part.mean() for part in np.array_split(some, 10)]) for some in (low, high)]
+        error = np.sqrt(sum(block.var(ddof=1) / len(block) for block in blocks))
+        ratio = np.log(high.mean() / low.mean())
+        per_log = 1.0 / np.log(temperatures[1] / temperatures[0])
+        return cls(
+            float(0.5 * (low.mean() + high.mean())),
+            float((hot.mean() - cold.mean()) / (3.0 * R * 2.0 * APART)),
+            float(ratio * per_log - 1.0),
+            float(error * per_log),
+        )
+
+    def energy(self, scheme: Scheme, interval: float) -> tuple[float, float]:
+        """Return the error of U in kJ/mol per molecule beyond that of oscillators, and its own error."""
+        h, angle = scheme.forces * interval, 1e-2
+        a, b = (0.5 * (part - 1.0) / angle**2 for part in shadow(at_thermostat(scheme), angle))
+        unit_energy = h * h * self.squares
+        mean = unit_energy * ((self.capacity - 1.0) * a - (a + b) * self.stiffening)
+        return mean, abs(unit_energy * (a + b) * self.error)
+
+
+def squares_and_energies(model: str, kelvin: float, picoseconds: float, heavy: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return samples of f·M⁻¹f, torques among f, and of the potential energy, both per molecule."""
+    system, positions = molecules(model, heavy)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(kelvin, 5.0, 0.001)
+    integrator.setRandomNumberSeed(1)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
+    context.setPositions(positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
+    integrator.setVelocitiesToTemperature(kelvin, 1)
+    integrator.step(8000)
+    squares, energies = [], []
+    for _ in range(round(10.0 * picoseconds)):
+        integrator.step(100)
+        state = context.getState(forces=True, energy=True)
+        bodies, motion = integrator.bodyState()
+        force, torque = bodies.forces(motion, state.getForces(asNumpy=True)._value)
+        squares.append(
+            ((force**2).sum(axis=0) / bodies.mass + (torque**2 / bodies.principal_moments).sum(axis=0)).mean()
+        )
+        energies.append(state.getPotentialEnergy()._value / len(bodies))
+    return np.array(squares), np.array(energies)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Temperatures and energy of water from shadow energies.")
     parser.add_argument("--model", default="spce", help="%(default)s")
@@ -109,8 +194,11 @@ def main() -> None:
         default=["V2", "S2_2", "SBAB_2", "SABA_2", "S2_3", "W2_3", "W2_3m", "W2_4g", "BAOAB", "BAOA"],
     )
     parser.add_argument("--intervals", nargs="+", type=float, default=[2, 4, 6], metavar="FS", help="a force")
+    parser.add_argument("--heavy", action="store_true", help="hydrogens of 3 amu")
     args = parser.parse_args()
-    linear, angular = momenta(args.model, args.length)
+    liquid = Anharmonicity.measured(args.model, args.length, args.heavy)
+    print(f"c {liquid.capacity:.2f}, s {liquid.stiffening:.2f} +- {liquid.error:.2f}, {liquid.squares:.0f} kJ/mol/ps²")
+    linear, angular = momenta(args.model, args.length, args.heavy)
     frequencies = 2.0 * np.pi * np.fft.rfftfreq(WINDOW, STEP)[1:]
     parts = spectrum(linear), spectrum(angular)
     for name, part in zip(("translation", "rotation"), parts, strict=True):
@@ -119,7 +207,11 @@ def main() -> None:
         for interval in args.intervals:
             difference, energy, lost = predicted(splitting(name), 0.001 * interval, frequencies, *parts)
             beyond = f", {lost:.1%} of rotation beyond stability" if lost > 5e-4 else ""
-            print(f"{name:8} {interval:g} fs per force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f}{beyond}")
+            more, error = liquid.energy(splitting(name), 0.001 * interval)
+            print(
+                f"{name:8} {interval:g} fs per force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f} of "
+                f"oscillators, {more:+.3f} +- {error:.3f} more of the liquid{beyond}"
+            )
 
 
 if __name__ == "__main__":

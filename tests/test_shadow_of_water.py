@@ -5,7 +5,9 @@ import pytest
 
 from openmm_exactrb.schemes import WITH_THERMOSTAT, splitting
 from openmm_exactrb.schemes import shadow as kept
-from shadow import TEMPERATURE, at_thermostat, predicted
+from openmm_exactrb.schemes.thermostatted import with_thermostat
+from openmm_exactrb.substeps import DRIFT, KICK
+from shadow import TEMPERATURE, Anharmonicity, at_thermostat, predicted
 
 SLOW, FAST = 40.0, 120.0  # 1/ps
 SPECTRUM = np.array([SLOW, FAST]), np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -34,3 +36,37 @@ def test_half_a_thermostat_at_either_end_acts_at_the_end_of_a_step(name):
 def test_what_is_beyond_stability_is_reported():
     assert predicted(splitting("V2"), H, *SPECTRUM)[2] == 0.0
     assert predicted(splitting("V2"), 0.018, *SPECTRUM)[2] == 1.0
+
+
+def quartic(scheme, h, friction=0.2, walkers=40_000, steps=300):
+    """Return the mean of x⁴/4 at the ends of steps of particles of unit mass with kT = 1, and its error."""
+    rng = np.random.default_rng(1)
+    x, p = rng.normal(scale=0.5, size=walkers), rng.normal(size=walkers)
+    means = []
+    for step in range(steps):
+        for substep, part in scheme.sequence:
+            if substep == DRIFT:
+                x += part * h * p
+            elif substep == KICK:
+                p -= part * h * x**3
+            else:
+                fade = np.exp(-friction * part * h)
+                p = fade * p + np.sqrt(1.0 - fade**2) * rng.normal(size=walkers)
+        if step >= steps // 4:
+            means.append((x**4).mean() / 4.0)
+    blocks = np.array([block.mean() for block in np.array_split(means, 10)])
+    return blocks.mean(), blocks.std(ddof=1) / np.sqrt(len(blocks))
+
+
+# <f²> = <x⁶> = 3 <x²>; U is kT/4 and V'' goes as the root of the temperature.
+QUARTIC = Anharmonicity(3.0 * 0.675978, 0.5, 0.5, 0.0)
+
+
+@pytest.mark.parametrize(("name", "h", "of_oscillators"), [("W2_3m", 0.8, 0.0), ("BAOA", 0.3, 0.0), ("V2", 0.3, 0.125)])
+def test_the_energy_of_anharmonic_motion(name, h, of_oscillators):
+    """V2 has its thermostat at both ends of a step, where places of oscillators are too wide by (w h)²/4."""
+    scheme = splitting(name)
+    excess = QUARTIC.energy(scheme, h / scheme.forces)[0] + of_oscillators * h**2 * QUARTIC.squares
+    found, error = quartic(with_thermostat(scheme), h)
+    assert found - 0.25 == pytest.approx(excess, abs=4.0 * error + 0.15 * abs(excess))
+    assert error < 5e-4
