@@ -147,8 +147,8 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         schemes contain the thermostat, or a scheme of your own. The default, "BAOA", is the splitting of
         LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m" evaluates them three times per step;
         with it, the temperatures of translation and rotation of rigid water are within 1 K of each other up to 6 fs per
-        force evaluation (SPC/E, TIP4P/2005; friction 5/ps). Both end a step with a drift after the heat exchange. Bodies
-        with inner steps, whose momenta such a drift would change, end it at the heat exchange.
+        force evaluation (SPC/E, TIP4P/2005; friction 5/ps). Both end a step with a drift after the heat exchange.
+        Bodies with inner steps, whose momenta such a drift would change, end it at the heat exchange.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
