@@ -165,6 +165,9 @@ class Synchronisation:
         if self.inner is None or after is before:
             return
         changes = [(new - old).sum(axis=0) for new, old in zip(after, before, strict=True)]
+        atoms = np.arange(len(self.bodies.mass))[self.bodies.clustered]
+        atoms = atoms[changes[1][:, atoms].any(axis=0)]  # have lost their momenta along constraints, which is no change
+        changes[1][:, atoms] = (after.rounded.P - self.bodies.tangent(before.rounded).P)[:, atoms]
         sizes = (self.bodies.mass, self.bodies.inertia.T)
         small = all(map(_is_small, changes, (1.0, sizes[0], 1.0, sizes[1])))
         self.inner = State(*map(add, self.inner, changes)) if small else None
