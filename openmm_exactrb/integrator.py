@@ -42,8 +42,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
     and clusters that constraints do not make rigid, move with them. After every call of step(n) the Context contains
     positions, velocities, time and step count, and changes made to it between calls are taken into account. A scheme
-    that begins with a kick evaluates the forces again at the start of each call; within a call no force is evaluated
-    twice.
+    that begins and ends with a kick evaluates the forces again at the start of each call; within a call no force is
+    evaluated twice.
 
     Parameters
     ----------
