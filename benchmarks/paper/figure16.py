@@ -1,10 +1,10 @@
 """Figure 16: 100 soft dipolar spheres at rest, energy error against force evaluations.
 
 The figure shows the gain of a high order for a molecular system, and that every scheme falls to second order with
-McLachlan-Reich instead of the exact flow. The start is random, and the paper gives only its energy. Ours are the ten of
-4000 random starts whose energies are nearest to the printed one: a selection, in each of which one pair is close. The
-verdicts are those of the ten. Five starts that were not selected are shown for comparison; hardly anything happens in
-them.
+McLachlan-Reich instead of the exact flow. The start of the paper is random, and only its energy is given. Our starts
+are the ten of 4000 random ones whose energies are closest to the printed energy. In each of these, one pair of dipoles
+is close. The verdicts are for these ten. Five starts that were not selected are shown for comparison; their dipoles
+hardly move.
 """
 
 import sys

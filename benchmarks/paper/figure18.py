@@ -1,10 +1,11 @@
 """Figure 18: two Nyström splittings on [0, 10], from the starts of figure 17.
 
 The paper's "initial conditions as before" are those of figure 17: 125 soft dipolar spheres on a lattice, all at rest
-except the two in opposite corners, whose momenta determine the energy. The paper shows one start; ours are ten of each
-energy. The paper gives neither the lattice constant nor the energies. Our constant is 3, as in figure 17, and within ten
-units of time the spheres approach each other and collide; with a constant of 6, also shown, nothing collides. The
-paper's explanation of the figure depends on these unknown values and cannot be decided.
+except the two in opposite corners, whose momenta determine the energy. The paper shows one start; we have ten starts
+for each energy. The paper gives neither the lattice constant nor the energies. Our lattice constant is 3, as in figure
+17, with which the spheres collide within ten units of time. With a constant of 6, which is also shown, they do not
+collide. The paper's explanation of the figure depends on these unknown values, so it can be neither confirmed nor
+refuted.
 """
 
 import sys

@@ -2,8 +2,9 @@
 
 The table shows the cost of exactness, and whether one long step reaches it. The reference is a Taylor series in
 double-double precision; the paper used ode45 at its tolerance. The verdicts are those of ten draws of 100 bodies. The
-picture and the table are of methods in numpy, except for a line that is marked as compiled and that no claim uses. The part
-of the integrals of the third kind is that of the same methods compiled, since the paper's are in Fortran.
+picture and the table are for methods in numpy, except for one line, marked as compiled, which no claim uses. The
+fraction of time spent in the integrals of the third kind is that of the same methods compiled, since those of the paper
+are in Fortran.
 """
 
 import sys

@@ -1,9 +1,9 @@
 """Figures 12 and 13: energy error of the heavy top as a perturbed free body, for five kinetic energies.
 
-The figures show the gain of an exact free flow where the potential is a perturbation. Lines of ours are added: schemes
-for a small potential, which only an exact flow allows. The paper gives the mean over 20 tops of the relative error; ours is
-the largest along the run, at a hundred equidistant times (ten for a processed scheme). Verdicts are those of five draws
-of 20 tops, at the basic steps 8, 5 and 4; the pictures and the table show the first draw.
+The figures show the gain of an exact free flow if the potential is a perturbation. We added schemes for a small
+potential, which require an exact flow. The paper gives the mean over 20 tops of the relative error; our error is the
+largest along the run, at a hundred equidistant times (ten for a processed scheme). Verdicts are those of five draws of
+20 tops, at the basic steps 8, 5 and 4; the pictures and the table show the first draw.
 """
 
 import sys

@@ -2,9 +2,10 @@
 
 The figures show for which bodies each method is accurate: the exact ones, their approximations by Gauss's rule of order
 6, 8 and 10, and the preprocessed discrete Moser-Veselov methods of the same orders. The reference is a Taylor series in
-double-double precision; the paper used Matlab's ode45 at its tolerance. The corner at the top left, I1 much smaller than
-I2 and I3, contains thin rods (the paper says discs). A point is the mean of 20 momenta, and white lines are at 2, 4, ... 12
-digits of the orientation at t = 10. The pictures are smoothed over neighbouring points, the numbers are not.
+double-double precision; the paper used Matlab's ode45 at its tolerance. The corner at the top left, where I1 is much
+smaller than I2 and I3, contains thin rods (the paper calls them discs). A point is the mean of 20 momenta, and white
+lines are at 2, 4, ... 12 digits of the orientation at t = 10. The pictures are smoothed over neighbouring points, the
+numbers are not.
 """
 
 import sys
