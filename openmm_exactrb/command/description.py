@@ -60,15 +60,15 @@ def described(
 
 def _floor(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield what limits the energy error of every integrator."""
-    yield from (f"limits the energy error whatever the integrator is: {cause}" for cause in causes(system))
+    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
     molecules = sum(len(kind.particles) for kind in bodies.kinds if _is_water(kind))
     if level := of_water(system, molecules):
         yield (
-            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more, whatever "
-            "the integrator is: that of TIP3P with these settings, over the square root of the number of molecules"
+            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more with any "
+            "integrator: that of TIP3P with these settings, scaled by the square root of the number of molecules"
         )
     if any(causes(system)):
-        yield "exactrb tune measures that limit; what the remedies cost: Why is my energy error not smaller? (docs)"
+        yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
 
 
 class _Names:
@@ -132,7 +132,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
         )
         if len(cluster.implied):
             i, j = cluster.particles[0, cluster.implied[0]]
-            line += f"; {len(cluster.implied)} more follow from them, as that of particles {names.joined((i, j))}"
+            line += f"; {len(cluster.implied)} more are redundant, such as that of particles {names.joined((i, j))}"
         yield line
     single = np.concatenate(
         [np.zeros((0, 1), dtype=int), *(kind.particles for kind in bodies.kinds if not kind.turns)]
@@ -203,7 +203,7 @@ def _step(fast: FastForces | None, scheme: Scheme, interval: float) -> str:
     inner, repetitions = fast.inner(scheme), fast.repetitions(scheme, step)
     drifts = [abs(part) for substep, part in scheme.sequence if substep.moves]
     count = sum(repetitions(part * step) for part in drifts) * inner.stages
-    return f"{arguments}, bonded forces nested with {inner.name}, {count} evaluations a step of {1000.0 * step:g} fs"
+    return f"{arguments}, bonded forces nested with {inner.name}, {count} evaluations per step of {1000.0 * step:g} fs"
 
 
 def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:

@@ -54,7 +54,7 @@ def _lines() -> Iterator[str]:
     yield "platforms, fastest first:"
     for found in platforms():
         why = refused_by_default(found)
-        yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; taken only if it is named: {why}' if why else ''}"
+        yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
     yield from ("schemes:", *(f"  {entry!r}" for entry in CATALOGUE.values()))

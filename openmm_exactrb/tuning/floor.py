@@ -23,13 +23,13 @@ def causes(system: openmm.System) -> Iterator[str]:
             continue
         lennard_jones = not isinstance(force, openmm.NonbondedForce) or method != force.LJPME
         if lennard_jones and not force.getUseSwitchingFunction():
-            yield f"{name} has a cutoff without a switch: give switchDistance"
+            yield f"{name} has a cutoff without a switch: set switchDistance"
         if isinstance(force, openmm.NonbondedForce):
             tolerance = force.getEwaldErrorTolerance()
             if method in (force.PME, force.Ewald, force.LJPME) and tolerance > TIGHT and not any(_chosen(force)):
-                yield f"{name} has an ewaldErrorTolerance of {tolerance:g}: {TIGHT:g} is tight"
+                yield f"{name} has an ewaldErrorTolerance of {tolerance:g}: use {TIGHT:g}"
             elif method in (force.CutoffPeriodic, force.CutoffNonPeriodic):
-                yield f"{name} cuts charges off with a jump of the force: take PME"
+                yield f"{name} truncates charges with a jump of the force: use PME"
 
 
 def of_water(system: openmm.System, molecules: int) -> float | None:

@@ -182,7 +182,7 @@ class Tuning:
         failed = [p for p in points if p.duration >= self.horizon and p.error > target]
         if least.error <= target and failed:
             least = min(failed, key=lambda p: p.error)
-            why = f"not held: runs of {self.horizon:.3g} ps came down to"
+            why = f"not held: the smallest in runs of {self.horizon:.3g} ps was"
         text = (
             f"an error of {target:.3g} kJ/mol per body was {why} {least.error:.2g}, with {least.method} and a step of "
         )
@@ -236,7 +236,7 @@ class Tuning:
         yield from (f"note: {note}" for note in self.notes)
 
     def _about_floor(self) -> str:
-        known = "; ".join(self.causes) or "single precision; take the Reference platform or double precision"
+        known = "; ".join(self.causes) or "single precision; use the Reference platform or double precision"
         return (
             f"Below {self.floor:.1e} kJ/mol per body smaller steps do not lower the error: the rest comes from the "
             f"forces, not from the scheme ({known}). See the documentation: Why is my energy error not smaller?"

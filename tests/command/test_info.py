@@ -131,7 +131,7 @@ def pairs_of(n, longer):
 
 def test_what_is_redundant_and_what_is_refused_is_said_in_a_sentence():
     lines = list(described(*pairs_of(6, 0.0)))
-    assert "and 10 constraints; 1 more follow from them, as that of particles 3, 4" in " ".join(lines)
+    assert "and 10 constraints; 1 more are redundant, such as that of particles 3, 4" in " ".join(lines)
     assert lines[-1] == "everything is supported"
     assert list(described(*pairs_of(6, 0.003)))[-1].startswith("not supported: the constraint of particles 3 and 4")
 

@@ -150,7 +150,7 @@ def test_an_opencl_device_that_is_a_cpu_is_taken_only_if_it_is_named(platform, m
     assert platforms.platform_of().getName() != "OpenCL"
     assert platforms.platform_of("OpenCL").getName() == "OpenCL"
     assert main(["info"]) == 0
-    assert "taken only if it is named: it is a CPU" in capsys.readouterr().out
+    assert "used only if named: it is a CPU" in capsys.readouterr().out
 
 
 def test_the_program_comes_behind_the_same_objects(gpu, water):

@@ -186,7 +186,7 @@ def test_what_longer_runs_contradict_is_not_promised():
     result = recorded()
     with pytest.raises(tuning.UnreachableError, match=r"was not held: .* 0.0015"):
         result.best()
-    assert "came down to 0.0015" in " ".join(str(result).split())
+    assert "ps was 0.0015" in " ".join(str(result).split())
     between = result.best(1.2e-3)
     assert 1.11 < between.cost < 2.0
     assert not between.confirmed
@@ -196,7 +196,7 @@ def test_what_longer_runs_contradict_is_not_promised():
 
 
 def test_an_error_out_of_reach_names_what_the_forces_may_set_before_the_floor_is_found():
-    cause = "NonbondedForce has an ewaldErrorTolerance of 0.0005: 1e-05 is tight"
+    cause = "NonbondedForce has an ewaldErrorTolerance of 0.0005: use 1e-05"
     result = recorded(causes=(cause,))
     assert result.floor is None
     with pytest.raises(tuning.UnreachableError, match=f"The forces may limit it: {cause}"):

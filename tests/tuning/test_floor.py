@@ -7,8 +7,8 @@ import openmm_exactrb as rb
 from openmm_exactrb.command.description import described
 from openmm_exactrb.tuning.floor import causes
 
-SWITCH = "NonbondedForce has a cutoff without a switch: give switchDistance"
-TOLERANCE = "NonbondedForce has an ewaldErrorTolerance of 0.0005: 1e-05 is tight"
+SWITCH = "NonbondedForce has a cutoff without a switch: set switchDistance"
+TOLERANCE = "NonbondedForce has an ewaldErrorTolerance of 0.0005: use 1e-05"
 
 
 def water(n=27, **options):
@@ -29,6 +29,6 @@ def test_rough_forces_are_named_with_the_remedy(options, expected):
     system, _ = water(**options)
     assert list(causes(system)) == expected
     said = " ".join(described(system))
-    assert ("exactrb tune measures that limit" in said) == bool(expected)
+    assert ("exactrb tune measures this limit" in said) == bool(expected)
     assert all(cause in said for cause in expected)
     assert list(causes(rb.rigid_water(2)[1])) == []
