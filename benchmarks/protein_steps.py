@@ -75,7 +75,7 @@ EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
 SHOWN = {
     ("LangevinMiddle", "plain", "2.0"): ("LangevinMiddleIntegrator, 2 fs", "#E69F00", "s"),
     ("LangevinMiddle", "plain", "4.0"): ("LangevinMiddleIntegrator, 4 fs", "#D55E00", "o"),
-    ("W2_3m", "all", "8.0"): ("W2_3m, a force every 8 fs, heavy hydrogens", "#0072B2", "D"),
+    ("W2_3m", "all", "8.0"): ("W2_3m, a force evaluation every 8 fs, heavy hydrogens", "#0072B2", "D"),
 }
 GROUPS = {
     "T_tr": "water,\ntranslation",

@@ -73,6 +73,14 @@ nitpick_ignore_regex = [
     (r"py:obj", r"[a-z0-9_.]+"),  # parameters and formulas in docstrings
 ]
 
+#: Of each notebook: a checkout is installed, and the options of the script keep their defaults.
+FIRST_CELL = """\
+# Run this notebook in the folder `examples` of a checkout.
+%pip install --quiet "..[fast,plot]"
+import sys
+
+sys.argv = ["notebook"]"""
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "examples",
@@ -84,7 +92,8 @@ sphinx_gallery_conf = {
     "reset_modules": ("matplotlib",),
     "image_srcset": ["2x"],
     "capture_repr": (),
-    "notebook_extensions": set(),  # scripts that take options
+    "notebook_extensions": {".py"},
+    "first_notebook_cell": FIRST_CELL,
     "download_all_examples": False,
     "write_computation_times": False,
     "show_signature": False,

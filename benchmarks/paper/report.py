@@ -39,7 +39,7 @@ printed with every claim:
 - it **does not agree** if no criterion is met in any draw;
 - it **cannot be decided** if the paper does not state what would have to be known, or if our numbers do not allow it.
 
-The paper's words rarely contain a number. Numbers in criteria, such as "within a factor of 3", are therefore ours.
+The paper's words rarely contain a number. Numbers in criteria, such as "within a factor of 3", were therefore chosen here.
 Criteria that are stricter than the paper's words are named as such and do not decide. Sentences of our own, under
 "Beyond the paper", are judged in the same way and counted separately. Costs are processor times on one core and
 meaningful as ratios only. No ratio that a verdict depends on compares compiled code with numpy.
