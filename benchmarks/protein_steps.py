@@ -112,17 +112,17 @@ def molecules(pdb: Path | None, masses: str, constraints: str) -> tuple[app.Topo
 
 @cache
 def start_of(pdb: Path | None) -> openmm.State:
-    """Return a start in the box that a barostat has made, kept in a file."""
+    """Return a start, kept in a file: after 30 ps at 1 bar, or of a PDB file after 15 ps in its own box."""
     file = OUT / f"start_{'peptide' if pdb is None else pdb.stem}.xml"
     if not file.exists():
         topology, system, positions = molecules(pdb, "plain", "HBonds")
         integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
         integrator.setRandomNumberSeed(1)
-        run = simulation_of(topology, pressed(system, 10, 1), integrator)
+        run = simulation_of(topology, pressed(system, 10, 1) if pdb is None else system, integrator)
         run.context.setPositions(positions)
         run.minimizeEnergy(maxIterations=200)
         run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
-        run.step(15_000)
+        run.step(15_000 if pdb is None else 7_500)
         state = run.context.getState(positions=True, velocities=True)
         file.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(file) as out:

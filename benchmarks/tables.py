@@ -135,12 +135,21 @@ def default_temperatures() -> str:
 
 def protein_steps() -> str:
     """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
+    return _steps("peptide")
+
+
+def villin_steps() -> str:
+    """Return the same of a protein."""
+    return _steps("villin")
+
+
+def _steps(solute: str) -> str:
     body = []
     names = {"T_tr": 1, "T_rot": 1, "T_rot reported": 1, "T_solute": 1, "U": 2, "bonds": 1, "angles": 1, "torsions": 1}
     keys = ("masses", "fs", "constraints", "ensemble", "friction", "integrator", "picoseconds")
-    of_peptide = [row for row in rows("protein_steps") if row["solute"] == "peptide"]
-    for point in sorted(distinct(of_peptide, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
-        some = [row for row in of_peptide if tuple(row[key] for key in keys) == point]
+    found = [row for row in rows("protein_steps") if row["solute"] == solute]
+    for point in sorted(distinct(found, *keys), key=lambda key: (key[0] != "plain", float(key[1]), *key[2:])):
+        some = [row for row in found if tuple(row[key] for key in keys) == point]
         masses, fs, constraints, ensemble, friction, integrator, length = point
         of_defaults = masses == "plain" and integrator != "W2_3m" and (integrator, fs) != (LFM, "2.0")
         if len(some) < 2 or of_defaults:  # no error, or for another table
@@ -156,6 +165,22 @@ def protein_steps() -> str:
         body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
     units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
     return table(("hydrogens of 3 amu", "", "", "", *units), body)
+
+
+def populations() -> str:
+    """Return dihedral populations, temperatures and energies of a peptide in implicit solvent."""
+    names, body = {"helical": 3, "T": 2, "bonds": 2, "angles": 2, "torsions": 2}, []
+    found = rows("peptide_populations")
+    for point in distinct(found, "integrator", "fs"):
+        some = [row for row in found if (row["integrator"], row["fs"]) == point]
+        integrator, fs = point
+        cells = []
+        for name, digits in names.items():
+            values, errors = ([float(row[column]) for row in some] for column in (name, f"{name} error"))
+            cells.append(with_error(float(np.mean(values)), float(np.hypot.reduce(errors)) / len(some), digits))
+        length = f"{sum(float(row['nanoseconds']) for row in some):g} ns"
+        body.append((THEIRS.get(integrator, f"`{integrator}`"), f"{float(fs):g} fs", length, *cells))
+    return table(("", "", "", "helical", "T (K)", "bonds", "angles", "torsions"), body)
 
 
 def _mean(some: list[Row], name: str, digits: int) -> str:
@@ -314,7 +339,7 @@ def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     functions = (
         *(default_energies, default_stability, default_temperatures),
-        *(outputs, protein_steps, validation, ensembles, earlier_schemes),
+        *(outputs, protein_steps, villin_steps, populations, validation, ensembles, earlier_schemes),
         *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}
