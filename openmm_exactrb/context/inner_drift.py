@@ -65,9 +65,9 @@ class InnerDrift:
     ) -> tuple[Flow[State], Mapping[str, Flow[State]], Forces]:
         """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
 
-        The drifts are those of all bodies and, unless all have inner steps, those of some as `Kinetic.partial` has
-        them. timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it
-        passes; h (ps) is the step of the scheme.
+        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.partial``.
+        timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it passes; h
+        (ps) is the step of the scheme.
         """
         inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
         repetitions = self.fast.repetitions(scheme, h)
