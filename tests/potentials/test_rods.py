@@ -78,7 +78,7 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"boundary": rb.ReactionField()}, "are for boundary=Ewald"),
         (
             {"boundary": rb.Ewald(cutoff=2.0), "length": 0.6},
-            "must be below half the box, 2.5 nm: take a shorter cutoff",
+            "must be below half the box, 2.5 nm: use a shorter cutoff",
         ),
         ({"boundary": rb.Ewald(cutoff=2.6)}, "at most half the box"),
         ({"length": 0.0}, "length must be a positive"),
