@@ -145,7 +145,7 @@ def test_force_gradients_are_built_from_the_pattern_of_a_step():
     displaced = [kick.strength * 8.0**2 * b**2 for kick, b in kicks]
     assert displaced == pytest.approx([0.02 / 8.0, 0.03 / 8.0])
     for pattern in ("BACA", "BBACABB", "A", "BAXAB"):
-        with pytest.raises(ValueError, match=f"'{pattern}' is no palindrome"):
+        with pytest.raises(ValueError, match=f"'{pattern}' is not a palindrome"):
             force_gradient("wrong", pattern, order=2)
     for magnification in (0.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="magnification must be"):
