@@ -159,8 +159,9 @@ def _steps(solute: str) -> str:
         how += [f"{float(friction):g}/ps"] if friction != "5.0" else []
         how += [f"device ({device})"] if device else []
         label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
-        known = names if constraints == "HBonds" else {name: d for name, d in names.items() if name != "bonds"}
-        cells = (_mean(some, name, digits) if name in known else "" for name, digits in names.items())
+        # Devices do not have energies by kind, and constrained bonds have none.
+        unknown = {"bonds", "angles", "torsions"} if device else set() if constraints == "HBonds" else {"bonds"}
+        cells = ("" if name in unknown else _mean(some, name, digits) for name, digits in names.items())
         length = f"{len(some)} x {float(length):g} ps"
         body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
     units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
