@@ -29,7 +29,7 @@ from openmm_exactrb import ensemble
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
 from peptide import PEPTIDE
-from protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone
+from protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals, regions
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "peptide_populations.csv"
 OUT = Path("out/peptide_populations")
@@ -79,15 +79,6 @@ def torsions_of(topology: app.Topology) -> dict[str, np.ndarray]:
     return {name: np.array(four) + n * np.arange(COPIES)[:, None] for name, four in backbone(topology).items()}
 
 
-def dihedrals(x: np.ndarray, four: np.ndarray) -> np.ndarray:
-    """Return torsions in degrees, IUPAC's sign."""
-    a, b, c, d = (x[four[:, k]] for k in range(4))
-    axis = c - b
-    normal, other = np.cross(a - b, axis), np.cross(axis, d - c)
-    along = np.einsum("ni,ni->n", np.cross(normal, other), axis) / np.linalg.norm(axis, axis=1)
-    return -np.degrees(np.arctan2(along, -np.einsum("ni,ni->n", normal, other)))
-
-
 def means_of(integrator: str, fs: float, friction: float, nanoseconds: float, seed: int) -> dict[str, float]:
     """Return means over copies, and their errors."""
     topology, system, positions = copies()
@@ -119,9 +110,7 @@ def sampled(
         state = context.getState(positions=True, velocities=True)
         x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
         kinetic = (mass * np.square(v).sum(axis=1).reshape(mass.shape)).sum(axis=1)
-        phi, psi = (dihedrals(x, four) for four in of.values())
-        left = phi > 0.0
-        helical = ~left & (psi > -120.0) & (psi < 50.0)
+        helical, left = regions(*(dihedrals(*x[four.T]) for four in of.values()))
         values = {"helical": helical, "left": left, "extended": ~left & ~helical, "T": kinetic / (freedom * R)}
         for group, kind in enumerate(KINDS, 1):  # of all copies: their scatter is that in time
             energy = context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value / COPIES

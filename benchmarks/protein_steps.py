@@ -130,12 +130,18 @@ def start_of(pdb: Path | None) -> openmm.State:
     return openmm.XmlSerializer.deserialize(file.read_text())
 
 
-def dihedral(x: np.ndarray) -> float:
-    """Return the torsion (degrees) of four places, IUPAC's sign."""
-    b0, b1, b2 = x[0] - x[1], x[2] - x[1], x[3] - x[2]
-    normal, other = np.cross(b0, b1), np.cross(b1, b2)
-    along = np.cross(normal, other) @ b1 / np.linalg.norm(b1)
-    return -math.degrees(math.atan2(along, -(normal @ other)))
+def dihedrals(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return torsions in degrees, IUPAC's sign, of positions (..., 3)."""
+    axis = c - b
+    normal, other = np.cross(a - b, axis), np.cross(axis, d - c)
+    along = (np.cross(normal, other) * axis).sum(axis=-1) / np.linalg.norm(axis, axis=-1)
+    return -np.degrees(np.arctan2(along, -(normal * other).sum(axis=-1)))
+
+
+def regions(phi: np.ndarray, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which torsions (degrees) are helical, and which have phi > 0."""
+    left = phi > 0.0
+    return ~left & (psi > -120.0) & (psi < 50.0), left
 
 
 def backbone(topology: app.Topology) -> dict[str, list[int]] | None:
@@ -156,8 +162,7 @@ def conformations(torsions: list[tuple[float, float]]) -> dict[str, float]:
     if not torsions:
         return dict.fromkeys(CONFORMATIONS, math.nan)
     phi, psi = np.array(torsions).T
-    left = phi > 0.0
-    helical = ~left & (psi > -120.0) & (psi < 50.0)
+    helical, left = regions(phi, psi)
     # A crossing is from within one region to within the other, 20 degrees behind the border.
     inside, outside = helical & (psi > -100.0) & (psi < 30.0), ~helical & (np.abs(psi - 150.0) % 360.0 < 80.0)
     visits = [bool(a) for a, b in zip(inside, outside, strict=True) if a or b]
@@ -259,7 +264,7 @@ def sampled(
             raise rb.NonFiniteError("a temperature or the energy is not finite")
         samples.append(sample)
         if torsions is not None:
-            angles.append((dihedral(x[torsions["phi"]]), dihedral(x[torsions["psi"]])))
+            angles.append((dihedrals(*x[torsions["phi"]]), dihedrals(*x[torsions["psi"]])))
         if k % often == 0:
             centres.append(np.einsum("k,nki->ni", groups.mass[groups.water[0]], x[groups.water]))
             counts += distances(x[groups.water[:, 0]], state.getPeriodicBoxVectors()[0][0]._value)

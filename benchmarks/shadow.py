@@ -30,25 +30,25 @@ STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
-def molecules(model: str, heavy: bool) -> tuple[openmm.System, unit.Quantity]:
-    """Return 216 molecules, with hydrogens of 3 amu if they are to be heavy."""
+def started(model: str, heavy: bool, integrator: rb.ExactRigidBodyLangevinIntegrator) -> openmm.Context:
+    """Return 216 minimised molecules at the thermostat's temperature, with hydrogens of 3 amu if they are heavy."""
     topology, system, positions = rb.rigid_water(
         216, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85, ewaldErrorTolerance=1e-4
     )
     if heavy:
         rb.heavy_hydrogens(system, topology, 3.0)
-    return system, positions
-
-
-def momenta(model: str, picoseconds: float, heavy: bool = False):
-    """Return linear and angular momenta, (steps, 3, n), of the molecules, each over the root of its mass or moment."""
-    system, positions = molecules(model, heavy)
-    integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004, scheme="S2_2")
     integrator.setRandomNumberSeed(1)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    integrator.setVelocitiesToTemperature(TEMPERATURE, 1)
+    integrator.setVelocitiesToTemperature(integrator.getTemperature(), 1)
+    return context
+
+
+def momenta(model: str, picoseconds: float, heavy: bool = False):
+    """Return linear and angular momenta, (steps, 3, n), of the molecules, each over the root of its mass or moment."""
+    integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, 0.004, scheme="S2_2")
+    _context = started(model, heavy, integrator)
     integrator.step(2500)
     integrator.setFriction(0.0)
     integrator.setStepSize(STEP)
@@ -163,13 +163,8 @@ class Anharmonicity:
 
 def squares_and_energies(model: str, kelvin: float, picoseconds: float, heavy: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return samples of f·M⁻¹f, torques among f, and of the potential energy, both per molecule."""
-    system, positions = molecules(model, heavy)
     integrator = rb.ExactRigidBodyLangevinIntegrator(kelvin, 5.0, 0.001)
-    integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    integrator.setVelocitiesToTemperature(kelvin, 1)
+    context = started(model, heavy, integrator)
     integrator.step(8000)
     squares, energies = [], []
     for _ in range(round(10.0 * picoseconds)):
