@@ -29,7 +29,7 @@ TEMPERATURES = (
     ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
     ("constrained", LFM, "other T_rot - T_tr"),
     ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
-    ("around the bath", "BAOAB", "other T_rot - T_tr"),
+    ("around the heat exchange", "BAOAB", "other T_rot - T_tr"),
 )
 ROWS = {
     name: (
@@ -159,7 +159,7 @@ def over_goals(record: Record, model: str) -> str:
         "W2_3m": ("W2_3m", FRICTION, "T_rot - T_tr"),
         "BAOA, friction 30/ps": ("BAOA", 30.0, "T_rot - T_tr"),
         "`LangevinMiddleIntegrator`, constrained": (LFM, FRICTION, "other T_rot - T_tr"),
-        "BAOAB, around the bath": ("BAOAB", FRICTION, "other T_rot - T_tr"),
+        "BAOAB, around the heat exchange": ("BAOAB", FRICTION, "other T_rot - T_tr"),
     }
 
     def of_methods(ensemble: str, interval: float) -> list[Means]:
