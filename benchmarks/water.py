@@ -222,7 +222,7 @@ def draw_droplet(rows, window):
     axes.set_xlim(right=3600)
     axes.set_xlabel("force evaluations per ps")
     axes.set_ylabel(f"energy error over {window:g} ps (kJ/mol per molecule)")
-    axes.set_title("64 TIP3P molecules, no cutoff, constant energy")
+    axes.set_title("64 TIP3P molecules, no cutoff, constant energy: lower left is better")
     axes.set_xticks([250, 500, 1000, 2000], ["250", "500", "1000", "2000"])
     axes.minorticks_off()
     axes.grid(True, alpha=0.3)
