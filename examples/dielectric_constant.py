@@ -50,6 +50,7 @@ FERROFLUID = {
     ]
 }
 BOUNDARIES = {"ewald": rb.Ewald(), "reaction field": rb.ReactionField()}
+NAMES = {"ewald": "Ewald sum", "reaction field": "reaction field"}
 DRAW = 0.5  # ps between two draws of the momenta
 SAMPLE = 0.05  # ps between two moments
 
@@ -164,7 +165,7 @@ def draw(
 ) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     axes.fill_between(times, values - errors, values + errors, color="#0072B2", alpha=0.25, lw=0)
-    axes.plot(times, values, color="#0072B2", lw=1.6, label=f"this run ({long_range}), with its standard error")
+    axes.plot(times, values, color="#0072B2", lw=1.6, label=f"this package, {NAMES[long_range]}, ± standard error")
     for (name, value, error), colour, line in zip(references, ("#D55E00", "#009E73"), ("-", "--"), strict=False):
         axes.axhline(value, color=colour, ls=line, lw=1.4, label=name)
         axes.axhspan(value - error, value + error, color=colour, alpha=0.15, lw=0)

@@ -246,8 +246,8 @@ class Tuning:
         """Return a sentence that compares a choice with OpenMM's Verlet integrator."""
         last, about = self.curve(VERLET)[-1], ""
         cost = cost_at(self.curve(VERLET), chosen.error)
-        if cost is None:  # extrapolate: Verlet is of order 2
-            cost, about = last.cost * (last.error / chosen.error) ** 0.5, "about "
+        if cost is None:
+            cost, about = _extrapolated(last, chosen.error), "about "
         step = 1e3 * self.seconds[VERLET] * self.evaluations[VERLET] / cost
         return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"
 
@@ -285,6 +285,10 @@ class Tuning:
             line = [p.cost for p in self.curve(name)], [p.error for p in self.curve(name)]
             if name == VERLET:
                 axes.plot(*line, "o--", color="black", label=name)
+                if line[0] and self.chosen is not None and self.chosen.error < line[1][-1]:
+                    last, error = self.curve(VERLET)[-1], self.chosen.error
+                    rest = [last.cost, _extrapolated(last, error)], [last.error, error]
+                    axes.plot(*rest, ":", color="black", label=f"{name}, extrapolated")
             elif name in best and (style := next(styles, None)):
                 axes.plot(*line, color=style[0], marker=style[1], mec="white", label=name)
             else:
@@ -300,3 +304,8 @@ class Tuning:
         if axes.get_legend_handles_labels()[0]:
             figure.legend(loc="outside right upper", fontsize=9)
         figure.savefig(file, dpi=150)
+
+
+def _extrapolated(last: Point, error: float) -> float:
+    """Return the cost at which Verlet, which is of order 2, has an error beyond its last point."""
+    return last.cost * (last.error / error) ** 0.5
