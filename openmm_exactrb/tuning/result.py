@@ -308,4 +308,4 @@ class Tuning:
 
 def _extrapolated(last: Point, error: float) -> float:
     """Return the cost at which Verlet, which is of order 2, has an error beyond its last point."""
-    return last.cost * (last.error / error) ** 0.5
+    return last.cost * math.sqrt(last.error / error)
