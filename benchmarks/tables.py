@@ -317,6 +317,10 @@ def figures() -> dict[str, str]:
     return {
         "default_over_verlet": rounded(over_verlet("W2_1")),
         "W4_4_gain": rounded(1.0 / over_verlet("W4_4")),
+        "W4_4_gain_error": f"{error_over_verlet('W4_4') / over_verlet('W4_4'):.0f}",
+        "protein_gain": f"{protein_gain():.1f}",
+        "protein_throughput": f"{2.0 / max(costs_at_8_fs()):.1f}",
+        "protein_time": f"{sum(costs_at_8_fs()) / 4.0:.2f}",
     }
 
 
@@ -324,6 +328,36 @@ def over_verlet(scheme: str) -> float:
     """Return the energy error of a scheme over Verlet's, in a box of TIP3P over 30 ps: benchmarks/water_boxes.py."""
     found = {row["method"]: float(row["std_30_ps"]) for row in rows("water_boxes") if row["model"] == "tip3p"}
     return found[scheme] / found["Verlet"]
+
+
+def error_over_verlet(scheme: str) -> float:
+    """Return the relative error of that ratio, from the scatter of the starts."""
+    found = {row["method"]: row for row in rows("water_boxes") if row["model"] == "tip3p"}
+    return math.hypot(
+        *(float(found[name]["error_30_ps"]) / float(found[name]["std_30_ps"]) for name in (scheme, "Verlet"))
+    )
+
+
+def protein_gain() -> float:
+    """Return Verlet's energy error over that of the default, for villin in water over 2 ps: benchmarks/protein.py."""
+    std = {row["method"]: float(row["std_2_ps_kJ_mol"]) for row in rows("protein")}
+    return std["Verlet"] / std["W2_1"]
+
+
+def costs_at_8_fs() -> tuple[float, float]:
+    """Return the cost of an evaluation every 8 fs over OpenMM's every 4 fs, for villin: benchmarks/one_line.py."""
+    (row,) = [row for row in rows("one_line") if row["with"].startswith("8 fs")]
+    return float(row["least"]), float(row["most"])
+
+
+def one_line() -> str:
+    """Return the times of steps over those of OpenMM's integrators."""
+    body = []
+    for row in rows("one_line"):
+        if row["with"] == "2 fs":
+            least, most = row["least"], row["most"]
+            body.append((row["system"], f"`{row['relative_to']}`", least if least == most else f"{least} to {most}"))
+    return table(("system", "relative to", "time"), body)
 
 
 def asked(scheme: str) -> float:
@@ -339,7 +373,7 @@ def rounded(value: float) -> str:
 def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     functions = (
-        *(default_energies, default_stability, default_temperatures),
+        *(default_energies, default_stability, default_temperatures, one_line),
         *(outputs, protein_steps, villin_steps, populations, validation, ensembles, earlier_schemes),
         *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )

@@ -15,7 +15,12 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     """Pages that are also read as plain Markdown have no substitutions."""
     readme, which = (" ".join((ROOT / page).read_text().split()) for page in ("README.md", "docs/which.md"))
     figures = tables.figures()
-    assert f"fluctuates {figures['W4_4_gain']} times less than with `VerletIntegrator`" in readme
+    gain = f"{figures['W4_4_gain']} ± {figures['W4_4_gain_error']}"
+    assert f"fluctuates {gain} times less than with `VerletIntegrator`" in readme
+    assert f"{figures['protein_gain']} times less energy error than Verlet, both with" in readme
+    assert f"{figures['protein_gain']} times less energy error than `VerletIntegrator(4 fs)` over 2 ps" in which
+    assert f"{figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in readme
+    assert f"{figures['protein_time']} of the time of `LangevinMiddleIntegrator(4 fs)`" in which
     assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
     assert f"| {figures['W4_4_gain']} times less energy error over 30 ps" in which
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
