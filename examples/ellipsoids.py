@@ -161,7 +161,7 @@ def draw(
         box.plot(*np.array([c - 1.2 * d, c + 1.2 * d]).T, color=colour, lw=3.0, solid_capstyle="round")
     box.set_box_aspect((1.0, 1.0, 1.0), zoom=1.1)
     box.set_axis_off()
-    box.set_title("The end; dark: along the director", fontsize=11)
+    box.set_title("The end, coloured by the angle with the director", fontsize=11)
     figure.savefig(file, dpi=150)
 
 
