@@ -64,7 +64,7 @@ def difference(integrator, picoseconds=40.0):
     return blocks.mean(), blocks.std(ddof=1) / 10**0.5
 
 
-intervals = (3, 6)  # fs between two forces
+intervals = (3, 6)  # fs between two force evaluations
 lines = {
     "LangevinMiddleIntegrator": lambda fs: openmm.LangevinMiddleIntegrator(298, 5, fs * femtoseconds),
     "ExactRigidBodyLangevinIntegrator, W2_3m": lambda fs: rb.ExactRigidBodyLangevinIntegrator(
@@ -80,11 +80,10 @@ for (name, make), colour, marker in zip(lines.items(), ("#D55E00", "#0072B2"), (
     print(name, ", ".join(f"{fs} fs: {a:.1f} ± {b:.1f} K" for fs, a, b in zip(intervals, means, errors, strict=True)))
 axes.axhline(0.0, color="0.6", lw=0.8)
 axes.set_xticks(intervals)
-axes.set_xlabel("time between two forces (fs)")
+axes.set_xlabel("time between two force evaluations (fs)")
 axes.set_ylabel("T_rot − T_tr (K)")
 figure.legend(loc="outside lower center", ncols=2)
 figure.savefig(out / "equipartition.png", dpi=150)
 
 # %%
-# The page on temperature has the same comparison for a periodic box, with smaller errors, and explains the
-# differences.
+# :doc:`/explanation/measured-temperatures` has the same comparison for a periodic box, with smaller errors.
