@@ -119,7 +119,7 @@ def capitalised(verdict: str) -> str:
 
 
 def summary(claims: list[tuple[str, Claim]]) -> str:
-    """Count the verdicts, the paper's claims and ours separately, and list them in a table, in bold unless they agree.
+    """Count the verdicts, the paper's claims and ours separately; list them by page, and all, in bold unless they agree.
 
     Parameters
     ----------
@@ -130,7 +130,13 @@ def summary(claims: list[tuple[str, Claim]]) -> str:
     lines += (
         [f"Of {len(ours)} sentences of our own, which go beyond the paper, {_counted(ours, OURS)}."] if ours else []
     )
-    lines += ["", "| where | claim of the paper | verdict |", "| --- | --- | --- |"]
+    lines += ["", "| where | claims | agree | other verdicts |", "| --- | --- | --- | --- |"]
+    for place in dict.fromkeys(place for place, _ in papers):
+        here = [claim for where, claim in papers if where == place]
+        others = [claim for claim in here if claim.verdict != VERDICTS[0]]
+        words = "; ".join(f"{claim.sentence.rstrip('.')}: **{capitalised(claim.verdict).lower()}**" for claim in others)
+        lines.append(f"| {place} | {len(here)} | {len(here) - len(others)} | {words} |")
+    lines += ["", "## All claims", "", "| where | claim of the paper | verdict |", "| --- | --- | --- |"]
     for place, claim in papers:
         verdict = capitalised(claim.verdict)
         lines.append(
