@@ -59,6 +59,7 @@ dist: $(VENV)/.dist
 	$(BIN)/check-wheel-contents dist
 	$(BIN)/validate-pyproject pyproject.toml
 	$(BIN)/cffconvert --validate
+	$(BIN)/python -c "from rattler_build import Stage0Recipe as R, VariantConfig; print(R.from_file('packaging/conda/recipe.yaml').render(VariantConfig()))"
 
 clean:
 	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples
@@ -86,7 +87,7 @@ $(LOWEST)/.test: pyproject.toml constraints/lowest.txt
 	touch $@
 
 $(VENV)/.dist: $(VENV)/.python
-	$(BIN)/python -m pip install --quiet build cffconvert check-wheel-contents twine "validate-pyproject[all]"
+	$(BIN)/python -m pip install --quiet build cffconvert check-wheel-contents py-rattler-build twine "validate-pyproject[all]"
 	touch $@
 
 $(VENV)/.docs: $(VENV)/.python
