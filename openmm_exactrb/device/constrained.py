@@ -44,7 +44,7 @@ def turn(program: Program) -> None:
             exchange(program, "before")
     with program.when(f"{has['long']} > 0"):
         _drift_of_bodies(program)
-    sites = f"{names.SITES}*{names.NEEDED}*delta({names.INDEX}-{names.FIRST})"
+    sites = f"{names.SITES}*max({has['long']},{names.NEEDED}*delta({names.INDEX}-{names.FIRST}))"
     with program.when(f"max({has['moves']},{sites}) > 0"):
         _drift(program)
     with program.when(f"{names.NEEDED} > 0"):

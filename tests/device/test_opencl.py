@@ -1,5 +1,7 @@
 """The program of the device on OpenCL, a processor's own (PoCL) where there is no other."""
 
+import copy
+
 import numpy as np
 import openmm
 import pytest
@@ -154,8 +156,9 @@ def test_a_peptide_in_water_in_mixed_precision(platform):
     assert slip <= 1e-6
 
 
-def test_virtual_sites_beside_a_peptide(platform):
-    """With a barostat, whose moves leave water rigid and bonds to hydrogen long as they are."""
+@pytest.fixture(scope="module")
+def peptide_in_tip4p():
+    """Return a System and positions near a minimum of its energy."""
     modeller = app.Modeller(app.PDBFile(str(PEPTIDE)).topology, app.PDBFile(str(PEPTIDE)).positions)
     field = app.ForceField("amber14-all.xml", "amber14/tip4pew.xml")
     modeller.addSolvent(field, model="tip4pew", boxSize=openmm.Vec3(1.9, 1.9, 1.9) * unit.nanometer)
@@ -163,8 +166,31 @@ def test_virtual_sites_beside_a_peptide(platform):
     system = field.createSystem(modeller.topology, constraints=app.HBonds, **options)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
     context.setPositions(modeller.positions)
+    openmm.LocalEnergyMinimizer.minimize(context, 100.0, 30)
     context.applyConstraints(1e-9)
-    x, _ = shown(context)
+    return system, shown(context)[0]
+
+
+@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m"])
+def test_virtual_sites_move_with_water_where_the_peptide_drifts_later(platform, peptide_in_tip4p, scheme):
+    """In a step whose last drift is that of rigid bodies alone; sites as OpenMM's Reference platform places them."""
+    system, x = peptide_in_tip4p
+    reference = openmm.Context(copy.deepcopy(system), openmm.VerletIntegrator(0.001), REFERENCE)
+    thermostat = rb.thermostats.Langevin(300.0, 0.0)
+    ends = []
+    for engine in ("host", "device"):
+        options = {"h": 0.002, "kelvin": 0.0, "scheme": scheme, "fast": "bonded", "thermostat": thermostat}
+        context = context_of(system, x, engine, platform=platform, precision="double", **options)
+        ends.append(stepped(context, 3)[0])
+        reference.setPositions(ends[-1])
+        reference.computeVirtualSites()
+        np.testing.assert_allclose(ends[-1], shown(reference)[0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-4)
+
+
+def test_virtual_sites_beside_a_peptide(platform, peptide_in_tip4p):
+    """With a barostat, whose moves leave water rigid and bonds to hydrogen long as they are."""
+    system, x = peptide_in_tip4p
     ends = []
     for engine in ("host", "device"):
         context = context_of(
