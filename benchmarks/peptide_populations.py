@@ -1,9 +1,13 @@
 """How the dihedral populations of a peptide depend on the step: alanine dipeptide in implicit solvent.
 
-Many copies in one System, 12 nm apart and with a cutoff of 2 nm, do not see each other, and cost hardly more than one:
-amber14 with OBC2, bonds to hydrogen held, hydrogens of 3 amu, CPU platform. Copies begin in one conformation; what they
-do before `BURN` is not counted. Errors are from the scatter between copies, which are independent. Runs that
-docs/peptide_populations.csv has are not run again.
+amber14 with OBC2, bonds to hydrogen held, hydrogens of 3 amu. An umbrella, a torsion of its own about psi, lowers the
+barrier between the helical and the extended conformations; every sample has the weight that undoes it, so that
+populations are those of the model. Temperatures and energies by kind are those under the umbrella.
+
+OpenMM's integrators move one peptide on the Reference platform. Those of this package move several copies in a System
+on the CPU platform, 12 nm apart, that a cutoff of 2 nm keeps from each other: Python costs as much for all as for one.
+Errors are from a jackknife over blocks in time of each peptide. Runs that docs/peptide_populations.csv has are not run
+again.
 
     python benchmarks/peptide_populations.py --integrators LangevinMiddle --fs 1 2 4 --runs 2
     python benchmarks/peptide_populations.py --integrators W2_3m BAOA --fs 4 6 8 --runs 2
@@ -33,8 +37,10 @@ from protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "peptide_populations.csv"
 OUT = Path("out/peptide_populations")
-COPIES, APART = 64, 12.0  # how many, and nm between neighbours
-BURN, LOOKED = 100.0, 0.5  # ps that are not counted, and ps between two samples
+COPIES, APART = 16, 12.0  # how many, and nm between neighbours
+BURN, LOOKED, BLOCKS = 100.0, 0.5, 64  # ps that are not counted, ps between two samples, blocks at least
+# The umbrella: the sum over n of -k_n (1 + cos n(psi - 75 degrees)), in kJ/mol.
+SUMMIT, UMBRELLA = math.radians(75.0), {1: 3.6, 2: 1.8, 3: 0.6}
 REGIONS = ("helical", "left", "extended")
 MEASURED = (*REGIONS, "T", *KINDS, "changes")
 POINT = ("integrator", "fs", "friction", "nanoseconds", "seed")
@@ -43,25 +49,42 @@ R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvi
 
 
 @cache
-def copies() -> tuple[app.Topology, openmm.System, np.ndarray]:
-    """Return copies of the peptide in implicit solvent, each kind of bonded force in a group of its own."""
+def peptides(n: int) -> tuple[app.Topology, openmm.System, np.ndarray]:
+    """Return n peptides in implicit solvent under the umbrella, each kind of bonded force in a group of its own."""
     content = app.PDBFile(str(PEPTIDE))
     modeller = app.Modeller(content.topology, content.positions)
-    edge = math.ceil(COPIES ** (1 / 3))
-    for place in itertools.islice(itertools.product(range(edge), repeat=3), 1, COPIES):
-        modeller.add(content.topology, content.positions + APART * np.array(place) * unit.nanometer)
-    force_field = app.ForceField("amber14-all.xml", "implicit/obc2.xml")
-    system = force_field.createSystem(
+    for k in range(1, n):
+        modeller.add(content.topology, content.positions + np.array([APART * k, 0.0, 0.0]) * unit.nanometer)
+    system = app.ForceField("amber14-all.xml", "implicit/obc2.xml").createSystem(
         modeller.topology,
-        nonbondedMethod=app.CutoffNonPeriodic,
+        nonbondedMethod=app.NoCutoff if n == 1 else app.CutoffNonPeriodic,
         nonbondedCutoff=2.0 * unit.nanometer,
         constraints=app.HBonds,
         removeCMMotion=False,
     )
     rb.heavy_hydrogens(system, modeller.topology, HEAVY)
+    with_native_solvent(system)
     for force in system.getForces():
-        force.setForceGroup(next((n for n, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
+        force.setForceGroup(next((g for g, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
+    umbrella = openmm.PeriodicTorsionForce()
+    for psi in torsions_of(modeller.topology, n)["psi"]:
+        for k, height in UMBRELLA.items():
+            umbrella.addTorsion(*psi, k, k * SUMMIT, -height)
+    system.addForce(umbrella)
     return modeller.topology, system, modeller.positions
+
+
+def with_native_solvent(system: openmm.System) -> None:
+    """Put OpenMM's own force in the place of the custom one that ForceField makes for OBC2, which is much slower."""
+    index = next(k for k, force in enumerate(system.getForces()) if isinstance(force, openmm.CustomGBForce))
+    custom, native = system.getForce(index), openmm.GBSAOBCForce()
+    native.setNonbondedMethod(custom.getNonbondedMethod())
+    native.setCutoffDistance(custom.getCutoffDistance())
+    for i in range(custom.getNumParticles()):
+        charge, radius, scaled = custom.getParticleParameters(i)  # the radius less 0.009 nm, and that scaled
+        native.addParticle(charge, radius + 0.009, scaled / radius)
+    system.addForce(native)
+    system.removeForce(index)
 
 
 def integrator_of(name: str, interval: float, friction: float) -> openmm.Integrator:
@@ -73,60 +96,67 @@ def integrator_of(name: str, interval: float, friction: float) -> openmm.Integra
     )
 
 
-def torsions_of(topology: app.Topology) -> dict[str, np.ndarray]:
-    """Return the atoms (copies, 4) of phi and psi."""
-    n = topology.getNumAtoms() // COPIES
-    return {name: np.array(four) + n * np.arange(COPIES)[:, None] for name, four in backbone(topology).items()}
+def torsions_of(topology: app.Topology, n: int) -> dict[str, np.ndarray]:
+    """Return the atoms (n, 4) of phi and psi of n peptides."""
+    atoms = topology.getNumAtoms() // n
+    return {name: np.array(four) + atoms * np.arange(n)[:, None] for name, four in backbone(topology).items()}
 
 
 def means_of(integrator: str, fs: float, friction: float, nanoseconds: float, seed: int) -> dict[str, float]:
-    """Return means over copies, and their errors."""
-    topology, system, positions = copies()
+    """Return means over peptides and time, and their errors."""
+    n, platform, properties = (1, "Reference", {}) if integrator in OPENMM else (COPIES, "CPU", {"Threads": "1"})
+    topology, system, positions = peptides(n)
     mover = integrator_of(integrator, 0.001 * fs, friction)
     mover.setRandomNumberSeed(seed)
     step = mover.getStepSize()._value
-    context = openmm.Context(system, mover, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
+    context = openmm.Context(system, mover, openmm.Platform.getPlatform(platform), properties)
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 1.0, 200)
     context.setVelocitiesToTemperature(TEMPERATURE, seed)
     every = max(1, round(LOOKED / step))
     try:
         mover.step(round(BURN / step))
-        return sampled(context, mover, every, math.ceil(1000.0 * nanoseconds / COPIES / (every * step)), topology)
+        return sampled(context, every, math.ceil(1000.0 * nanoseconds / (n * every * step)), topology, n)
     except (openmm.OpenMMException, rb.IntegrationError):
         return dict.fromkeys(COLUMNS[len(POINT) :], math.nan)
 
 
-def sampled(
-    context: openmm.Context, mover: openmm.Integrator, every: int, samples: int, topology: app.Topology
-) -> dict[str, float]:
-    """Return means over so many samples of all copies."""
-    system, of = context.getSystem(), torsions_of(topology)
-    mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())]).reshape(COPIES, -1)
-    freedom = 3 * mass.shape[1] - system.getNumConstraints() // COPIES
-    rows: dict[str, list[np.ndarray]] = {name: [] for name in MEASURED if name != "changes"}
+def sampled(context: openmm.Context, every: int, samples: int, topology: app.Topology, n: int) -> dict[str, float]:
+    """Return means over so many samples of n peptides, and their errors."""
+    system, of = context.getSystem(), torsions_of(topology, n)
+    mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())]).reshape(n, -1)
+    freedom = 3 * mass.shape[1] - system.getNumConstraints() // n
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in ("psi", *MEASURED) if name != "changes"}
     for _ in range(samples):
-        mover.step(every)
+        context.getIntegrator().step(every)
         state = context.getState(positions=True, velocities=True)
         x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
         kinetic = (mass * np.square(v).sum(axis=1).reshape(mass.shape)).sum(axis=1)
-        helical, left = regions(*(dihedrals(*x[four.T]) for four in of.values()))
+        phi, psi = (dihedrals(*x[four.T]) for four in of.values())
+        helical, left = regions(phi, psi)
         values = {"helical": helical, "left": left, "extended": ~left & ~helical, "T": kinetic / (freedom * R)}
-        for group, kind in enumerate(KINDS, 1):  # of all copies: their scatter is that in time
-            energy = context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value / COPIES
-            values[kind] = np.full(1, energy)
-        for name, value in values.items():
-            rows[name].append(value.astype(float))
-    result = {}
-    for name, value in rows.items():
-        series = np.array(value)
-        if series.shape[1] == 1:  # blocks in time
-            parts = np.array([part.mean() for part in np.array_split(series[:, 0], 20)])
-        else:
-            parts = series.mean(axis=0)
-        result |= {name: series.mean(), f"{name} error": parts.std(ddof=1) / math.sqrt(len(parts))}
-    jumps = np.abs(np.diff(np.array(rows["helical"]), axis=0)).sum(axis=0)
-    return result | {"changes": jumps.sum(), "changes error": math.nan}
+        for group, kind in enumerate(KINDS, 1):  # of all: their scatter is that in time
+            values[kind] = [context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value / n]
+        for name, value in (values | {"psi": psi}).items():
+            rows[name].append(np.array(value, dtype=float))
+    series = {name: np.array(value) for name, value in rows.items()}
+    psi = np.radians(series.pop("psi"))
+    height = sum(k * (1.0 + np.cos(harmonic * (psi - SUMMIT))) for harmonic, k in UMBRELLA.items())
+    weights, result = np.exp(-height / (R * TEMPERATURE)), {}
+    for name, value in series.items():
+        mean, error = weighted(value, weights if name in REGIONS else np.ones_like(value))
+        result |= {name: mean, f"{name} error": error}
+    return result | {"changes": np.abs(np.diff(series["helical"], axis=0)).sum(), "changes error": math.nan}
+
+
+def weighted(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    """Return the weighted mean of samples (time, peptide), and its error by a jackknife over blocks in time of each."""
+    parts = math.ceil(BLOCKS / values.shape[1])
+    sums = [[block.sum(axis=0) for block in np.array_split(some, parts)] for some in (weights * values, weights)]
+    above, below = (np.ravel(some) for some in sums)
+    without = (above.sum() - above) / (below.sum() - below)
+    blocks = len(without)
+    return float(above.sum() / below.sum()), math.sqrt((blocks - 1) * np.var(without))
 
 
 Row = dict[str, str]
@@ -165,7 +195,7 @@ def parse() -> argparse.Namespace:
     add("--integrators", nargs="+", default=["LangevinMiddle", "W2_3m"])
     add("--fs", nargs="+", type=float, default=[2.0, 4.0, 8.0], help="between two nonbonded forces")
     add("--friction", nargs="+", type=float, default=[5.0], metavar="1/PS")
-    add("--nanoseconds", type=float, default=32.0, help="of a run, over all copies (%(default)s)")
+    add("--nanoseconds", type=float, default=32.0, help="of a run, over all peptides (%(default)s)")
     add("--runs", type=int, default=1, help="runs a point, each with its own seed (%(default)s)")
     add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means and errors")
