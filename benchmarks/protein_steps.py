@@ -197,13 +197,13 @@ def diffusion(centres: list[np.ndarray], lag: float) -> float:
     return float((squares[1] - squares[0]) / (6.0 * (long - short) * lag) * 1e3)
 
 
-def integrator_of(name: str, interval: float, friction: float) -> openmm.Integrator:
+def integrator_of(name: str, interval: float, friction: float, temperature: float = TEMPERATURE) -> openmm.Integrator:
     """Return what evaluates the nonbonded forces every `interval` ps."""
     if name in OPENMM:
-        return OPENMM[name](TEMPERATURE, friction, interval)
+        return OPENMM[name](temperature, friction, interval)
     scheme, _, device = name.partition(" ")
     step, engine = splitting(scheme).forces * interval, "device" if device else "host"
-    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, step, scheme=scheme, engine=engine)
+    return rb.ExactRigidBodyLangevinIntegrator(temperature, friction, step, scheme=scheme, engine=engine)
 
 
 def means_of(

@@ -1,4 +1,4 @@
-"""What physical_validation finds in rigid water run by the integrators of this package.
+"""What physical_validation finds in rigid water, and in a peptide with a force every 8 fs.
 
 physical_validation (P. T. Merz and M. R. Shirts, doi:10.1371/journal.pone.0202764) judges a simulation by what it gave
 and knows nothing of how it was made:
@@ -15,10 +15,13 @@ convergence
     At constant energy, whether the fluctuation of the total energy falls with the square of the step: the largest
     deviation of a ratio from what is expected, each step being twice the next.
 
+W2_3m is for alanine dipeptide in water with hydrogens of 3 amu, as in `protein_steps.py`; the others are for water.
+
 A point is made of runs with seeds of their own, and each is a file of `--out`. What is there is not run again, so that
 several commands with other seeds may share the work. At the end all files of these settings are judged.
 
     python benchmarks/validation.py --seeds 1 2 3 4 --workers 2 --table docs/physical_validation.csv
+    python benchmarks/validation.py --integrators W2_3m --interval 8 --seeds 1 2 --length 100
     python benchmarks/validation.py --seeds          # only judges
 """
 
@@ -43,6 +46,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import protein_steps
 
 MODEL = "tip3p"
 BURN, BAROSTAT = 5.0, 0.02  # ps: what is not counted of a run, and the time between two moves of the barostat
@@ -56,7 +60,9 @@ INTEGRATORS = {
     "NoseHoover": lambda T, interval: rb.ExactRigidBodyNoseHooverIntegrator(T, 1 / RELAXATION, forceInterval=interval),
     "Hybrid": lambda T, interval: rb.ExactRigidBodyHybridIntegrator(T, FRICTION, forceInterval=interval),
     "NVE": lambda _, step: rb.ExactRigidBodyIntegrator(step),
+    "W2_3m": lambda T, interval: protein_steps.integrator_of("W2_3m", interval, 5.0, T),
 }
+OF_WATER = [name for name in INTEGRATORS if name != "W2_3m"]
 DRAWS_MOMENTA = "Langevin", "Hybrid"  # the others keep the momentum of the whole, which then belongs to no temperature
 
 
@@ -82,8 +88,11 @@ class Run(NamedTuple):
         return f"{self.temperature:g} K" + ("" if self.pressure is None else f", {self.pressure:g} bar")
 
 
-def water(run: Run) -> tuple[openmm.System, unit.Quantity]:
-    """Return the water of a run, and its positions on a lattice."""
+def molecules(run: Run) -> tuple[openmm.System, unit.Quantity]:
+    """Return the System of a run: the peptide in water, or water alone; and positions on a lattice."""
+    if run.integrator not in OF_WATER:
+        _, system, positions = protein_steps.molecules(None, "all", "HBonds")
+        return openmm.XmlSerializer.clone(system), positions
     cutoff = 0.45 * 0.3104 * run.molecules ** (1 / 3)  # of the edge: at 800 bar the box is smaller
     _, system, positions = rb.rigid_water(
         run.molecules,
@@ -104,8 +113,8 @@ def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.C
 
 @functools.cache
 def start_of(run: Run) -> openmm.State:
-    """Return water at the temperature of a run that has forgotten its lattice."""
-    system, positions = water(run)
+    """Return the molecules of a run at its temperature, which have forgotten their lattice."""
+    system, positions = molecules(run)
     integrator = openmm.LangevinMiddleIntegrator(run.temperature, 5.0, 0.002)
     integrator.setRandomNumberSeed(run.seed)
     context = context_of(system, integrator)
@@ -118,11 +127,12 @@ def start_of(run: Run) -> openmm.State:
 
 def samples(run: Run) -> dict[str, np.ndarray]:
     """Make a run and return what physical_validation wants of it, by name; the first axis is the sample's."""
-    start = start_of(Run("Langevin", run.temperature, None, 0.002, run.seed, run.molecules))
+    name = "Langevin" if run.integrator in OF_WATER else run.integrator
+    start = start_of(Run(name, run.temperature, None, 0.002, run.seed, run.molecules))
     integrator = INTEGRATORS[run.integrator](run.temperature, run.interval)
     integrator.setRandomNumberSeed(run.seed)
     step = integrator.getStepSize()._value
-    system, _ = water(run)
+    system, _ = molecules(run)
     if run.pressure is not None:
         barostat = openmm.MonteCarloBarostat(run.pressure, run.temperature, max(1, round(BAROSTAT / step)))
         barostat.setRandomNumberSeed(run.seed)
@@ -171,8 +181,9 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
 
     runs = [dict(np.load(file)) for file in files]
     found = {name: np.concatenate([one[name] for one in runs]) for name in runs[0]}
-    natoms, atoms = found["position"].shape[1], found["position"].shape[1] // run.molecules
-    system, _ = water(run)
+    system, _ = molecules(run)
+    natoms = system.getNumParticles()
+    first, constraints = np.transpose([(min(atoms), held) for atoms, held in constraints_by_molecule(system)])
     common = {"natoms": natoms, "temperature": run.temperature}
     if run.integrator == "NVE":
         which = {"ensemble": "NVE", "natoms": natoms, "volume": found["volume"][0]}
@@ -186,12 +197,12 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
         ensemble=data.EnsembleData(**which),
         system=data.SystemData(
             natoms=natoms,
-            nconstraints=3 * run.molecules,
-            ndof_reduction_tra=6 * run.molecules - sum(runs[0]["freedom"]),
+            nconstraints=constraints.sum(),
+            ndof_reduction_tra=3 * natoms - constraints.sum() - sum(runs[0]["freedom"]),
             ndof_reduction_rot=0,
             mass=np.array([system.getParticleMass(i)._value for i in range(natoms)]),
-            molecule_idx=np.arange(0, natoms, atoms),
-            nconstraints_per_molecule=np.full(run.molecules, 3),
+            molecule_idx=first,
+            nconstraints_per_molecule=constraints,
         ),
         observables=data.ObservableData(
             kinetic_energy=found["kinetic"],
@@ -202,6 +213,16 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
         ),
         trajectory=data.TrajectoryData(position=found["position"], velocity=found["velocity"]),
     )
+
+
+def constraints_by_molecule(system: openmm.System) -> list[tuple[list[int], int]]:
+    """Return the atoms of each molecule in order, and how many constraints it has."""
+    integrator = openmm.VerletIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    held = np.zeros(system.getNumParticles(), int)
+    for k in range(system.getNumConstraints()):
+        held[system.getConstraintParameters(k)[0]] += 1
+    return [(list(atoms), int(held[list(atoms)].sum())) for atoms in sorted(context.getMolecules())]
 
 
 class Verdict(NamedTuple):
