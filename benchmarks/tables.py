@@ -170,7 +170,7 @@ def _steps(solute: str) -> str:
 
 def populations() -> str:
     """Return dihedral populations, temperatures and energies of a peptide in implicit solvent."""
-    names, body = {"helical": 3, "T": 2, "bonds": 2, "angles": 2, "torsions": 2}, []
+    names, body = {"helical": 3, "left": 3, "T": 2, "bonds": 2, "angles": 2, "torsions": 2}, []
     found = rows("peptide_populations")
     for point in distinct(found, "integrator", "fs"):
         some = [row for row in found if (row["integrator"], row["fs"]) == point]
@@ -181,7 +181,7 @@ def populations() -> str:
             cells.append(with_error(float(np.mean(values)), float(np.hypot.reduce(errors)) / len(some), digits))
         length = f"{sum(float(row['nanoseconds']) for row in some):g} ns"
         body.append((THEIRS.get(integrator, f"`{integrator}`"), f"{float(fs):g} fs", length, *cells))
-    return table(("", "", "", "helical", "T (K)", "bonds", "angles", "torsions"), body)
+    return table(("", "", "", "helical", "left", "T (K)", "bonds", "angles", "torsions"), body)
 
 
 def _mean(some: list[Row], name: str, digits: int) -> str:
