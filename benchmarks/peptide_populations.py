@@ -53,8 +53,8 @@ def peptides(n: int) -> tuple[app.Topology, openmm.System, np.ndarray]:
     """Return n peptides in implicit solvent under the umbrella, each kind of bonded force in a group of its own."""
     content = app.PDBFile(str(PEPTIDE))
     modeller = app.Modeller(content.topology, content.positions)
-    for k in range(1, n):
-        modeller.add(content.topology, content.positions + np.array([APART * k, 0.0, 0.0]) * unit.nanometer)
+    for place in places(n)[1:]:
+        modeller.add(content.topology, content.positions + place * unit.nanometer)
     system = app.ForceField("amber14-all.xml", "implicit/obc2.xml").createSystem(
         modeller.topology,
         nonbondedMethod=app.NoCutoff if n == 1 else app.CutoffNonPeriodic,
@@ -66,12 +66,23 @@ def peptides(n: int) -> tuple[app.Topology, openmm.System, np.ndarray]:
     with_native_solvent(system)
     for force in system.getForces():
         force.setForceGroup(next((g for g, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
-    umbrella = openmm.PeriodicTorsionForce()
+    about_psi = openmm.PeriodicTorsionForce()
     for psi in torsions_of(modeller.topology, n)["psi"]:
         for k, height in UMBRELLA.items():
-            umbrella.addTorsion(*psi, k, k * SUMMIT, -height)
-    system.addForce(umbrella)
+            about_psi.addTorsion(*psi, k, k * SUMMIT, -height)
+    system.addForce(about_psi)
     return modeller.topology, system, modeller.positions
+
+
+def places(n: int) -> np.ndarray:
+    """Return where n peptides are (n, 3), in nm: a cube, because the CPU platform has positions in single precision."""
+    edge = math.ceil(n ** (1 / 3) - 1e-9)
+    return APART * np.array([*itertools.islice(itertools.product(range(edge), repeat=3), n)], dtype=float)
+
+
+def umbrella(psi: np.ndarray) -> np.ndarray:
+    """Return the energies of the umbrella, in kJ/mol, at psi in degrees."""
+    return sum(-height * (1.0 + np.cos(k * (np.radians(psi) - SUMMIT))) for k, height in UMBRELLA.items())
 
 
 def with_native_solvent(system: openmm.System) -> None:
@@ -140,9 +151,7 @@ def sampled(context: openmm.Context, every: int, samples: int, topology: app.Top
         for name, value in (values | {"psi": psi}).items():
             rows[name].append(np.array(value, dtype=float))
     series = {name: np.array(value) for name, value in rows.items()}
-    psi = np.radians(series.pop("psi"))
-    height = sum(k * (1.0 + np.cos(harmonic * (psi - SUMMIT))) for harmonic, k in UMBRELLA.items())
-    weights, result = np.exp(-height / (R * TEMPERATURE)), {}
+    weights, result = np.exp(umbrella(series.pop("psi")) / (R * TEMPERATURE)), {}
     for name, value in series.items():
         mean, error = weighted(value, weights if name in REGIONS else np.ones_like(value))
         result |= {name: mean, f"{name} error": error}
