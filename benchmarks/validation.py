@@ -88,11 +88,8 @@ class Run(NamedTuple):
         return f"{self.temperature:g} K" + ("" if self.pressure is None else f", {self.pressure:g} bar")
 
 
-def molecules(run: Run) -> tuple[openmm.System, unit.Quantity]:
-    """Return the System of a run: the peptide in water, or water alone; and positions on a lattice."""
-    if run.integrator not in OF_WATER:
-        _, system, positions = protein_steps.molecules(None, "all", "HBonds")
-        return openmm.XmlSerializer.clone(system), positions
+def water(run: Run) -> tuple[openmm.System, unit.Quantity]:
+    """Return the water of a run, and its positions on a lattice."""
     cutoff = 0.45 * 0.3104 * run.molecules ** (1 / 3)  # of the edge: at 800 bar the box is smaller
     _, system, positions = rb.rigid_water(
         run.molecules,
@@ -106,6 +103,13 @@ def molecules(run: Run) -> tuple[openmm.System, unit.Quantity]:
     return system, positions
 
 
+def system_of(run: Run) -> openmm.System:
+    """Return the System of a run: water, or the peptide in water."""
+    if run.integrator in OF_WATER:
+        return water(run)[0]
+    return openmm.XmlSerializer.clone(protein_steps.molecules(None, "all", "HBonds")[1])
+
+
 def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
     options = {"Threads": "1", "DeterministicForces": "true"}
     return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options)
@@ -113,8 +117,10 @@ def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.C
 
 @functools.cache
 def start_of(run: Run) -> openmm.State:
-    """Return the molecules of a run at its temperature, which have forgotten their lattice."""
-    system, positions = molecules(run)
+    """Return water at the temperature of a run that has forgotten its lattice; the peptide starts from its own file."""
+    if run.integrator not in OF_WATER:
+        return protein_steps.start_of(None)
+    system, positions = water(run)
     integrator = openmm.LangevinMiddleIntegrator(run.temperature, 5.0, 0.002)
     integrator.setRandomNumberSeed(run.seed)
     context = context_of(system, integrator)
@@ -132,7 +138,7 @@ def samples(run: Run) -> dict[str, np.ndarray]:
     integrator = INTEGRATORS[run.integrator](run.temperature, run.interval)
     integrator.setRandomNumberSeed(run.seed)
     step = integrator.getStepSize()._value
-    system, _ = molecules(run)
+    system = system_of(run)
     if run.pressure is not None:
         barostat = openmm.MonteCarloBarostat(run.pressure, run.temperature, max(1, round(BAROSTAT / step)))
         barostat.setRandomNumberSeed(run.seed)
@@ -181,7 +187,7 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
 
     runs = [dict(np.load(file)) for file in files]
     found = {name: np.concatenate([one[name] for one in runs]) for name in runs[0]}
-    system, _ = molecules(run)
+    system = system_of(run)
     natoms = system.getNumParticles()
     first, constraints = np.transpose([(min(atoms), held) for atoms, held in constraints_by_molecule(system)])
     common = {"natoms": natoms, "temperature": run.temperature}
