@@ -50,3 +50,12 @@ def test_each_table_has_rows_as_wide_as_its_head(name):
 @pytest.mark.parametrize(("value", "text"), [(22.74, "23"), (0.287, "0.3"), (3.97, "4")])
 def test_figures_have_two_digits_and_one_below_one(value, text):
     assert tables.rounded(value) == text
+
+
+def test_figures_of_the_protein_tutorial_are_those_of_the_records():
+    tutorial = " ".join((ROOT / "docs" / "tutorials" / "protein-8fs.md").read_text().split())
+    for row in tables.populations().splitlines()[2:]:
+        assert row.split("|")[4].strip() in tutorial
+    (villin,) = [row for row in tables.villin_steps().splitlines() if "`W2_3m`" in row]
+    assert f"Villin in water has {villin.split('|')[8].strip()} K, the mean of nine runs" in tutorial
+    assert villin.split("|")[4].strip() == "9 x 100 ps"
