@@ -337,8 +337,10 @@ def main() -> None:
     add("--table", type=Path, default=None, metavar="FILE", help="of what was found, as CSV")
     args = parser.parse_args()
     points = points_of(args)
+    runs = [point._replace(seed=seed) for seed in args.seeds for point in points]
+    if any(run.integrator not in OF_WATER for run in runs):
+        protein_steps.start_of(None)  # a file, before workers ask for it
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        runs = [point._replace(seed=seed) for seed in args.seeds for point in points]
         for file in pool.map(make, runs, itertools.repeat(args.out)):
             print(file, flush=True)
     there = {point: files for point in points if (files := files_of(point, args.out))}
