@@ -48,6 +48,8 @@ TABLE = Path(__file__).resolve().parents[1] / "docs" / "protein_steps.csv"
 OUT = Path("out/protein_steps")
 OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}
 TEMPERATURE, BOX = 300.0, 1.95  # K, nm before the barostat
+DALTON = 1.66053906892  # kg/m³ nm³
+DENSITY = 993.0  # kg/m³ of the peptide at constant volume: the mean at 1 bar
 BURN, LOOKED = 4.0, 0.05  # ps that are not counted, and ps at least between two samples
 HEAVY, BAROSTAT = 3.0, 0.02  # amu of heavy hydrogens; ps between two moves of the barostat
 #: How createSystem makes the forces.
@@ -110,20 +112,45 @@ def molecules(pdb: Path | None, masses: str, constraints: str) -> tuple[app.Topo
     return modeller.topology, system, modeller.positions
 
 
+def equilibrated(
+    topology: app.Topology, system: openmm.System, positions: np.ndarray, box: np.ndarray, steps: int
+) -> openmm.State:
+    """Return the State after so many steps of 2 fs from the nearest minimum; positions and box are in nm."""
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
+    integrator.setRandomNumberSeed(1)
+    run = simulation_of(topology, system, integrator)
+    run.context.setPeriodicBoxVectors(*box)
+    run.context.setPositions(positions)
+    run.minimizeEnergy(maxIterations=200)
+    run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
+    run.step(steps)
+    return run.context.getState(positions=True, velocities=True)
+
+
+def at_density(state: openmm.State, system: openmm.System, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and box (nm) at a density (kg/m³): molecules move as wholes, as a barostat moves them."""
+    x, box = (get(asNumpy=True)._value for get in (state.getPositions, state.getPeriodicBoxVectors))
+    mass = np.array([system.getParticleMass(i)._value for i in range(len(x))])
+    scale = (mass.sum() * DALTON / density / np.linalg.det(box)) ** (1 / 3)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001))
+    for atoms in map(list, context.getMolecules()):
+        x[atoms] += (scale - 1.0) * np.average(x[atoms], axis=0, weights=mass[atoms])
+    return x, scale * box
+
+
 @cache
 def start_of(pdb: Path | None) -> openmm.State:
-    """Return a start, kept in a file: after 30 ps at 1 bar, or of a PDB file after 15 ps in its own box."""
+    """Return a start, kept in a file: after 15 ps in its own box, of the peptide at DENSITY after 30 ps at 1 bar."""
     file = OUT / f"start_{'peptide' if pdb is None else pdb.stem}.xml"
     if not file.exists():
         topology, system, positions = molecules(pdb, "plain", "HBonds")
-        integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-        integrator.setRandomNumberSeed(1)
-        run = simulation_of(topology, pressed(system, 10, 1) if pdb is None else system, integrator)
-        run.context.setPositions(positions)
-        run.minimizeEnergy(maxIterations=200)
-        run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
-        run.step(15_000 if pdb is None else 7_500)
-        state = run.context.getState(positions=True, velocities=True)
+        positions, box = (
+            value.value_in_unit(unit.nanometer) for value in (positions, topology.getPeriodicBoxVectors())
+        )
+        if pdb is None:
+            at_pressure = equilibrated(topology, pressed(system, 10, 1), positions, box, 15_000)
+            positions, box = at_density(at_pressure, system, DENSITY)
+        state = equilibrated(topology, system, positions, box, 7_500)
         file.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(file) as out:
             out.write(openmm.XmlSerializer.serialize(state))
@@ -245,7 +272,7 @@ def sampled(
     step = run.integrator.getStepSize()._value
     every = max(1, math.ceil(LOOKED / step - 1e-9))
     n, often = len(groups.water), max(1, round(1.0 / (every * step)))  # samples a look at all of the water
-    total = groups.mass.sum() * 1.66053906892  # in kg/m³ nm³
+    total = groups.mass.sum() * DALTON
     samples, angles, centres, counts, spent = [], [], [], np.zeros(len(EDGES) - 1), 0.0
     for k in range(max(1, round(picoseconds / (every * step)))):
         begin = time.process_time()

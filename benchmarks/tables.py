@@ -128,7 +128,7 @@ def default_temperatures() -> str:
         some = [row for row in of_defaults if (row["integrator"], float(row["fs"])) == (method, step)]
         if some:
             length = f"{len(some)} x {float(some[0]['picoseconds']):g} ps"
-            body.append((f"{step:g} fs", label, length, *(_mean(some, *column) for column in names.items())))
+            body.append((f"{step:g} fs", label, length, *(mean_of(some, *column) for column in names.items())))
     units = (*(f"{name} (K)".replace("T_solute", "T_peptide") for name in names if name != "U"), "U (kJ/mol)")
     return table(("peptide", "", "", *units), body)
 
@@ -136,6 +136,36 @@ def default_temperatures() -> str:
 def protein_steps() -> str:
     """Return temperatures and energies of a peptide in water by masses, integrator and time per force evaluation."""
     return _steps("peptide")
+
+
+def protein_limits() -> str:
+    """Return, of the same with heavy hydrogens, lines in the square of the time per force evaluation."""
+    of_point = {"solute": "peptide", "masses": "all", "constraints": "HBonds", "friction": "5.0", "ensemble": "NVT"}
+    found = [row for row in rows("protein_steps") if all(row[key] == value for key, value in of_point.items())]
+    ours, theirs = (
+        [[row for row in found if (row["integrator"], row["fs"]) == (method, fs)] for fs in steps]
+        for method, steps in (("W2_3m", ("4.0", "6.0", "8.0")), (LFM, ("2.0",)))
+    )
+    units = {"T_tr": "K", "T_rot": "K", "T_solute": "K", "U": "kJ/mol", "bonds": "kJ/mol", "angles": "kJ/mol"}
+    body = []
+    for name, of_name in (units | {"torsions": "kJ/mol", "peak": "", "D": "1e-5 cm²/s"}).items():
+        digits = 1 if of_name == "K" else 2
+        limit, change, errors = _line([[float(row[name]) for row in runs] for runs in ours], (16.0, 36.0, 64.0), 64.0)
+        cells = with_error(limit, errors[0], digits), with_error(change, errors[1], digits + 1)
+        body.append((f"{name} ({of_name})".replace(" ()", ""), *cells, mean_of(theirs[0], name, digits)))
+    return table(("", "limit", "change at 8 fs", f"{THEIRS[LFM]}, 2 fs"), body)
+
+
+def _line(runs: list[list[float]], squares: tuple[float, ...], at: float) -> tuple[float, float, list[float]]:
+    """Return limit and change of a straight line through the means of runs, and their errors.
+
+    The scatter of a run is that of all of them about the means.
+    """
+    n, means = np.array([len(some) for some in runs]), np.array([np.mean(some) for some in runs])
+    scatter = np.sqrt(sum(np.var(some) * len(some) for some in runs) / (n.sum() - len(n)))
+    line, covariance = np.polyfit(np.array(squares) / at, means, 1, w=np.sqrt(n) / scatter, cov="unscaled")
+    change, limit = map(float, line)
+    return limit, change, [float(error) for error in np.sqrt(np.diag(covariance)[::-1])]
 
 
 def villin_steps() -> str:
@@ -161,7 +191,7 @@ def _steps(solute: str) -> str:
         label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
         # Devices do not have energies by kind, and constrained bonds have none.
         unknown = {"bonds", "angles", "torsions"} if device else set() if constraints == "HBonds" else {"bonds"}
-        cells = ("" if name in unknown else _mean(some, name, digits) for name, digits in names.items())
+        cells = ("" if name in unknown else mean_of(some, name, digits) for name, digits in names.items())
         length = f"{len(some)} x {float(length):g} ps"
         body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))
     units = (f"{name} (K)" if name.startswith("T_") else name for name in names)
@@ -184,7 +214,8 @@ def populations() -> str:
     return table(("", "", "", "helical", "left", "T (K)", "bonds", "angles", "torsions"), body)
 
 
-def _mean(some: list[Row], name: str, digits: int) -> str:
+def mean_of(some: list[Row], name: str, digits: int) -> str:
+    """Return the mean of a column over runs, with its standard error."""
     values = np.array([float(row[name]) for row in some])
     held = values[np.isfinite(values)]
     lost = f" ({len(values) - len(held)} of {len(values)} diverge)" if 0 < len(held) < len(values) else ""
@@ -374,7 +405,7 @@ def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     functions = (
         *(default_energies, default_stability, default_temperatures, one_line),
-        *(outputs, protein_steps, villin_steps, populations, validation, ensembles, earlier_schemes),
+        *(outputs, protein_steps, protein_limits, villin_steps, populations, validation, ensembles, earlier_schemes),
         *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}

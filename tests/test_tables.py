@@ -56,6 +56,12 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
     tutorial = " ".join((ROOT / "docs" / "tutorials" / "protein-8fs.md").read_text().split())
     for row in tables.populations().splitlines()[2:]:
         assert row.split("|")[4].strip() in tutorial
-    (villin,) = [row for row in tables.villin_steps().splitlines() if "`W2_3m`" in row]
+    (villin,) = [row for row in tables.villin_steps().splitlines() if "| `W2_3m` |" in row]
     assert f"Villin in water has {villin.split('|')[8].strip()} K, the mean of nine runs" in tutorial
     assert villin.split("|")[4].strip() == "9 x 100 ps"
+    for integrator, fs in (("W2_3m", "8.0"), ("W2_3m", "4.0"), ("LangevinMiddle", "2.0")):
+        runs = tables.rows("protein_steps")
+        at_pressure = [
+            run for run in runs if (run["integrator"], run["fs"], run["ensemble"]) == (integrator, fs, "NPT")
+        ]
+        assert f"{tables.mean_of(at_pressure, 'density', 1)} kg/m³ in" in tutorial
