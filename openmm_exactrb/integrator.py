@@ -281,7 +281,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             thermostat = self._thermostat
             if thermostat is not None and propagator.updates.temperatures:
                 propagator.updates.refuse_other_temperatures(propagator.sync.context, thermostat.temperature)
-            key = 0 if thermostat is None else self._noise.key(self)
+            key = 0 if thermostat is None else self._noise.key(self, count)
             propagator.advance(self._version, self._settings, key, count)
             if count and not self._engine.on_device:
                 self._left = propagator.sync.state

@@ -123,11 +123,11 @@ class Noise:
         """Return the seed: the one that was asked for, else that of a checkpoint or the drawn one; 0 before."""
         return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
 
-    def key(self, integrator: openmm.CustomIntegrator) -> int:
-        """Return the key of the random numbers; a seed is drawn unless one is set."""
+    def key(self, integrator: openmm.CustomIntegrator, steps: int) -> int:
+        """Return the key of the random numbers of some steps, or of none; a seed is drawn unless one is set."""
         seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
         variables.put(integrator, variables.SEED, seed)
-        self._drew = True
+        self._drew |= steps > 0
         return seed + _SEEDS * int(variables.get(integrator, variables.STREAM))
 
     def part(self, integrator: openmm.CustomIntegrator) -> None:

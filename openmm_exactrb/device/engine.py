@@ -36,6 +36,8 @@ _HASTE = ((1.75, 1), (5.0, 4), (20.0, 16))
 _MOST = 256
 # More are not even tried once: they would take hours.
 _NEVER = 65536
+# By what part of the time of a call it may be wrong: sums of steps are rounded.
+_ROUNDED = 1e-6
 
 
 class DevicePropagator:
@@ -120,6 +122,7 @@ class DevicePropagator:
             if finite and not gain:
                 self._noise, self._surroundings = (key, step + n), self._present_surroundings()
                 self._inner_step = self._step_size(integrator)
+                self._correct_time(before.getTime()._value + n * self._inner_step, n * self._inner_step)
                 return
             self._go_back(before, x, v)
             if gain:
@@ -133,6 +136,12 @@ class DevicePropagator:
 
     def _present_surroundings(self) -> object:
         return arrays.surroundings(self.sync.context.getState(parameters=True)) if self._continues else None
+
+    def _correct_time(self, time: float, elapsed: float) -> None:
+        """Set the time (ps) behind a call unless it is right: on Reference it ignores a new step size."""
+        context = self.sync.context
+        if abs(context.getTime()._value - time) > _ROUNDED * abs(elapsed):
+            context.setTime(time)
 
     def _seed(self, integrator: openmm.CustomIntegrator, seed: int, step: int) -> None:
         """Set the random number generators for a seed and a step count, unless they are."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import re
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import openmm
@@ -15,7 +15,7 @@ from openmm_exactrb.context.excerpt import members
 from openmm_exactrb.mechanics.bodies import RigidBodies
 
 # The name of a force that was moved ends with the group that it came from.
-_MOVED = " [of force group {}]"
+_ENDING = " [of force group {}]"
 _OWN = re.compile(r"^(.*) \[of force group (\d+)\]$", re.DOTALL)
 # Where `Context.getState` has its argument `groups`.
 _GROUPS = 8
@@ -60,7 +60,7 @@ def move(system: openmm.System, fast: Sequence[int], group: int) -> None:
     """Give forces a group, and names that record from where they came."""
     for force in map(system.getForce, fast):
         if force.getForceGroup() != group:
-            force.setName(force.getName() + _MOVED.format(force.getForceGroup()))
+            force.setName(force.getName() + _ENDING.format(force.getForceGroup()))
             force.setForceGroup(group)
 
 
@@ -72,31 +72,40 @@ def restore(system: openmm.System) -> None:
             force.setForceGroup(int(moved[2]))
 
 
+def restore_after(context: openmm.Context) -> Any:
+    """Have `restore` called for the System of a Context when that is gone; return what is alive until then."""
+    end = weakref.finalize(context, restore, context.getSystem())
+    end.atexit = False
+    return end
+
+
 def answer(context: openmm.Context) -> None:
     """Have ``getState`` of a Context find the forces that were moved by the group that they came from.
 
-    It raises ValueError if it is asked for some of the groups that they came from, but not for all.
+    OpenMM has the groups that forces had when it made its kernels, whatever another Context of the System does. It
+    raises ValueError if it is asked for some of the groups that they came from, but not for all.
     """
-    method, reference = context.getState, weakref.ref(context)
-
-    def found(groups: Any) -> Any:
-        alive: Any = reference()
-        return _found(alive.getSystem(), groups)
+    method, moved = context.getState, _moved(context.getSystem())
 
     @functools.wraps(method)
     def finding(*arguments: Any, **options: Any) -> openmm.State:
         if "groups" in options:
-            options["groups"] = found(options["groups"])
+            options["groups"] = _found(moved, options["groups"])
         elif len(arguments) > _GROUPS:
-            arguments = (*arguments[:_GROUPS], found(arguments[_GROUPS]), *arguments[_GROUPS + 1 :])
+            arguments = (*arguments[:_GROUPS], _found(moved, arguments[_GROUPS]), *arguments[_GROUPS + 1 :])
         return method(*arguments, **options)
 
     context.getState = finding
 
 
-def _found(system: openmm.System, groups: Any) -> Any:
+def _moved(system: openmm.System) -> dict[int, int]:
+    """Return the groups that forces were moved from, and to."""
+    matches = ((_OWN.match(force.getName()), force) for force in system.getForces())
+    return {int(own[2]): force.getForceGroup() for own, force in matches if own}
+
+
+def _found(moved: Mapping[int, int], groups: Any) -> Any:
     """Return force groups, as bits or a set, with that of the forces that were moved from them."""
-    moved = {int(own[2]): force.getForceGroup() for force in system.getForces() if (own := _OWN.match(force.getName()))}
     asked = {group for group in range(32) if groups >> group & 1} if isinstance(groups, int) else set(groups)
     if moved.keys() <= asked:
         return groups if not moved else asked | {*moved.values()}
@@ -111,7 +120,7 @@ def _found(system: openmm.System, groups: Any) -> Any:
 
 def any_moved(system: openmm.System) -> bool:
     """Return whether forces of a System are in another group than their own."""
-    return any(_OWN.match(force.getName()) for force in system.getForces())
+    return bool(_moved(system))
 
 
 def unsupported(system: openmm.System, bodies: RigidBodies, fast: Sequence[int]) -> str | None:

@@ -60,6 +60,7 @@ class Selection:
         self.needs: Needs | None = None
         self._own = () if thermostat is None else thermostat.own_numbers
         self._warned = False  # of single precision
+        self._end: Any = None  # what gives the forces of the Context their own groups back
         why = None if asked == "host" else unsupported_settings(scheme, rotor, thermostat)
         self._refuse(why)
         if why:
@@ -140,6 +141,8 @@ class Selection:
         gather.install(system, bodies, wanted.layout.sums)
         if wanted.layout.fast is not None:
             fast_group.move(system, wanted.fast, wanted.layout.fast)
+            if self._end is None or not self._end.alive:
+                self._end = fast_group.restore_after(context)
         if wanted.layout == self._layout:
             self._layout = wanted.layout  # the same object compares at once
             context.reinitialize(preserveState=True)
@@ -148,12 +151,19 @@ class Selection:
         gather.make_kernels(context, wanted.layout.clusters)
 
     def install_host(self, context: Any, integrator: openmm.CustomIntegrator) -> None:
-        """Give the integrator the host's program, unless it has it and the device wrote none of its variables."""
+        """Give the integrator the host's program, unless it has it and the device wrote none of its variables.
+
+        Forces that another Context of the System has moved to a group of theirs are in their own groups here.
+        """
         if not self._warned:
             platforms.warn_of_single_precision(context)
             self._warned = True
+        system = context.getSystem()
         if self._layout is not None:
-            gather.remove(context.getSystem())
+            gather.remove(system)
+        elif fast_group.any_moved(system):
+            fast_group.restore(system)
+            context.reinitialize(preserveState=True)
         if self._layout is not None or (self.open and integrator.getGlobalVariable(0) not in self.marks):
             self._replace_program(context, integrator, None)
 

@@ -136,6 +136,46 @@ def test_energies_by_group_are_those_of_the_users_groups(own):
             context.getState(energy=True, groups={3})
 
 
+def plain(system, x):
+    """Return a Context of a System itself, with an integrator of OpenMM."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+    context.setPositions(x)
+    return context
+
+
+def itself(system, x, engine="device", **options):
+    """Return a Context of a System itself, behind a step."""
+    integrator = rb.ExactRigidBodyIntegrator(0.001, "S2_2", engine=engine, **options)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(x)
+    integrator.step(1)
+    return context
+
+
+def energies_by_group(context):
+    return [context.getState(energy=True, groups=groups).getPotentialEnergy()._value for groups in ({0}, 1, {0, 5}, -1)]
+
+
+@pytest.mark.parametrize("engine", ["host", "device"])
+def test_contexts_of_one_system_have_the_users_groups(engine):
+    """The first one has bonded forces in a group of their own, the second one in that of the user."""
+    _, system, x = in_water()
+    contexts = [itself(system, x, fast="bonded"), itself(system, x, engine, fast=None)]
+    for context in contexts:
+        expected = energies_by_group(plain(in_water()[1], shown(context)[0]))
+        np.testing.assert_allclose(energies_by_group(context), expected, rtol=1e-13)
+
+
+def test_forces_have_their_own_groups_when_the_context_is_gone():
+    (_, system, x), (_, untouched, _) = in_water(), in_water()
+    context = itself(system, x, fast="bonded")
+    assert {force.getForceGroup() for force in system.getForces()} > {0, 31}
+    del context
+    theirs = {force.getName() for force in system.getForces() if force.getForceGroup() != 31}
+    assert theirs == {force.getName() for force in untouched.getForces()}
+    np.testing.assert_allclose(*(energies_by_group(plain(some, x)) for some in (system, untouched)), rtol=1e-13)
+
+
 def test_a_step_size_with_other_inner_steps_has_another_program():
     _, system, x = peptide()
     both = [moving(separated(copy.deepcopy(system)), x, engine, fast=(1,)) for engine in ("host", "device")]
@@ -204,6 +244,22 @@ def test_calls_and_checkpoints_change_no_bit(scheme, friction):
     parts.loadCheckpoint(checkpoint)
     ends.append(stepped(parts, 4))
     np.testing.assert_array_equal(*ends)
+
+
+@pytest.mark.parametrize(("scheme", "friction"), [("W2_1", None), ("W2_3m", 5.0)])
+def test_a_new_simulation_continues_with_the_same_bits(scheme, friction):
+    _, system, x = in_water()
+    options = {"fast": "bonded", "scheme": scheme, "friction": friction}
+    whole = moving(system, x, **options)
+    stepped(whole, 3)
+    checkpoint = whole.createCheckpoint()
+    state = whole.getState(positions=True, velocities=True, parameters=True, integratorParameters=True)
+    end = stepped(whole, 3)
+    for load, saved in (("loadCheckpoint", checkpoint), ("setState", state)):
+        fresh = moving(system, x, **options)
+        fresh.getIntegrator().step(0)
+        getattr(fresh, load)(saved)
+        np.testing.assert_array_equal(stepped(fresh, 3), end)
 
 
 def test_energy_and_temperature_are_those_of_the_host():

@@ -99,6 +99,7 @@ def test_what_is_set_between_calls_is_taken_up(droplet):
     def steps():
         one, other = (stepped(context, 3) for context in both)
         np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-12)
+        assert both[1].getTime()._value == pytest.approx(both[0].getTime()._value, abs=1e-12)
 
     steps()
     for context in both:
