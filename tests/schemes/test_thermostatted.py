@@ -10,6 +10,8 @@ from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme, scheme_for_thermosta
 from openmm_exactrb.schemes.thermostatted import reading_point
 from openmm_exactrb.substeps import HEAT_EXCHANGE
 
+SPLIT = WITH_THERMOSTAT["W2_3m"].sequence
+
 
 @pytest.mark.parametrize(("name", "momenta", "places"), [("BAOAB", 1 / 6, -1 / 12), ("BAOA", -1 / 12, -1 / 12)])
 def test_the_shadow_of_a_scheme_with_a_thermostat_is_that_of_its_splitting(name, momenta, places):
@@ -80,3 +82,26 @@ def test_names_are_looked_up_among_all_schemes_that_a_thermostat_can_be_joined_t
 def test_without_a_thermostat_they_are_refused_by_name(name):
     with pytest.raises(ValueError, match=f"{name} .*ExactRigidBodyLangevinIntegrator"):
         scheme(name)
+
+
+def frequency_error(drifts, kicks):
+    """Return minus α + β of drifts and kicks by turns, in squares of the time per force evaluation."""
+    w, step = 0.01, np.eye(2)
+    for drift, kick in zip(drifts, [*kicks, 0.0], strict=True):
+        step = np.array([[1.0, 0.0], [-kick * w * w, 1.0]]) @ np.array([[1.0, drift], [0.0, 1.0]]) @ step
+    turned = np.arcsin(np.sqrt((2.0 - np.trace(step)) / 4.0)) * 2.0
+    return (turned / (len(kicks) * w) - 1.0) / w**2
+
+
+def test_no_splitting_of_positive_lengths_has_less_than_the_frequency_error_of_leapfrog():
+    """Nor has a processed one, whose frequencies are those of its kernel."""
+    rng = np.random.default_rng(3)
+    assert frequency_error([0.5, 0.5], [1.0]) == pytest.approx(1.0 / 24.0, rel=1e-4)
+    for kicks in (1, 2, 3, 4, 5):
+        for _ in range(200):
+            b, a = rng.dirichlet(np.full(kicks, 2.0)), rng.dirichlet(np.full(kicks + 1, 2.0))
+            b, a = kicks * 0.5 * (b + b[::-1]), kicks * 0.5 * (a + a[::-1])
+            assert frequency_error(a, b) >= (1.0 - 1e-4) / 24.0
+    lengths = {symbol: [part for substep, part in SPLIT if substep.symbol == symbol] for symbol in "AB"}
+    drifts = [3.0 * part for part in (*lengths["A"][:3], sum(lengths["A"][3:]))]
+    assert frequency_error(drifts, [3.0 * part for part in lengths["B"]]) == pytest.approx(1.0616 / 24.0, rel=1e-3)
