@@ -90,11 +90,15 @@ class Selection:
         self.set_groups(integrator, self.groups)
 
     def set_groups(self, integrator: openmm.CustomIntegrator, groups: int) -> None:
-        """Set which force groups act, by their bits; the group of the sums over bodies never does."""
+        """Set which force groups act, by their bits.
+
+        For OpenMM's minimiser and barostats that of the fast forces does too, but not that of the sums over bodies.
+        """
         openmm.CustomIntegrator.setIntegrationForceGroups(integrator, groups)
         self.groups = openmm.CustomIntegrator.getIntegrationForceGroups(integrator)
         if self._layout is not None:
-            others = self.groups & 0xFFFFFFFF & ~(1 << self._layout.sums)
+            fast = 0 if self._layout.fast is None else 1 << self._layout.fast
+            others = (self.groups | fast) & 0xFFFFFFFF & ~(1 << self._layout.sums)
             openmm.CustomIntegrator.setIntegrationForceGroups(integrator, others)
 
     def _refuse(self, why: str | None) -> None:

@@ -230,6 +230,19 @@ def test_minimising_works(own):
     assert length <= 5e-8 * 0.1
 
 
+def test_the_minimiser_has_fast_forces_of_the_users_groups():
+    _, system, x = in_water()
+    minima = []
+    for fast in ("bonded", None):
+        context = moving(system, x, fast=fast, stepSize=0.0005)
+        context.getIntegrator().setIntegrationForceGroups({0})
+        context.getIntegrator().step(1)
+        context.setPositions(x)
+        openmm.LocalEnergyMinimizer.minimize(context, 10.0, 10)
+        minima.append(context.getState(energy=True).getPotentialEnergy()._value)
+    assert minima[0] == pytest.approx(minima[1], abs=1e-6)
+
+
 @pytest.mark.parametrize(("scheme", "friction"), [("W2_1", None), ("S2_3", None), ("W2_3m", 5.0)])
 def test_calls_and_checkpoints_change_no_bit(scheme, friction):
     _, system, x = in_water()
