@@ -103,13 +103,16 @@ def _declare_variables(program: Program) -> None:
 
 
 def _keep_or_return(program: Program) -> None:
-    """Write that the inner state is kept, or returned to from the output that was shown; x stays what it is."""
+    """Write that the inner state is kept, or returned to from the output that was shown; x stays what it is.
+
+    Numbers that are not finite, of a call that failed, are not multiplied by zero: they would stay.
+    """
     state = [name for name in names.STATE if name != "image"]
     for name, inner in zip(state, names.INNER, strict=True):
-        program.let(inner, f"{names.KEEP}*{name}+(1-{names.KEEP})*{inner}")
-    program.let(names.LAG, f"{names.RETURN}*(R+d-iR-id)")
+        program.let(inner, f"select({names.KEEP},{name},{inner})")
+    program.let(names.LAG, f"select({names.RETURN},R+d-iR-id,vector(0,0,0))")
     for name, inner in zip(state, names.INNER, strict=True):
-        program.let(name, f"{names.RETURN}*{inner}+(1-{names.RETURN})*{name}")
+        program.let(name, f"select({names.RETURN},{inner},{name})")
     if program.table.displaces:
         program.let("sq", "q")
         program.let("sw", "w")

@@ -21,7 +21,10 @@ Array = NDArray[np.float64]
 
 
 def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State) -> None:
-    """Give every particle a copy of its body's state, whose low parts are dropped, and the body's constants."""
+    """Give every particle a copy of its body's state, whose low parts are dropped, and the body's constants.
+
+    Forces that were remembered, which may not be finite, are forgotten.
+    """
     values = {name: np.zeros((bodies.n_particles, 3)) for name in names.STATE + names.CONSTANTS + names.FORCES}
     for kind in bodies.kinds:
         for name, rows in _of_bodies(kind, bodies, state.rounded).items():
@@ -37,6 +40,7 @@ def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State
         values |= {names.PENDING: nothing, names.CLUSTERED: nothing.copy(), "y": nothing.copy()}
         values[names.CLUSTERED][bodies.clusters.particles] = 1.0
         bodies.velocities(state.rounded, values["y"])
+    values |= {name: nothing for name in known if name.startswith(names.LAST_FORCES)}
     for name, rows in values.items():
         integrator.setPerDofVariableByName(name, rows)
     tell(integrator, {names.KNOWN: 0.0, names.LOADED: names.HELD, names.CHANGED: 1.0})

@@ -31,7 +31,9 @@ INNER, LAG = ("iR", "iP", "iL", "iq", "iw", "id"), "lag"
 #: Of a thermostat: (friction, that of rotation, kT), and the states of the generators of random numbers.
 THERMOSTAT, STREAMS = "thermostat", ("r1", "r2", "r3", "r4")
 
-_PREFIX, _LAST = "exactrb_", "last_"
+_PREFIX = "exactrb_"
+#: How the names of the forces begin that are remembered, see `last`.
+LAST_FORCES = "last_"
 #: `HELD` once bodies are loaded: before that, steps make positions nan. It is the first variable, as that of
 #: `openmm_exactrb.context.variables` is: a checkpoint of the other engine has a value there that this one never writes.
 LOADED, HELD = f"{_PREFIX}loaded", variables.FROM_DEVICE
@@ -69,11 +71,11 @@ OPENMM = ("x", "v", "f", "m", "dt", *(f"f{group}" for group in range(32)))
 
 def last(k: int) -> tuple[str, str]:
     """Return the names of the k-th force and torque, in the body, that are remembered."""
-    return f"{_LAST}F{k}", f"{_LAST}N{k}"
+    return f"{LAST_FORCES}F{k}", f"{LAST_FORCES}N{k}"
 
 
 def has(name: str) -> bool:
     """Return whether the program of some scheme has a variable of this name."""
     of_step = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, PENDING, CLUSTERED)
     vectors = (*of_step, *INNER, LAG, THERMOSTAT, *STREAMS)
-    return name in vectors or name.startswith((_PREFIX, _LAST))
+    return name in vectors or name.startswith((_PREFIX, LAST_FORCES))

@@ -49,7 +49,7 @@ def remember(program: Program, torque: str) -> None:
         for k in reversed(range(begin, begin + count)):
             values = newest if k == begin else names.last(k - 1)
             for name, value in zip(names.last(k), values, strict=True):
-                program.let(name, f"(1-delta({flag}))*({value})+delta({flag})*{name}")
+                program.let(name, f"select({flag},{value},{name})")
 
 
 def kick_by_last_forces(program: Program) -> None:

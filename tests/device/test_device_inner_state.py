@@ -105,6 +105,35 @@ def test_what_a_user_sets_is_seen(water):
         np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-11)
 
 
+@pytest.mark.parametrize("scheme", ["W2_1", "W4_4"])
+@pytest.mark.parametrize("steps", [0, 20])
+def test_steps_go_on_behind_a_call_that_failed(scheme, steps, water):
+    """With an inner state before it and without one; no number that is not finite is left."""
+    _, system, positions = water
+    one, other = (context_of(system, positions, "device", scheme=scheme, h=0.001) for _ in range(2))
+    for context in (one, other):
+        stepped(context, steps)
+    x, v = shown(one)
+    overlapping = x.copy()
+    overlapping[3:6] += x[0] - x[3] + [1e-5, 0.0, 0.0]
+    one.setPositions(overlapping)
+    with pytest.raises(rb.NonFiniteError):
+        one.getIntegrator().step(20)
+    for context in (one, other):
+        context.setPositions(x + 1e-3)
+        context.setVelocities(v)
+    np.testing.assert_allclose(stepped(one, 20), stepped(other, 20), rtol=0.0, atol=1e-12)
+
+
+def test_steps_are_made_again_from_the_inner_state_where_bodies_come_to_turn_fast(water):
+    _, system, positions = water
+    both = pair(system, positions, scheme="W2_1", h=0.008, kelvin=0.01)
+    for n in (1, 20):
+        one, other = (stepped(context, n) for context in both)
+    assert both[1].getIntegrator().getGlobalVariableByName("exactrb_turns") >= 4.0  # that of the second attempt
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
+
+
 def test_a_checkpoint_keeps_the_inner_state(water):
     _, system, positions = water
     context = context_of(system, positions, "device", scheme="W2_1", h=0.001)
