@@ -125,8 +125,8 @@ def test_steps_go_on_behind_a_call_that_failed(scheme, steps, water):
     np.testing.assert_allclose(stepped(one, 20), stepped(other, 20), rtol=0.0, atol=1e-12)
 
 
-def test_steps_are_made_again_from_the_inner_state_where_bodies_come_to_turn_fast(water):
-    _, system, positions = water
+def test_steps_are_made_again_from_the_inner_state_where_bodies_come_to_turn_fast():
+    _, system, positions = rb.rigid_water(4)
     both = pair(system, positions, scheme="W2_1", h=0.008, kelvin=0.01)
     for n in (1, 20):
         one, other = (stepped(context, n) for context in both)
