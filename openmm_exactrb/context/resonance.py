@@ -76,8 +76,9 @@ class Resonances:
     def first(self, scheme: Scheme) -> Resonance | None:
         """Return the resonance of the shortest step of a scheme; None without any that matters.
 
-        A slow spring s in the kicks raises the frequency by s/(2 m w), and the mode is driven within the growth rate of
-        k pi/h on either side.
+        A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven within the
+        growth rate of k pi/h on either side. Both are a part of s/m, so that a bond that is softer than the slow forces
+        does not matter before these do.
         """
         rates, found = [growth(scheme, k) for k in range(1, _HARMONICS + 1)], []
         for frequency, particles in self._modes:
@@ -86,7 +87,7 @@ class Resonances:
             strong = [k for k, rate in enumerate(rates, 1) if rate * _SLOW > _GROWTH * mass * w > 0.0]
             if strong:
                 k = strong[0]
-                highest = w + (0.5 + rates[k - 1]) * _SLOW / (mass * w)
+                highest = math.sqrt(w * w + (1.0 + 2.0 * rates[k - 1]) * _SLOW / mass)
                 found.append(Resonance(k * math.pi / highest, 2.0 * math.pi / w, particles))
         return min(found, default=None)
 
