@@ -37,6 +37,7 @@ from openmm_exactrb.device.stages import (
     placed,
     remember,
     show,
+    show_bodies,
     sum_over_bodies,
     take_up_images,
 )
@@ -249,3 +250,6 @@ def _take_up_velocities(program: Program) -> None:
         program.let("L", f"L+{AXES}*{turned_back('q', 'w', 'n')}")
         show(program, program.clusters)
         program.let("x", PLACE)
+        if program.clusters:
+            program.integrator.addConstrainVelocities()
+            show_bodies(program, constrained=True)

@@ -315,6 +315,16 @@ def test_the_remover_of_the_motion_of_the_centre_of_mass():
     assert slip <= 1e-8
 
 
+def test_velocities_behind_a_thermostat_of_the_system_are_constrained():
+    _, system, x = in_water()
+    system.addForce(seeded(openmm.AndersenThermostat(300.0, 1000.0)))
+    context = moving(system, x, fast="bonded")
+    for _ in range(3):
+        length, slip = violations(system, *stepped(context, 1))
+        assert length <= 5e-8 * 0.1
+        assert slip <= 1e-8
+
+
 def test_a_barostat_acts_within_the_program():
     _, system, x = in_water(waters=30)
     (nonbonded,) = [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]
