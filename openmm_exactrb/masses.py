@@ -18,8 +18,9 @@ def heavy_hydrogens(
 ) -> None:
     """Change the mass of hydrogens; the difference is taken from the heavier atom to which each is bonded.
 
-    Call it before the Context is created. The mass of each molecule does not change. Librations of water and vibrations
-    of angles with hydrogen become slower, which allows longer steps.
+    Call it before the Context is created, or call ``context.reinitialize(preserveState=True)`` afterwards. The mass of
+    each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower, which
+    allows longer steps.
 
     The dynamics changes: rotation, because the moments of inertia change, vibrations with hydrogen, and by several
     percent diffusion and viscosity. Averages of positions do not depend on masses, neither for rigid molecules nor for
@@ -42,8 +43,8 @@ def heavy_hydrogens(
     Raises
     ------
     ValueError
-        If a heavier atom would become lighter than its hydrogens, a hydrogen is not bonded to a heavier atom, or System
-        and Topology do not belong together. No mass is changed then.
+        If the Topology has no hydrogens, a heavier atom would become lighter than its hydrogens, a hydrogen is not
+        bonded to a heavier atom, or System and Topology do not belong together. No mass is changed then.
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(
@@ -61,7 +62,10 @@ def heavy_hydrogens(
     left = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
     bearers = _bearers(topology)
     donors = set()
-    for hydrogen in filter(_is_hydrogen, topology.atoms()):
+    hydrogens = [atom for atom in topology.atoms() if _is_hydrogen(atom)]
+    if not hydrogens:
+        raise ValueError("no atom of the Topology has the element hydrogen: give its atoms their elements")
+    for hydrogen in hydrogens:
         if left[hydrogen.index] == 0.0 or (not water and _is_water(hydrogen.residue)):
             continue  # what has no mass does not move
         if hydrogen.index not in bearers:

@@ -98,6 +98,33 @@ def test_what_cannot_be_is_refused_and_changes_nothing():
     assert (masses(system) == before).all()
 
 
+def test_atoms_without_elements_are_refused_and_not_passed_over():
+    topology, system, _ = peptide()
+    bare = app.Topology()
+    residue = bare.addResidue("ACE", bare.addChain())
+    atoms = [bare.addAtom(atom.name, None, residue) for atom in topology.atoms()]
+    for first, second in topology.bonds():
+        bare.addBond(atoms[first.index], atoms[second.index])
+    with pytest.raises(ValueError, match="no atom of the Topology has the element hydrogen: give its atoms"):
+        rb.heavy_hydrogens(system, bare)
+
+
+def test_a_context_that_is_reinitialized_has_the_new_masses():
+    topology, system, positions = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    integrator.step(1)
+    rb.heavy_hydrogens(system, topology, 3.0)
+    context.reinitialize(preserveState=True)
+    integrator.step(1)
+    state = context.getState(velocities=True, energy=True)
+    v = state.getVelocities(asNumpy=True)._value
+    assert state.getKineticEnergy()._value == pytest.approx(0.5 * masses(system) @ (v * v).sum(axis=1), rel=1e-6)
+    assert integrator.bodyState()[0].mass.sum() == pytest.approx(masses(system).sum(), rel=1e-12)
+
+
 def test_deuterium_makes_water_too():
     topology, system = app.Topology(), openmm.System()
     residue = topology.addResidue("HOD", topology.addChain())

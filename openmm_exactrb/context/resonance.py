@@ -27,6 +27,7 @@ _GROWTH = 2.5
 # Fastest normal modes of alanine dipeptide over the fastest bond or angle by itself, in periods; a bond to an atom as
 # light as hydrogen, or hydrogen made heavier, is a mode by itself.
 _COUPLED, _LIGHT = 0.8, 4.0
+_HEAVY = 2.5  # amu: hydrogen, or deuterium, that could be heavier
 _HARMONICS = 6
 
 
@@ -82,7 +83,7 @@ class Resonances:
         """
         rates, found = [growth(scheme, k) for k in range(1, _HARMONICS + 1)], []
         for frequency, particles in self._modes:
-            mass = min(self._mass[i] or math.inf for i in particles)
+            mass = self._lightest(particles)
             w = frequency if len(particles) == 2 and mass <= _LIGHT else frequency / _COUPLED
             strong = [k for k, rate in enumerate(rates, 1) if rate * _SLOW > _GROWTH * mass * w > 0.0]
             if strong:
@@ -104,8 +105,17 @@ class Resonances:
             f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most {most:.1f} fs per force "
-            "evaluation, make hydrogens heavier (openmm_exactrb.heavy_hydrogens), or monitor the temperature of "
-            "the solute",
+            f"evaluation, {self._remedy(found.particles)}or monitor the temperature of the solute",
             StepSizeWarning,
             stacklevel=7,  # the call of the integrator's step
         )
+
+    def _lightest(self, particles: tuple[int, ...]) -> float:
+        return min(self._mass[i] or math.inf for i in particles)
+
+    def _remedy(self, particles: tuple[int, ...]) -> str:
+        """Return what makes a bond or angle slower, or holds it; nothing for one without hydrogen."""
+        mass = self._lightest(particles)
+        if len(particles) == 2 and mass <= _LIGHT:
+            return "constrain bonds to hydrogen (constraints=HBonds), "
+        return "make hydrogens heavier (openmm_exactrb.heavy_hydrogens), " if mass < _HEAVY else ""

@@ -89,9 +89,9 @@ def test_the_first_resonance_of_a_peptide_is_that_of_angles_with_hydrogen():
     assert Resonances(rb.rigid_water(2)[1]).first(splitting("W2_3m")) is None
 
 
-def nested(interval, mass=None):
+def nested(interval, mass=None, constraints="HBonds"):
     """Return our integrator with W2_3m in a Context of the peptide in water, ready to move."""
-    topology, system, x = in_water()
+    topology, system, x = in_water(constraints)
     if mass is not None:
         rb.heavy_hydrogens(system, topology, mass)
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=interval, scheme="W2_3m")
@@ -100,6 +100,20 @@ def nested(interval, mass=None):
     context.setPositions(x)
     integrator.setVelocitiesToTemperature(300.0, 3)
     return integrator, context
+
+
+@pytest.mark.parametrize(
+    ("interval", "mass", "constraints", "advice"),
+    [
+        (0.008, None, "HBonds", "evaluation, make hydrogens heavier"),
+        (0.010, 3.0, "HBonds", "evaluation, or monitor the temperature"),  # of a bond between nitrogen and carbon
+        (0.008, 3.0, "None", "evaluation, constrain bonds to hydrogen"),
+    ],
+)
+def test_the_advice_is_one_that_helps(interval, mass, constraints, advice):
+    integrator, _context = nested(interval, mass, constraints)
+    with pytest.warns(rb.StepSizeWarning, match=advice):
+        integrator.step(1)
 
 
 def test_a_step_beyond_the_first_resonance_warns_once():
