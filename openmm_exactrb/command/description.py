@@ -15,6 +15,7 @@ from openmm import app, unit
 
 from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.multiple_time_steps import FastForces, MultipleTimeSteps, fast_forces
+from openmm_exactrb.context.resonance import Resonances
 from openmm_exactrb.context.stiffness import frequencies
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
@@ -25,7 +26,8 @@ from openmm_exactrb.tuning.floor import causes, of_water
 
 _WATER = 18.015  # amu
 # The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
-_WATER_NVE, _WATER_NVT, _PROTEIN = 0.002, 0.004, 0.004
+_WATER_NVE, _WATER_NVT, _PROTEIN, _HEAVY_NVT = 0.002, 0.004, 0.004, 0.008
+_HEAVY = 2.9  # amu, of each hydrogen of water
 _SHOWN = 3  # periods
 
 
@@ -168,19 +170,32 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         )
         return
     flexible = fast is not None
-    nve, interval = (look_up(DEFAULT), _PROTEIN) if flexible else (look_up("W4_4"), _WATER_NVE)
+    nve, between = (look_up(DEFAULT), _PROTEIN) if flexible else (look_up("W4_4"), _WATER_NVE)
     nvt = "ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
-    yield f"constant energy: rb.ExactRigidBodyIntegrator({_step(fast, nve, interval)}"
-    yield f"constant temperature: rb.{nvt}{_step(fast, splitting('W2_3m'), _WATER_NVT)}"
+    yield f"constant energy: rb.ExactRigidBodyIntegrator({_step(fast, nve, between)}"
+    scheme = splitting("W2_3m")
+    resonance = Resonances(system).first(scheme) if flexible else None
+    below = math.inf if resonance is None else resonance.below(scheme)
+    heavy = flexible and below >= _HEAVY_NVT and any(map(_is_heavy_water, bodies.kinds))
+    interval = _HEAVY_NVT if heavy else min(_WATER_NVT, below)
+    yield f"constant temperature: rb.{nvt}{_step(fast, scheme, interval)}"
     yield (
         "why: measured on proteins in water, where the other forces bear this interval and bonds do not"
         if flexible
         else "why: measured on rigid water, whose rotation limits the interval"
     )
+    if heavy:
+        yield "8 fs: for averages, with heavy hydrogens; the density is more accurate at 4 fs"
+    elif interval < _WATER_NVT:
+        yield f"{1000.0 * interval:g} fs: beyond is a resonance with a bond or angle, as without constraints=HBonds"
 
 
 def _is_water(kind: Kind) -> bool:
     return len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1
+
+
+def _is_heavy_water(kind: Kind) -> bool:
+    return _is_water(kind) and bool(np.sort(kind.masses)[0] > _HEAVY)
 
 
 def _longest(fast: FastForces) -> float:

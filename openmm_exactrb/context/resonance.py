@@ -38,6 +38,10 @@ class Resonance(NamedTuple):
     period: float
     particles: tuple[int, ...]
 
+    def below(self, scheme: Scheme) -> float:
+        """Return an interval of the forces below it: whole tenths of a femtosecond, in ps."""
+        return math.floor(1e4 * self.step / scheme.forces) * 1e-4
+
 
 def growth(scheme: Scheme, k: int) -> float:
     """Return the growth rate of an oscillator of the frequency w at w h = k pi, for a slow force of unit strength.
@@ -99,13 +103,13 @@ class Resonances:
             return
         self._told = True
         what = "bond" if len(found.particles) == 2 else "angle"
-        most = math.floor(1e4 * found.step / scheme.forces) / 10.0  # fs, below the resonance
         particles = ", ".join(str(self._names[i]) for i in found.particles)
         warnings.warn(
             f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
-            f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most {most:.1f} fs per force "
-            f"evaluation, {self._remedy(found.particles)}or monitor the temperature of the solute",
+            f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
+            f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "
+            "temperature of the solute",
             StepSizeWarning,
             stacklevel=7,  # the call of the integrator's step
         )

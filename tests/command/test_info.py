@@ -119,6 +119,23 @@ def test_a_peptide_in_water_gets_its_bonded_forces_nested_and_its_periods_named(
     assert 'scheme="W2_1"), bonded forces nested with S2_2' in energy
 
 
+@pytest.mark.parametrize(
+    ("constraints", "mass", "interval"), [("HBonds", None, 4.0), ("HBonds", 3.0, 8.0), ("None", None, 3.3)]
+)
+def test_the_interval_at_constant_temperature_is_one_that_no_warning_follows(constraints, mass, interval):
+    topology, system, positions = in_water(constraints)
+    if mass is not None:
+        rb.heavy_hydrogens(system, topology, mass)
+    lines = list(described(system, openmm.unit.Quantity(positions, openmm.unit.nanometer), topology))
+    (line,) = (line for line in lines if line.startswith("constant temperature"))
+    assert f"forceInterval={interval:g}*femtoseconds" in line
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme="W2_3m")
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    integrator.step(1)  # a warning would be an error
+
+
 def pairs_of(n, longer):
     system, x = openmm.System(), 0.3 * np.random.default_rng(1).random((n, 3))
     for _ in range(n):
