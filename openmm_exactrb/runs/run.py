@@ -37,7 +37,7 @@ class Run:
 
     Checkpoints save the state and the lengths of all output files at intervals. A resumed run truncates the files to
     these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform every file is
-    identical, byte for byte, to that of an uninterrupted run.
+    identical, byte for byte, to that of an uninterrupted run, but for the date in the header of a DCD file.
 
     Parameters
     ----------
