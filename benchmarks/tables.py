@@ -168,6 +168,20 @@ def _line(runs: list[list[float]], squares: tuple[float, ...], at: float) -> tup
     return limit, change, [float(error) for error in np.sqrt(np.diag(covariance)[::-1])]
 
 
+def heating() -> str:
+    """Return the power that long steps add to villin in water, and how much hotter than its thermostat it is then."""
+    body, boltzmann = [], 0.00831446262  # kJ/mol/K
+    found = rows("long_step_heating")
+    for scheme, fs in sorted(distinct(found, "scheme", "fs"), key=lambda point: (point[0] != "W2_3m", float(point[1]))):
+        some = [row for row in found if (row["scheme"], row["fs"]) == (scheme, fs)]
+        power = np.array([float(row["kJ/mol/ps"]) for row in some])
+        mean, error = float(power.mean()), float(power.std(ddof=1) / np.sqrt(len(power)))
+        per_friction = 1.0 / (int(some[0]["freedom"]) * boltzmann)
+        excess = (with_error(mean * per_friction / g, error * per_friction / g, 1) for g in (1.0, 5.0))
+        body.append((f"`{scheme}`", f"{fs} fs", f"{len(some)} x 3 ps", with_error(mean, error, 0), *excess))
+    return table(("", "", "", "power (kJ/mol/ps)", "excess (K) at 1/ps", "at 5/ps"), body)
+
+
 def villin_steps() -> str:
     """Return the same of a protein."""
     return _steps("villin")
@@ -405,7 +419,8 @@ def all_tables() -> dict[str, str]:
     """Return the tables by the names that pages call them by."""
     functions = (
         *(default_energies, default_stability, default_temperatures, one_line),
-        *(outputs, protein_steps, protein_limits, villin_steps, populations, validation, ensembles, earlier_schemes),
+        *(protein_steps, protein_limits, villin_steps, heating, populations),
+        *(outputs, validation, ensembles, earlier_schemes),
         *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from openmm_exactrb import kernels
 from openmm_exactrb.context.bonded import COULOMB, PAIR
@@ -19,6 +21,11 @@ from openmm_exactrb.substeps import Force
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+# Formulas of OpenMM's CHARMM force fields, without blanks: pairs three bonds apart, and harmonic torsions.
+_LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6\)")
+_HARMONIC = re.compile(r"k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-theta0\);pi=([\d.]+);?")
+_PARAMETERS = {_LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
 
 
 class Terms(NamedTuple):
@@ -32,6 +39,10 @@ class Terms(NamedTuple):
     of_torsions: Array
     pairs: Indices
     of_pairs: Array
+    impropers: Indices
+    of_impropers: Array
+    maps: Indices
+    patches: Array
 
 
 class BondedForces(ContextForces):
@@ -57,24 +68,40 @@ def terms_of(system: openmm.System, groups: int) -> Terms | None:
     if not kernels.available() or not all(map(_known, forces)):
         return None
     some = [force for force in forces if groups >> force.getForceGroup() & 1]
-    bonds, angles, pairs = (
+    bonds, angles, pairs, impropers = (
         _arrays([term for force in some if isinstance(force, kind) for term in terms(force)], particles, numbers)
         for kind, terms, particles, numbers in (
             (openmm.HarmonicBondForce, _bonds, 2, 2),
             (openmm.HarmonicAngleForce, _angles, 3, 2),
             (openmm.CustomBondForce, _pairs, 2, 3),
+            (openmm.CustomTorsionForce, _impropers, 4, 3),
         )
     )
-    return Terms(*bonds, *angles, *_torsions(some), *pairs)
+    return Terms(*bonds, *angles, *_torsions(some), *pairs, *impropers, *_maps(some))
 
 
 def _known(force: Any) -> bool:
     if force.usesPeriodicBoundaryConditions():
         return False
     if isinstance(force, openmm.CustomBondForce):
-        return bool(force.getEnergyFunction() == PAIR)
+        return force.getEnergyFunction() == PAIR or _has(force, _LENNARD_JONES, force.getPerBondParameterName)
+    if isinstance(force, openmm.CustomTorsionForce):
+        return _has(force, _HARMONIC, force.getPerTorsionParameterName)
     kinds = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce
-    return isinstance(force, kinds)
+    return isinstance(force, (*kinds, openmm.CMAPTorsionForce))
+
+
+def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bool:
+    """Return whether a force has a formula whose two parameters belong to each term."""
+    if force.getNumGlobalParameters() or _number(force, formula) is None:
+        return False
+    return {name(i) for i in range(2)} == _PARAMETERS[formula]
+
+
+def _number(force: Any, formula: re.Pattern[str]) -> float | None:
+    """Return the number in the formula of a force, None if it is another formula."""
+    found = formula.fullmatch(force.getEnergyFunction().replace(" ", ""))
+    return None if found is None else float(found[1])
 
 
 def _bonds(force: openmm.HarmonicBondForce) -> Iterator[tuple[float, ...]]:
@@ -88,8 +115,49 @@ def _angles(force: openmm.HarmonicAngleForce) -> Iterator[tuple[float, ...]]:
 
 
 def _pairs(force: openmm.CustomBondForce) -> Iterator[tuple[float, ...]]:
-    for i, j, (charges, sigma, epsilon) in map(force.getBondParameters, range(force.getNumBonds())):
-        yield i, j, COULOMB * charges, sigma, epsilon
+    factor = _number(force, _LENNARD_JONES)
+    names = [force.getPerBondParameterName(i) for i in range(force.getNumPerBondParameters())]
+    for i, j, values in map(force.getBondParameters, range(force.getNumBonds())):
+        of_pair = dict(zip(names, values, strict=True))
+        if factor is None:
+            yield i, j, COULOMB * of_pair["charges"], of_pair["sigma"], of_pair["epsilon"]
+        else:
+            yield i, j, 0.0, of_pair["sigma"], 0.25 * factor * of_pair["epsilon"]
+
+
+def _impropers(force: openmm.CustomTorsionForce) -> Iterator[tuple[float, ...]]:
+    half_circle = _number(force, _HARMONIC)
+    assert half_circle is not None  # `_known`
+    names = [force.getPerTorsionParameterName(i) for i in range(2)]
+    for *four, values in map(force.getTorsionParameters, range(force.getNumTorsions())):
+        of_torsion = dict(zip(names, values, strict=True))
+        yield *four, of_torsion["theta0"], of_torsion["k"], 2.0 * half_circle
+
+
+def _maps(forces: list[Any]) -> tuple[Indices, Array]:
+    """Return particles, first patch and patches per direction (M, 10), and the coefficients of patches (., 4, 4)."""
+    rows: list[tuple[int, ...]] = []
+    patches = [np.zeros((0, 4, 4))]
+    for force in forces:
+        if isinstance(force, openmm.CMAPTorsionForce):
+            of_maps = [force.getMapParameters(i) for i in range(force.getNumMaps())]
+            first = np.cumsum([sum(map(len, patches)), *(size * size for size, _ in of_maps)]).tolist()
+            patches += [_patches(size, np.array(energy._value)) for size, energy in of_maps]
+            for number, *eight in map(force.getTorsionParameters, range(force.getNumTorsions())):
+                rows.append((*eight, first[number], of_maps[number][0]))
+    return np.array(rows, dtype=np.int64).reshape(-1, 10), np.concatenate(patches)
+
+
+def _patches(size: int, energy: Array) -> Array:
+    """Return the coefficients (size², 4, 4), highest powers first, of the periodic bicubic spline of a map (size²,).
+
+    The energy of the first angle i and the second angle j is at i + size j, in units of the circle's parts.
+    """
+    at = np.linspace(0.0, 2.0 * np.pi, size + 1)
+    closed = np.pad(energy.reshape(size, size).T, ((0, 1), (0, 1)), mode="wrap")
+    of_first = CubicSpline(at, closed, axis=0, bc_type="periodic").c  # (4, size, size + 1)
+    of_both = CubicSpline(at, of_first, axis=2, bc_type="periodic").c  # (4, size, 4, size)
+    return np.ascontiguousarray(of_both.transpose(3, 1, 2, 0).reshape(size * size, 4, 4))
 
 
 def _arrays(terms: list[tuple[float, ...]], particles: int, numbers: int) -> tuple[Indices, Array]:

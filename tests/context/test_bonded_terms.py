@@ -49,6 +49,38 @@ def pairs():
     return pairs_by_formula(force, some)
 
 
+def lennard_jones_pairs():
+    force = openmm.CustomBondForce("4*epsilon*((sigma/r)^12-(sigma/r)^6)")
+    force.addPerBondParameter("epsilon")
+    force.addPerBondParameter("sigma")
+    for i in range(N - 3):
+        force.addBond(i, i + 3, RNG.uniform((0.0, 0.2), (2.0, 0.4)))
+    return force
+
+
+def harmonic_torsions(pi=f"{np.pi}"):
+    force = openmm.CustomTorsionForce(f"k*min(dtheta, 2*pi-dtheta)^2; dtheta = abs(theta-theta0); pi = {pi}")
+    force.addPerTorsionParameter("k")
+    force.addPerTorsionParameter("theta0")
+    for i in range(N - 3):
+        force.addTorsion(i, i + 1, i + 2, i + 3, RNG.uniform((1.0, -3.0), (200.0, 3.0)))
+    return force
+
+
+def harmonic_torsions_of_files():
+    """As OpenMM's CharmmPsfFile makes them."""
+    return harmonic_torsions("3.141593;")
+
+
+def maps():
+    force = openmm.CMAPTorsionForce()
+    for size in (24, 5):
+        force.addMap(size, RNG.uniform(-10.0, 10.0, size * size))
+    for i in range(N - 4):
+        force.addTorsion(i % 2, i, i + 1, i + 2, i + 3, i + 1, i + 2, i + 3, i + 4)
+    return force
+
+
 def both(system, x, groups=-1):
     """Return the forces of the kernel and those of OpenMM."""
     out = np.empty_like(x)
@@ -67,7 +99,13 @@ def system_of(*forces):
     return system
 
 
-@pytest.mark.parametrize("make", [bonds, angles, periodic_torsions, polynomial_torsions, pairs])
+FORMS = (
+    *(bonds, angles, periodic_torsions, polynomial_torsions),
+    *(pairs, lennard_jones_pairs, harmonic_torsions, harmonic_torsions_of_files, maps),
+)
+
+
+@pytest.mark.parametrize("make", FORMS)
 def test_each_form_is_openmms(make):
     system = system_of(make())
     for _ in range(20):
@@ -104,7 +142,13 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
     assert np.linalg.norm(out[3]) == pytest.approx(abs(20.0 * np.sin(2.0 * phi - 0.3)) / arm, rel=1e-8)
 
 
-@pytest.mark.parametrize("other", ["periodic", "formula", "map"])
+def test_two_forces_with_maps_have_their_own():
+    system, x = system_of(maps(), maps()), RNG.normal(size=(N, 3))
+    ours, theirs = both(system, x)
+    np.testing.assert_allclose(ours, theirs, atol=1e-13 * abs(theirs).max())
+
+
+@pytest.mark.parametrize("other", ["periodic", "formula", "torsion", "parameter"])
 def test_other_forms_are_left_to_openmm(other):
     if other == "periodic":
         force = bonds()
@@ -113,6 +157,13 @@ def test_other_forms_are_left_to_openmm(other):
         force = openmm.CustomBondForce("k*r^4")
         force.addGlobalParameter("k", 1.0)
         force.addBond(0, 1)
+    elif other == "torsion":
+        force = openmm.CustomTorsionForce("k*cos(theta)")
+        force.addPerTorsionParameter("k")
+        force.addTorsion(0, 1, 2, 3, [1.0])
     else:
-        force = openmm.CMAPTorsionForce()
+        force = openmm.CustomBondForce("4*epsilon*((sigma/r)^12-(sigma/r)^6)")
+        force.addGlobalParameter("epsilon", 1.0)
+        force.addPerBondParameter("sigma")
+        force.addBond(0, 3, [0.3])
     assert terms_of(system_of(angles(), force), -1) is None

@@ -1,4 +1,4 @@
-"""Forces of bonds, angles, torsions and pairs of atoms, compiled.
+"""Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms, compiled.
 
 Angles follow from atan2, which keeps its digits everywhere. The gradient of a torsion is that of A. Blondel and
 M. Karplus, J. Comput. Chem. 17, 1132 (1996), doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 
 from openmm_exactrb.kernels.build import compiled, inner, inner_reordered
+
+TWO_PI = 2.0 * math.pi
 
 
 @inner
@@ -40,6 +42,29 @@ def _act(out, i, j, f, u):
 
 
 @inner
+def _torsion(x, four):
+    """Return (cos phi, sin phi) of a torsion, and what `_twist` takes."""
+    i, j, k, m = four
+    first, axis, last = _difference(x, i, j), _difference(x, j, k), _difference(x, m, k)
+    a, b, g = _cross(first, axis), _cross(last, axis), math.sqrt(_dot(axis, axis))
+    aa, bb = _dot(a, a), _dot(b, b)
+    scale = 1.0 / math.sqrt(aa * bb)
+    turn = (scale * _dot(a, b), scale / g * _dot(_cross(b, a), axis))
+    along = _dot(first, axis) / (aa * g), _dot(last, axis) / (bb * g)
+    return turn, (a, b, g / aa, g / bb, along)
+
+
+@inner
+def _twist(out, four, f, arms):
+    """Add the forces of a torsion with -dV/dphi = f."""
+    (i, j, k, m), (a, b, of_a, of_b, along) = four, arms
+    _act(out, i, j, -f * of_a, a)
+    _act(out, m, k, f * of_b, b)
+    _act(out, j, k, f * along[0], a)
+    _act(out, j, k, -f * along[1], b)
+
+
+@inner
 def _of_torsion(turn, coefficients):
     """Return -dV/dphi of V = sum_n (a_n cos(n phi) + b_n sin(n phi)) at the unit vector (cos phi, sin phi)."""
     (c, s), (a, b), force = turn, coefficients, 0.0
@@ -50,12 +75,52 @@ def _of_torsion(turn, coefficients):
     return force
 
 
-@compiled("f2 i2 f2 i2 f2 i2 f3 i2 f2 F2")
-def forces(x, bonds, of_bonds, angles, of_angles, torsions, of_torsions, pairs, of_pairs, out):
+@inner
+def _patch(turn, size):
+    """Return which of so many parts of the circle an angle is in, and how far."""
+    angle = math.atan2(turn[1], turn[0]) % TWO_PI
+    part = min(int(angle / TWO_PI * size), size - 1)
+    return part, angle - part * (TWO_PI / size)
+
+
+@inner
+def _of_map(patch, u, v):
+    """Return -dV/du and -dV/dv of V = sum_kl c_kl u^(3-k) v^(3-l)."""
+    of_u, of_v = 0.0, 0.0
+    for k in range(4):
+        value, slope = 0.0, 0.0
+        for l in range(4):
+            slope = slope * v + value
+            value = value * v + patch[k, l]
+        of_u = of_u * u + (3 - k) * value if k < 3 else of_u
+        of_v = of_v * u + slope
+    return -of_u, -of_v
+
+
+@compiled("f2 i2 f2 i2 f2 i2 f3 i2 f2 i2 f2 i2 f3 F2")
+def forces(
+    x,
+    bonds,
+    of_bonds,
+    angles,
+    of_angles,
+    torsions,
+    of_torsions,
+    pairs,
+    of_pairs,
+    impropers,
+    of_impropers,
+    maps,
+    patches,
+    out,
+):
     """Write the forces (n, 3) in kJ/mol/nm on particles at x (n, 3) in nm.
 
     `of_bonds` (., 2) are lengths and strengths, `of_angles` (., 2) angles and strengths, `of_torsions` (., 2, N) the
-    coefficients of cosines and sines, `of_pairs` (., 3) products of charges in kJ nm/mol, sigmas and epsilons.
+    coefficients of cosines and sines, `of_pairs` (., 3) products of charges in kJ nm/mol, sigmas and epsilons,
+    `of_impropers` (., 3) angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's formulas have it. `maps`
+    (., 10) are the particles of two torsions, the first patch of a map and how many it has in each direction; `patches`
+    (., 4, 4) the coefficients of bicubic polynomials, highest powers first.
     """
     out[:] = 0.0
     for n in range(len(bonds)):
@@ -79,14 +144,17 @@ def forces(x, bonds, of_bonds, angles, of_angles, torsions, of_torsions, pairs, 
         _act(out, i, j, f / _dot(u, u), _cross(u, normal))
         _act(out, k, j, f / _dot(v, v), _cross(normal, v))
     for n in range(len(torsions)):
-        i, j, k, m = torsions[n]
-        first, axis, last = _difference(x, i, j), _difference(x, j, k), _difference(x, m, k)
-        a, b = _cross(first, axis), _cross(last, axis)
-        aa, bb, g = _dot(a, a), _dot(b, b), math.sqrt(_dot(axis, axis))
-        scale = 1.0 / math.sqrt(aa * bb)
-        turn = (scale * _dot(a, b), scale / g * _dot(_cross(b, a), axis))
-        f = _of_torsion(turn, (of_torsions[n, 0], of_torsions[n, 1]))
-        _act(out, i, j, -f * g / aa, a)
-        _act(out, m, k, f * g / bb, b)
-        _act(out, j, k, f * _dot(first, axis) / (aa * g), a)
-        _act(out, j, k, -f * _dot(last, axis) / (bb * g), b)
+        turn, arms = _torsion(x, torsions[n])
+        _twist(out, torsions[n], _of_torsion(turn, (of_torsions[n, 0], of_torsions[n, 1])), arms)
+    for n in range(len(impropers)):
+        turn, arms = _torsion(x, impropers[n])
+        away = math.atan2(turn[1], turn[0]) - of_impropers[n, 0]
+        away -= of_impropers[n, 2] * round(away / of_impropers[n, 2])
+        _twist(out, impropers[n], -2.0 * of_impropers[n, 1] * away, arms)
+    for n in range(len(maps)):
+        one, two, first, size = maps[n, :4], maps[n, 4:8], maps[n, 8], maps[n, 9]
+        (turn, arms), (other, others) = _torsion(x, one), _torsion(x, two)
+        (s, u), (t, v) = _patch(turn, size), _patch(other, size)
+        f, g = _of_map(patches[first + s * size + t], u, v)
+        _twist(out, one, f, arms)
+        _twist(out, two, g, others)
