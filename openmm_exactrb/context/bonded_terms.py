@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from openmm_exactrb import kernels
 from openmm_exactrb.context.bonded import COULOMB, PAIR
@@ -153,6 +152,8 @@ def _patches(size: int, energy: Array) -> Array:
 
     The energy of the first angle i and the second angle j is at i + size j, in units of the circle's parts.
     """
+    from scipy.interpolate import CubicSpline  # here, for a short import of the package
+
     at = np.linspace(0.0, 2.0 * np.pi, size + 1)
     closed = np.pad(energy.reshape(size, size).T, ((0, 1), (0, 1)), mode="wrap")
     of_first = CubicSpline(at, closed, axis=0, bc_type="periodic").c  # (4, size, size + 1)
