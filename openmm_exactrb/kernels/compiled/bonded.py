@@ -10,7 +10,7 @@ import math
 
 from openmm_exactrb.kernels.build import compiled, inner, inner_reordered
 
-TWO_PI = 2.0 * math.pi
+_CIRCLE = 2.0 * math.pi
 
 
 @inner
@@ -78,9 +78,9 @@ def _of_torsion(turn, coefficients):
 @inner
 def _patch(turn, size):
     """Return which of so many parts of the circle an angle is in, and how far."""
-    angle = math.atan2(turn[1], turn[0]) % TWO_PI
-    part = min(int(angle / TWO_PI * size), size - 1)
-    return part, angle - part * (TWO_PI / size)
+    angle = math.atan2(turn[1], turn[0]) % _CIRCLE
+    part = min(int(angle / _CIRCLE * size), size - 1)
+    return part, angle - part * (_CIRCLE / size)
 
 
 @inner
