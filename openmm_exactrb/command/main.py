@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 
 import openmm
 
@@ -24,6 +26,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     That is 0, or 2 with one line on stderr, or 130 after Ctrl-C, or 141 if nobody reads the output any more.
     """
     args = _parser().parse_args(arguments)
+    with warnings.catch_warnings():
+        warnings.showwarning = _warning_of(args.command)
+        return _status(args)
+
+
+def _warning_of(command: str) -> Callable[..., None]:
+    """Return what prints a warning as one line on stderr."""
+
+    def show(message: Warning | str, *_place: object) -> None:
+        print(f"exactrb {command}: warning: {' '.join(str(message).split())}", file=sys.stderr)
+
+    return show
+
+
+def _status(args: argparse.Namespace) -> int:
+    """Execute a command and return its exit status, with one line on stderr for an error."""
     try:
         return int(_COMMANDS[args.command].carry_out(args))
     except BrokenPipeError:  # who reads the output, such as head, has seen enough

@@ -3,12 +3,14 @@
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import openmm
 import pytest
 
 import openmm_exactrb as rb
+from openmm_exactrb.command import info
 from openmm_exactrb.command.main import main
 
 BRIEF = ["--schemes", "V2", "--platform", "Reference", "--duration", "0.05", "--target", "1e-12"]
@@ -67,3 +69,15 @@ def test_the_version_is_that_of_the_distribution():
     from importlib import metadata
 
     assert rb.__version__ == metadata.version("openmm-exactrb")
+
+
+def test_a_warning_is_one_line(monkeypatch, capsys):
+    def warn(_args):
+        warnings.warn("steps are\ntoo long", UserWarning, stacklevel=2)
+        return 0
+
+    monkeypatch.setattr(info, "carry_out", warn)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert main(["info", "some.pdb"]) == 0
+    assert capsys.readouterr().err == "exactrb info: warning: steps are too long\n"
