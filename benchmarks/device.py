@@ -207,15 +207,16 @@ def measure_protein(name, rate, options, platform, properties):
     kinds = [(kind,) for kind in INTEGRATORS]
     kinds += [(engine, scheme) for scheme in options.nested for engine in ("host", "device")]
     runners = in_turns(kinds, options, system, starts[0], 1.0 / rate, platform, properties)
-    verlet = np.array([runners[0].spread(start) for start in starts])
-    for kind, runner in zip(kinds, runners, strict=True):
-        own = verlet if runner is runners[0] else np.full(len(starts), np.nan)
-        if not thermal(*kind) and runner is not runners[0]:
-            own = np.array([runner.spread(start) for start in starts])
+    unknown = np.full(len(starts), math.nan)  # with a thermostat
+    spreads = [
+        unknown if thermal(*kind) else np.array([runner.spread(start) for start in starts])
+        for kind, runner in zip(kinds, runners, strict=True)
+    ]
+    for kind, runner, own in zip(kinds, runners, spreads, strict=True):
         print(
             f"{Path(name).stem:8} {rate:7.0f} {' '.join(kind):12} {runner.cost:9.3f} "
             f"{runner.cost / runners[0].cost:7.2f} {86400.0 / rate / runner.cost:9.1f} {runner.first:7.2f} "
-            f"{np.sqrt((own**2).mean()):9.2e}  {' '.join(f'{ratio:.1f}' for ratio in verlet / own)}",
+            f"{np.sqrt((own**2).mean()):9.2e}  {' '.join(f'{ratio:.1f}' for ratio in spreads[0] / own)}",
             flush=True,
         )
 

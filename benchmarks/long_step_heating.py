@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,12 @@ from openmm import app
 
 import openmm_exactrb as rb
 import protein_steps
+from group_temperatures import Groups
 from one_line import simulation_of
 from openmm_exactrb.files import written_whole
-from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
+from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import merged
 from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "long_step_heating.csv"
@@ -35,11 +38,7 @@ PICOSECONDS, LOOKED, APART = 3.0, 0.07, 0.5  # ps of a run, between two looks, a
 def without_thermostat(name: str) -> Scheme:
     """Return a scheme without its heat exchange."""
     scheme = scheme_for_thermostat(name)
-    if name not in WITH_THERMOSTAT:
-        return scheme
-    sequence = [entry for entry in scheme.sequence if entry[0] != HEAT_EXCHANGE]
-    *rest, (drift, early), (_, late) = sequence
-    return Scheme(f"{name} alone", 2, (*rest, (drift, early + late)))
+    return replace(scheme, sequence=merged(entry for entry in scheme.sequence if entry[0] != HEAT_EXCHANGE))
 
 
 def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n: int) -> list[openmm.State]:
@@ -54,13 +53,6 @@ def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n
         run.step(round(picoseconds / step))
         found.append(run.context.getState(positions=True, velocities=True))
     return found
-
-
-def freedom(topology: app.Topology, system: openmm.System) -> int:
-    """Return the degrees of freedom of all that is no water."""
-    solute = {atom.index for residue in topology.residues() if residue.name != "HOH" for atom in residue.atoms()}
-    constraints = map(system.getConstraintParameters, range(system.getNumConstraints()))
-    return 3 * len(solute) - sum(i in solute for i, _, _ in constraints)
 
 
 def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> float:
@@ -92,9 +84,10 @@ def main() -> None:
     known = {tuple(row[name] for name in COLUMNS[:-1]) for row in rows}
     topology, system, _ = protein_steps.molecules(args.pdb, "all", "HBonds")
     solute = "peptide" if args.pdb is None else args.pdb.stem
+    freedom = f"{Groups(topology, system).freedom}"
     begins = starts(topology, system, protein_steps.start_of(args.pdb), args.starts)
     for scheme, fs, number in itertools.product(args.schemes, args.fs, range(args.starts)):
-        point = (solute, f"{freedom(topology, system)}", scheme, f"{fs:g}", f"{number + 1}")
+        point = (solute, freedom, scheme, f"{fs:g}", f"{number + 1}")
         if point in known:
             continue
         slope = power(topology, system, begins[number], scheme, fs)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from equipartition_record import LFM, markdown, with_error
+from group_temperatures import R
 from openmm_exactrb import SCHEMES
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -170,13 +171,12 @@ def _line(runs: list[list[float]], squares: tuple[float, ...], at: float) -> tup
 
 def heating() -> str:
     """Return the power that long steps add to villin in water, and how much hotter than its thermostat it is then."""
-    body, boltzmann = [], 0.00831446262  # kJ/mol/K
-    found = rows("long_step_heating")
+    body, found = [], rows("long_step_heating")
     for scheme, fs in sorted(distinct(found, "scheme", "fs"), key=lambda point: (point[0] != "W2_3m", float(point[1]))):
         some = [row for row in found if (row["scheme"], row["fs"]) == (scheme, fs)]
         power = np.array([float(row["kJ/mol/ps"]) for row in some])
         mean, error = float(power.mean()), float(power.std(ddof=1) / np.sqrt(len(power)))
-        per_friction = 1.0 / (int(some[0]["freedom"]) * boltzmann)
+        per_friction = 1.0 / (int(some[0]["freedom"]) * R)
         excess = (with_error(mean * per_friction / g, error * per_friction / g, 1) for g in (1.0, 5.0))
         body.append((f"`{scheme}`", f"{fs} fs", f"{len(some)} x 3 ps", with_error(mean, error, 0), *excess))
     return table(("", "", "", "power (kJ/mol/ps)", "excess (K) at 1/ps", "at 5/ps"), body)

@@ -86,13 +86,14 @@ def _patch(turn, size):
 @inner
 def _of_map(patch, u, v):
     """Return -dV/du and -dV/dv of V = sum_kl c_kl u^(3-k) v^(3-l)."""
-    of_u, of_v = 0.0, 0.0
+    energy, of_u, of_v = 0.0, 0.0, 0.0
     for k in range(4):
-        value, slope = 0.0, 0.0
+        row, slope = 0.0, 0.0
         for l in range(4):
-            slope = slope * v + value
-            value = value * v + patch[k, l]
-        of_u = of_u * u + (3 - k) * value if k < 3 else of_u
+            slope = slope * v + row
+            row = row * v + patch[k, l]
+        of_u = of_u * u + energy
+        energy = energy * u + row
         of_v = of_v * u + slope
     return -of_u, -of_v
 
