@@ -148,6 +148,15 @@ def test_two_forces_with_maps_have_their_own():
     np.testing.assert_allclose(ours, theirs, atol=1e-13 * abs(theirs).max())
 
 
+@pytest.mark.parametrize("make", FORMS)
+def test_positions_that_are_not_finite_have_such_forces(make):
+    x = RNG.normal(size=(N, 3))
+    x[4] = np.nan
+    out = np.empty_like(x)
+    kernels.load("bonded", "numba").forces(x, *terms_of(system_of(make()), -1), out)
+    assert np.isnan(out[4]).all()
+
+
 @pytest.mark.parametrize("other", ["periodic", "formula", "torsion", "parameter"])
 def test_other_forms_are_left_to_openmm(other):
     if other == "periodic":

@@ -77,9 +77,9 @@ def _of_torsion(turn, coefficients):
 
 @inner
 def _patch(turn, size):
-    """Return which of so many parts of the circle an angle is in, and how far."""
+    """Return which of so many parts of the circle an angle is in, and how far; the first part if it is nan."""
     angle = math.atan2(turn[1], turn[0]) % _CIRCLE
-    part = min(int(angle / _CIRCLE * size), size - 1)
+    part = max(0, min(int(angle / _CIRCLE * size), size - 1))
     return part, angle - part * (_CIRCLE / size)
 
 
