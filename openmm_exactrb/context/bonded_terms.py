@@ -49,13 +49,28 @@ class BondedForces(ContextForces):
 
     def __init__(self, terms: Terms, positions: Positions, groups: int, timings: Timings, counter: str) -> None:
         super().__init__(positions, groups, timings, counter)
-        self._terms, self._sum = terms, kernels.load("bonded", "numba").forces
+        self.terms, self._sum = terms, kernels.load("bonded", "numba").forces
+
+    @property
+    def known(self) -> Force | None:
+        """A copy of the forces and torques at the present positions, if these are known."""
+        if self._version != self.positions.version:
+            return None
+        force, torque = self._value
+        return force.copy(), torque.copy()
+
+    def moved(self, evaluations: int, value: Force | None) -> None:
+        """Notice that a kernel moved the bodies, and what forces it left at their new positions if it knows."""
+        self._add_evaluations(evaluations)
+        self.positions.version += 1
+        if value is not None:
+            self._version, self._value = self.positions.version, value
 
     def _evaluated(self, state: State, present: bool) -> Force:
         start = time.perf_counter()
         x = self.positions.placed(state)
         out = np.empty_like(x)
-        self._sum(x, *self._terms, out)
+        self._sum(x, *self.terms, out)
         found = self.positions.bodies.forces(state.rounded, out)
         self._count(start)
         return found

@@ -208,7 +208,10 @@ class ContextForces(Forces):
     def _count(self, start: float) -> None:
         """Count an evaluation that began at this time."""
         self._timings.forces += time.perf_counter() - start
-        setattr(self._timings, self._counter, getattr(self._timings, self._counter) + 1)
+        self._add_evaluations(1)
+
+    def _add_evaluations(self, n: int) -> None:
+        setattr(self._timings, self._counter, getattr(self._timings, self._counter) + n)
 
 
 class SlowGroups(ContextForces):

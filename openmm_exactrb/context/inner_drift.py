@@ -15,6 +15,7 @@ import numpy as np
 import openmm
 
 from openmm_exactrb.context.bonded_terms import BondedForces, terms_of
+from openmm_exactrb.context.compiled_inner_steps import CompiledInnerSteps
 from openmm_exactrb.context.excerpt import Excerpt
 from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
 from openmm_exactrb.context.multiple_time_steps import FastForces
@@ -25,7 +26,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic, of_bodies, rigid
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.rotors import Rotor, rotor_of_sums
+from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import repeated
 from openmm_exactrb.substeps import KICK, kick
@@ -42,7 +43,7 @@ class InnerDrift:
         self.fast, self._bodies, self._timings = fast, sync.bodies, timings
         self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync, positions)
         self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
-        self._free = free_motion(self._part, rotor)
+        self._rotor, self._free = rotor, free_motion(self._part, rotor)
         groups = [group for group in range(32) if fast.groups >> group & 1]
         if fast.excerpt is None:
             self._resonances = Resonances(sync.context.getSystem(), groups)
@@ -79,6 +80,8 @@ class InnerDrift:
         terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
         fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
         alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
+        if isinstance(fast, BondedForces) and self._rotor in COMPILED:
+            alone = CompiledInnerSteps(fast, inner, repetitions, divergence)
         outside = len(part.bodies.clusters) < len(self._bodies.clusters)
         others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
 

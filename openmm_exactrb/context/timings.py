@@ -14,7 +14,7 @@ class Timings:
     forces : float
         Inside OpenMM, and in the compiled kernels of bonded forces: positions that are set, and evaluations.
     rotor : float
-        The free motion of the bodies.
+        The free motion of the bodies, with the bonded forces within it where one compiled call makes the inner steps.
     total : float
         Everything inside step().
     evaluations : int

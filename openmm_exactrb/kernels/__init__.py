@@ -22,8 +22,8 @@ def load(name: str, which: Literal["fastest", "numpy", "numba"] = "fastest") -> 
     ----------
     name : str
         "bodies" (positions of the particles of rigid bodies, forces and torques) or "exact" (the free rotation); for
-        numba only "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions), "pairs"
-        (dipoles) or "ellipsoids".
+        numba only "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions),
+        "inner_steps" (of multiple time stepping), "pairs" (dipoles) or "ellipsoids".
     which : {"fastest", "numpy", "numba"}, optional
         "fastest" is the compiled module where numba is installed and not switched off by `SWITCH`.
 

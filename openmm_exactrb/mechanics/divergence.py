@@ -58,6 +58,8 @@ class DivergenceCheck:
     ) -> None:
         self._bodies, self._potential, self._box, self._conserves = bodies, potential, box, conserves
         self._fastest = float(np.min(LIGHT * bodies.mass, initial=np.inf)) ** 2  # no body is, below this sum of P²
+        #: kJ/mol of kinetic energy in the mean of bodies within inner steps, beyond which a step has diverged.
+        self.hottest = _HOTTEST if conserves else np.inf
         self._good = 0.0, 0.0  # squares of linear and angular momenta
         self._number, self._time = 0, 0.0
         self._before: State | None = None  # the step
@@ -99,15 +101,18 @@ class DivergenceCheck:
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
         """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
-        most = _HOTTEST if self._conserves else np.inf
 
         def check(state: State) -> None:
             P, m = state.P[0], state.m[0]
             mean = float((P * P).sum(axis=0) @ half_mass + (m * m * half_inertia).sum()) / len(bodies)
-            if not mean <= most:  # so that nan is too hot
-                raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
+            self.judge_inner_steps(mean)
 
         return check
+
+    def judge_inner_steps(self, mean: float) -> None:
+        """Raise IntegrationError if bodies are hotter within inner steps, in kJ/mol each, than the hottest ones."""
+        if not mean <= self.hottest:  # so that nan is too hot
+            raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
 
     def leave(self, state: State) -> None:
         """Raise IntegrationError if the state at the end of a step has diverged from that before it."""

@@ -4,6 +4,7 @@ from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.rotors.front import free_rotor
 from openmm_exactrb.rotors.moser_veselov import NotConvergedWarning
 from openmm_exactrb.rotors.registry import (
+    COMPILED,
     LARGEST_MOMENT,
     ROTORS,
     SMALLEST_MOMENT,
@@ -15,6 +16,7 @@ from openmm_exactrb.rotors.registry import (
 )
 
 __all__ = [
+    "COMPILED",
     "LARGEST_MOMENT",
     "ROTORS",
     "SMALLEST_MOMENT",

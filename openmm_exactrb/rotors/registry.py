@@ -93,6 +93,9 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
     }
 )
 
+#: The flows that are compiled where numba is installed.
+COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
+
 
 def look_up(rotor: str | Rotor) -> Rotor:
     """Return the rotor of a name; a `Rotor` is passed through.
