@@ -46,7 +46,7 @@ class CompiledInnerSteps:
         if n not in self._sequences:
             self._sequences[n] = _as_arrays(repeated(self._sequence, n))
         kicks, parts = self._sequences[n]
-        x, known = forces.positions.placed(state), forces.known
+        x, known = forces.positions.particles, forces.known
         total, torque = known or (np.empty_like(state.P[0]), np.empty_like(state.m[0]))
         after, found = State(*(a.copy() for a in state)), np.empty(2)
         self._advance(

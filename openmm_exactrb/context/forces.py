@@ -30,7 +30,7 @@ class Positions:
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
-        self._context, self.bodies, self._x = weakref.ref(context), bodies, x
+        self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
         self.version = 0
         self._written = -1
 
@@ -55,7 +55,7 @@ class Positions:
 
     def placed(self, state: State) -> Array:
         """Return the positions of all particles, with the bodies at those of any state; virtual sites are not moved."""
-        return self.bodies.positions(state.rounded, self._x)
+        return self.bodies.positions(state.rounded, self.particles)
 
     def through(self, substeps: Bound, state: State) -> State:
         """Return a state after substeps, with a new version behind each that may have changed positions."""

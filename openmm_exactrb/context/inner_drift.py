@@ -79,9 +79,11 @@ class InnerDrift:
         own, part = self._own, self._own.excerpt.part
         terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
         fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
-        alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
+        alone: Flow[State]
         if isinstance(fast, BondedForces) and self._rotor in COMPILED:
             alone = CompiledInnerSteps(fast, inner, repetitions, divergence)
+        else:
+            alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
         outside = len(part.bodies.clusters) < len(self._bodies.clusters)
         others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
 

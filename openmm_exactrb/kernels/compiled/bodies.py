@@ -68,7 +68,7 @@ def collect(q, particles, sites, first, forces, total, torque):
 
 @compiled("f3 f2 f F3")
 def advance(x, rate, t, total):
-    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N)."""
+    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N); the total may be x."""
     rows, n = rate.shape
     for row in range(rows):
         for i in range(n):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner
-from openmm_exactrb.kernels.compiled import bonded, clusters, exact
+from openmm_exactrb.kernels.compiled import bodies, bonded, clusters, exact
 from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
 
 
@@ -48,14 +48,6 @@ def _collect(q, particles, owners, sites, forces, total, torque):
             torque[0, body] += s1 * f2 - s2 * f1
             torque[1, body] += s2 * f0 - s0 * f2
             torque[2, body] += s0 * f1 - s1 * f0
-
-
-@inner
-def _add(x, t, rate):
-    """Add t rate (k, N) to double-doubles x (2, k, N)."""
-    for row in range(len(rate)):
-        for i in range(rate.shape[1]):
-            x[0, row, i], x[1, row, i] = two_sum(x[0, row, i], t * rate[row, i] + x[1, row, i])
 
 
 @inner
@@ -164,8 +156,8 @@ def advance(
                 _collect(q, particles, owners, sites, forces, total, torque)
                 found[0] += 1.0
                 known = 1
-            _add(P, part, total)
-            _add(m, part, torque)
+            bodies.advance(P, total, part, P)
+            bodies.advance(m, torque, part, m)
             found[1] = _mean_energy(P, m, mass, moments)
             if not found[1] <= hottest:
                 return
