@@ -1,3 +1,4 @@
+import gc
 import os
 
 import numpy as np
@@ -31,6 +32,10 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if "validate" in item.keywords:
                 item.add_marker(skip)
+
+
+def pytest_collection_finish():
+    gc.freeze()  # a Context is found among what was made since
 
 
 @pytest.fixture

@@ -17,6 +17,7 @@ import pytest
 import openmm_exactrb as rb
 import three_masses
 from openmm_exactrb import quaternions
+from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.inner_drift import ExcerptContext
 from peptides import peptide
 
@@ -93,6 +94,22 @@ def test_integrators_that_are_bound_in_threads_find_their_own_context(switching_
         x = result(context)[0]
         np.testing.assert_allclose(bodies.positions(state, x.copy()), x, rtol=0.0, atol=1e-13)
         assert all(np.abs(x - result(other)[0]).max() > 0.1 for other in contexts if other is not context)
+
+
+def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(switching_often):
+    """A tuple that something else refers to while it grows is a SystemError (_PyTuple_Resize)."""
+    context, over = context_of(KINDS[0], 1), threading.Event()
+
+    def search():
+        for _ in range(150):
+            assert find_context(context.getIntegrator()) is context
+        over.set()
+
+    def make_tuples():
+        while not over.is_set():
+            assert len(tuple(k for k in range(100))) == 100  # of a length that is not known beforehand
+
+    together(search, make_tuples, make_tuples)
 
 
 @pytest.mark.parametrize("method", rb.ROTORS)

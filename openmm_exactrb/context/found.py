@@ -10,7 +10,7 @@ import openmm
 
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
     """Find the Context that was made with an integrator; ValueError if there is no Context yet."""
-    context = _recent(integrator) or _referring(integrator)
+    context = _referring(integrator)
     if context is None and gc.get_freeze_count():  # what is frozen refers to nothing, for the collector
         gc.unfreeze()
         context = _referring(integrator)
@@ -22,16 +22,8 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
     return context
 
 
-def _recent(integrator: Any) -> Any:
-    """Search the youngest objects, since a Context is mostly used at once: all take a hundred times as long."""
-    for generation in range(2):
-        for found in gc.get_objects(generation):
-            if issubclass(type(found), openmm.Context) and getattr(found, "_integrator", None) is integrator:
-                return found
-    return None
-
-
 def _referring(integrator: Any) -> Any:
+    """Search what refers to the integrator alone: to hold all objects breaks tuples that other threads are making."""
     for referrer in gc.get_referrers(integrator):
         if isinstance(referrer, openmm.Context):
             return referrer
