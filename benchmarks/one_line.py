@@ -12,6 +12,7 @@ with new neighbour lists twice as often. With two threads times are wall times, 
 
     python benchmarks/one_line.py
     python benchmarks/one_line.py --energies --molecules 216 --starts 3
+    python benchmarks/one_line.py --molecules 0 --pdb examples/data/alanine_dipeptide.pdb
     python benchmarks/one_line.py --long --pdb villin.pdb
 """
 
@@ -64,6 +65,15 @@ def box(molecules: int) -> tuple[app.Topology, unit.Quantity]:
     modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
     modeller.addSolvent(app.ForceField("amber14/tip3p.xml"), numAdded=molecules, model="tip3p")
     return modeller.topology, modeller.positions
+
+
+def protein_of(path: Path) -> tuple[app.Topology, unit.Quantity]:
+    """Return the protein of a PDB file, in a box of water for a small peptide if the file has no water."""
+    pdb = app.PDBFile(str(path))
+    model = app.Modeller(pdb.topology, pdb.positions)
+    if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
+        model.addSolvent(app.ForceField(*FORCE_FIELD), boxSize=openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer)
+    return model.topology, model.positions
 
 
 def system_of(topology: app.Topology, **options) -> openmm.System:
@@ -119,6 +129,13 @@ def costs(topology, system, start, rounds: int) -> None:
         )
 
 
+def compare(name: str, topology, positions, rounds: int) -> None:
+    """Print the costs of a System from a canonical start."""
+    system = system_of(topology)
+    print(f"{name}, {system.getNumParticles()} atoms")
+    costs(topology, system, start_of(topology, system, positions, 1), rounds)
+
+
 def long_steps(topology, positions, rounds: int, threads: int) -> None:
     """Print times per force evaluation of a protein with long steps, and what is simulated per hour."""
     clock = time.process_time if threads == 1 else time.perf_counter
@@ -166,34 +183,30 @@ def energies(topology, system, positions, starts: int, picoseconds: float) -> No
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
-    add("--molecules", type=int, default=887, help="of water in the box (%(default)s)")
+    add("--molecules", type=int, default=887, help="of water in the box; 0 for no box (%(default)s)")
     add("--residues", type=int, default=35, help="of the helix; 0 for none (%(default)s)")
     add("--rounds", type=int, default=8)
     add("--long", action="store_true", help="long steps of a protein instead")
-    add("--pdb", type=Path, help="of --long: a solvated protein instead of the helix")
+    add("--pdb", type=Path, help="a protein instead of the helix; without water a small peptide")
     add("--threads", type=int, default=1, help="of --long (%(default)s)")
     add("--energies", action="store_true", help="energy errors instead of times")
     add("--starts", type=int, default=3)
     add("--picoseconds", type=float, default=30.0)
     args = parser.parse_args()
     if args.long:
-        pdb = None if args.pdb is None else app.PDBFile(str(args.pdb))
-        some = solvated_helix(args.residues) if pdb is None else (pdb.topology, pdb.positions)
-        long_steps(*some, args.rounds, args.threads)
+        long_steps(*(protein_of(args.pdb) if args.pdb else solvated_helix(args.residues)), args.rounds, args.threads)
         return
-    topology, positions = box(args.molecules)
     if args.energies:
+        topology, positions = box(args.molecules)
         smooth = system_of(topology, **SMOOTH, removeCMMotion=False)
         energies(topology, smooth, positions, args.starts, args.picoseconds)
         return
-    system = system_of(topology)
-    print(f"{args.molecules} TIP3P")
-    costs(topology, system, start_of(topology, system, positions, 1), args.rounds)
-    if args.residues:
-        topology, positions = solvated_helix(args.residues)
-        system = system_of(topology)
-        print(f"a helix of {args.residues} alanines in water, {system.getNumParticles()} atoms")
-        costs(topology, system, start_of(topology, system, positions, 1), args.rounds)
+    if args.molecules:
+        compare(f"{args.molecules} TIP3P", *box(args.molecules), args.rounds)
+    if args.pdb:
+        compare(args.pdb.stem, *protein_of(args.pdb), args.rounds)
+    elif args.residues:
+        compare(f"a helix of {args.residues} alanines in water", *solvated_helix(args.residues), args.rounds)
 
 
 if __name__ == "__main__":
