@@ -390,7 +390,7 @@ def protein_gain() -> float:
 
 
 def costs_at_8_fs() -> tuple[float, float]:
-    """Return the cost of a force every 8 fs over OpenMM's every 4 fs, for villin on one core: benchmarks/one_line.py."""
+    """Return the cost of a force every 8 fs over OpenMM's at 4 fs, for villin on one core: benchmarks/one_line.py."""
     villin = "villin in water, 8867 atoms"
     (row,) = [row for row in rows("one_line") if row["system"] == villin and row["with"].startswith("8 fs")]
     return float(row["least"]), float(row["most"])
