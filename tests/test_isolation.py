@@ -101,9 +101,11 @@ def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(
     context, over = context_of(KINDS[0], 1), threading.Event()
 
     def search():
-        for _ in range(150):
-            assert find_context(context.getIntegrator()) is context
-        over.set()
+        try:
+            for _ in range(150):
+                assert find_context(context.getIntegrator()) is context
+        finally:
+            over.set()
 
     def make_tuples():
         while not over.is_set():
