@@ -52,6 +52,15 @@ def system_of(name, n):
     return system, positions, 0.001
 
 
+def solvated(path):
+    """Return the protein of a PDB file, in a box of water for a small peptide if the file has no water."""
+    pdb = app.PDBFile(str(path))
+    model = app.Modeller(pdb.topology, pdb.positions)
+    if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
+        model.addSolvent(app.ForceField(*FORCE_FIELD), boxSize=openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer)
+    return model.topology, model.positions
+
+
 def protein(name, heavy):
     """Return System, with bonded forces in group 1, and positions of a protein in water; hydrogens may be heavy."""
     if name == "dhfr":
@@ -60,19 +69,15 @@ def protein(name, heavy):
         test = testsystems.DHFRExplicit()
         topology, system, positions = test.topology, test.system, test.positions
     else:
-        field = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
-        pdb = app.PDBFile(str(PEPTIDE) if name == "peptide" else name)
-        model = app.Modeller(pdb.topology, pdb.positions)
-        if name == "peptide":
-            model.addSolvent(field, boxSize=openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer)
+        topology, positions = solvated(PEPTIDE if name == "peptide" else Path(name))
         cutoff = {
             "nonbondedMethod": app.PME,
             "nonbondedCutoff": 0.85,
             "switchDistance": 0.75,
             "ewaldErrorTolerance": 1e-5,
         }
-        system = field.createSystem(model.topology, constraints=app.HBonds, removeCMMotion=False, **cutoff)
-        topology, positions = model.topology, model.positions
+        field = app.ForceField(*FORCE_FIELD)
+        system = field.createSystem(topology, constraints=app.HBonds, removeCMMotion=False, **cutoff)
     if heavy:
         rb.heavy_hydrogens(system, topology, 3.0, water=True)
     rb.separate_bonded(system)
@@ -94,6 +99,7 @@ def canonical(system, positions, starts):
     return found
 
 
+FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
 WINDOW = 0.5  # ps, within which the energy of a protein spreads
 INTEGRATORS = {

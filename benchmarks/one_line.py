@@ -29,6 +29,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from device import solvated
 from protein import FORCE_FIELD, solvated_helix
 
 STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
@@ -65,15 +66,6 @@ def box(molecules: int) -> tuple[app.Topology, unit.Quantity]:
     modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
     modeller.addSolvent(app.ForceField("amber14/tip3p.xml"), numAdded=molecules, model="tip3p")
     return modeller.topology, modeller.positions
-
-
-def protein_of(path: Path) -> tuple[app.Topology, unit.Quantity]:
-    """Return the protein of a PDB file, in a box of water for a small peptide if the file has no water."""
-    pdb = app.PDBFile(str(path))
-    model = app.Modeller(pdb.topology, pdb.positions)
-    if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
-        model.addSolvent(app.ForceField(*FORCE_FIELD), boxSize=openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer)
-    return model.topology, model.positions
 
 
 def system_of(topology: app.Topology, **options) -> openmm.System:
@@ -194,7 +186,7 @@ def main() -> None:
     add("--picoseconds", type=float, default=30.0)
     args = parser.parse_args()
     if args.long:
-        long_steps(*(protein_of(args.pdb) if args.pdb else solvated_helix(args.residues)), args.rounds, args.threads)
+        long_steps(*(solvated(args.pdb) if args.pdb else solvated_helix(args.residues)), args.rounds, args.threads)
         return
     if args.energies:
         topology, positions = box(args.molecules)
@@ -204,7 +196,7 @@ def main() -> None:
     if args.molecules:
         compare(f"{args.molecules} TIP3P", *box(args.molecules), args.rounds)
     if args.pdb:
-        compare(args.pdb.stem, *protein_of(args.pdb), args.rounds)
+        compare(args.pdb.stem, *solvated(args.pdb), args.rounds)
     elif args.residues:
         compare(f"a helix of {args.residues} alanines in water", *solvated_helix(args.residues), args.rounds)
 
