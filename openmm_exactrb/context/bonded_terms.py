@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -86,7 +87,7 @@ def terms_of(system: openmm.System, groups: int) -> Terms | None:
         _arrays([term for force in some if isinstance(force, kind) for term in terms(force)], particles, numbers)
         for kind, terms, particles, numbers in (
             (openmm.HarmonicBondForce, _bonds, 2, 2),
-            (openmm.HarmonicAngleForce, _angles, 3, 2),
+            (openmm.HarmonicAngleForce, _angles, 3, 3),
             (openmm.CustomBondForce, _pairs, 2, 3),
             (openmm.CustomTorsionForce, _impropers, 4, 3),
         )
@@ -125,7 +126,7 @@ def _bonds(force: openmm.HarmonicBondForce) -> Iterator[tuple[float, ...]]:
 
 def _angles(force: openmm.HarmonicAngleForce) -> Iterator[tuple[float, ...]]:
     for i, j, k, angle, strength in map(force.getAngleParameters, range(force.getNumAngles())):
-        yield i, j, k, angle._value, strength._value
+        yield i, j, k, math.cos(angle._value), math.sin(angle._value), strength._value
 
 
 def _pairs(force: openmm.CustomBondForce) -> Iterator[tuple[float, ...]]:
@@ -177,12 +178,13 @@ def _patches(size: int, energy: Array) -> Array:
 
 
 def _arrays(terms: list[tuple[float, ...]], particles: int, numbers: int) -> tuple[Indices, Array]:
+    """Return particles (n, particles) and numbers (numbers, n)."""
     rows = np.array(terms, dtype=np.float64).reshape(len(terms), particles + numbers)
-    return rows[:, :particles].astype(np.int64), np.ascontiguousarray(rows[:, particles:])
+    return rows[:, :particles].astype(np.int64), np.ascontiguousarray(rows[:, particles:].T)
 
 
 def _torsions(forces: list[Any]) -> tuple[Indices, Array]:
-    """Return particles (T, 4) and coefficients (T, 2, N) of cosines and sines; all terms of four particles are one."""
+    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines; all terms of four particles are one."""
     series: dict[tuple[int, ...], list[tuple[int, float, float]]] = {}
     for force in forces:
         if isinstance(force, openmm.PeriodicTorsionForce):
@@ -195,9 +197,9 @@ def _torsions(forces: list[Any]) -> tuple[Indices, Array]:
                 terms = [(n, (-1) ** n * a, 0.0) for n, a in enumerate(of_cosines.tolist()) if n]
                 series.setdefault(tuple(four), []).extend(terms)
     highest = max((n for terms in series.values() for n, *_ in terms), default=0)
-    coefficients = np.zeros((len(series), 2, highest))
-    for row, terms in zip(coefficients, series.values(), strict=True):
+    coefficients = np.zeros((2, highest, len(series)))
+    for row, terms in enumerate(series.values()):
         for n, a, b in terms:
             if n:  # a constant has no force
-                row[:, n - 1] += a, b
+                coefficients[:, n - 1, row] += a, b
     return np.array(list(series), dtype=np.int64).reshape(-1, 4), coefficients

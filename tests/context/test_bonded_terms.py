@@ -10,7 +10,7 @@ from openmm_exactrb.context.bonded_terms import terms_of
 
 pytest.importorskip("numba")
 RNG = np.random.default_rng(5)
-N = 12
+N = 140  # more terms than two blocks of the kernel have
 
 
 def bonds():

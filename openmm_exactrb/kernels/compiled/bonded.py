@@ -1,89 +1,153 @@
 """Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms, compiled.
 
-Angles follow from atan2, which keeps its digits everywhere. The gradient of a torsion is that of A. Blondel and
-M. Karplus, J. Comput. Chem. 17, 1132 (1996), doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
+Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed in blocks, one in each lane,
+by loops that become vector instructions: positions are gathered, the forces of -dV/d(coordinate) = 1 take their place,
+and these are scaled and added to the forces on the particles.
+
+The gradient of a torsion is that of A. Blondel and M. Karplus, J. Comput. Chem. 17, 1132 (1996),
+doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
 """
 
 from __future__ import annotations
 
 import math
 
-from openmm_exactrb.kernels.build import compiled, inner, inner_reordered
+import numpy as np
+
+from openmm_exactrb.kernels.build import compiled, inlined, inner, inner_reordered
 
 _CIRCLE = 2.0 * math.pi
+#: Terms in a block. Rows of `lanes` (17, 64) are three for each of up to four particles, the factor of their forces,
+#: and what it follows from: the cosine and sine of an angle and of its multiples.
+_BLOCK, _ROWS = 64, 17
+_FACTOR, _COS, _SIN, _COS_N, _SIN_N = 12, 13, 14, 15, 16
 
 
-@inner
-def _difference(x, i, j):
-    return x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
-
-
-@inner_reordered
+@inlined
 def _dot(u, v):
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
-@inner_reordered
+@inlined
 def _cross(u, v):
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
-@inner
-def _add(out, i, f, u):
-    for e in range(3):
-        out[i, e] += f * u[e]
+@inlined
+def _sum(u, v):
+    return u[0] + v[0], u[1] + v[1], u[2] + v[2]
 
 
-@inner
-def _act(out, i, j, f, u):
-    """Add a force f u on i, and its reaction on j."""
-    _add(out, i, f, u)
-    _add(out, j, -f, u)
+@inlined
+def _scaled(f, u):
+    return f * u[0], f * u[1], f * u[2]
 
 
-@inner
-def _torsion(x, four):
-    """Return (cos phi, sin phi) of a torsion, and what `_twist` takes."""
-    i, j, k, m = four
-    first, axis, last = _difference(x, i, j), _difference(x, j, k), _difference(x, m, k)
-    a, b, g = _cross(first, axis), _cross(last, axis), math.sqrt(_dot(axis, axis))
-    aa, bb = _dot(a, a), _dot(b, b)
-    scale = 1.0 / math.sqrt(aa * bb)
-    turn = (scale * _dot(a, b), scale / g * _dot(_cross(b, a), axis))
-    along = _dot(first, axis) / (aa * g), _dot(last, axis) / (bb * g)
-    return turn, (a, b, g / aa, g / bb, along)
+@inlined
+def _difference(x, i, j):
+    return x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
 
 
-@inner
-def _twist(out, four, f, arms):
-    """Add the forces of a torsion with -dV/dphi = f."""
-    (i, j, k, m), (a, b, of_a, of_b, along) = four, arms
-    _act(out, i, j, -f * of_a, a)
-    _act(out, m, k, f * of_b, b)
-    _act(out, j, k, f * along[0], a)
-    _act(out, j, k, -f * along[1], b)
+@inlined
+def _between(lanes, l, i, j):
+    """Return the vector from the j-th particle of a term to the i-th one."""
+    i, j = 3 * i, 3 * j
+    return lanes[i, l] - lanes[j, l], lanes[i + 1, l] - lanes[j + 1, l], lanes[i + 2, l] - lanes[j + 2, l]
 
 
-@inner
-def _of_torsion(turn, coefficients):
-    """Return -dV/dphi of V = sum_n (a_n cos(n phi) + b_n sin(n phi)) at the unit vector (cos phi, sin phi)."""
-    (c, s), (a, b), force = turn, coefficients, 0.0
-    cn, sn = c, s
-    for n in range(len(a)):
-        force += (n + 1) * (a[n] * sn - b[n] * cn)
-        cn, sn = cn * c - sn * s, sn * c + cn * s
-    return force
+@inlined
+def _put(lanes, l, i, u):
+    """Put a force on the i-th particle of a term in the place of its position."""
+    lanes[3 * i, l], lanes[3 * i + 1, l], lanes[3 * i + 2, l] = u
 
 
-@inner
-def _patch(turn, size):
+@inlined
+def _gather(x, members, begin, count, column, n, lanes):
+    """Put the positions of the n particles of terms, whose numbers begin in a column, into lanes."""
+    for l in range(count):
+        for i in range(n):
+            particle = np.uint64(members[begin + l, column + i])  # which cannot count from the end
+            for e in range(3):
+                lanes[3 * i + e, l] = x[particle, e]
+
+
+@inlined
+def _scatter(lanes, members, begin, count, column, n, out):
+    """Add the forces in lanes, times their factors, to those on particles."""
+    for l in range(count):
+        f = lanes[_FACTOR, l]
+        for i in range(n):
+            particle = np.uint64(members[begin + l, column + i])
+            for e in range(3):
+                out[particle, e] += f * lanes[3 * i + e, l]
+
+
+@inlined
+def _angles(lanes, count):
+    """Find the sines and cosines of angles, times the lengths of both sides, and forces."""
+    for l in range(count):
+        u, v = _between(lanes, l, 0, 1), _between(lanes, l, 2, 1)
+        normal = _cross(u, v)
+        sine = max(math.sqrt(_dot(normal, normal)), 1e-12)
+        lanes[_COS, l], lanes[_SIN, l] = _dot(u, v), sine
+        of_u = _scaled(1.0 / (sine * _dot(u, u)), _cross(u, normal))
+        of_v = _scaled(1.0 / (sine * _dot(v, v)), _cross(normal, v))
+        _put(lanes, l, 0, of_u)
+        _put(lanes, l, 1, _scaled(-1.0, _sum(of_u, of_v)))
+        _put(lanes, l, 2, of_v)
+
+
+@inlined
+def _torsions(lanes, count):
+    """Find the cosines and sines of torsions, and forces."""
+    for l in range(count):
+        first, axis, last = _between(lanes, l, 0, 1), _between(lanes, l, 1, 2), _between(lanes, l, 3, 2)
+        a, b, g = _cross(first, axis), _cross(last, axis), math.sqrt(_dot(axis, axis))
+        aa, bb = _dot(a, a), _dot(b, b)
+        scale = 1.0 / math.sqrt(aa * bb)
+        lanes[_COS, l], lanes[_SIN, l] = scale * _dot(a, b), scale / g * _dot(_cross(b, a), axis)
+        of_first, of_last = _scaled(-g / aa, a), _scaled(g / bb, b)
+        of_axis = _sum(_scaled(_dot(first, axis) / (aa * g), a), _scaled(-_dot(last, axis) / (bb * g), b))
+        _put(lanes, l, 0, of_first)
+        _put(lanes, l, 1, _sum(of_axis, _scaled(-1.0, of_first)))
+        _put(lanes, l, 2, _scaled(-1.0, _sum(of_axis, of_last)))
+        _put(lanes, l, 3, of_last)
+
+
+@inlined
+def _series(lanes, begin, count, coefficients):
+    """Find the factors -dV/dphi of V = sum_n (a_n cos(n phi) + b_n sin(n phi))."""
+    for l in range(count):
+        lanes[_FACTOR, l], lanes[_COS_N, l], lanes[_SIN_N, l] = 0.0, lanes[_COS, l], lanes[_SIN, l]
+    for n in range(coefficients.shape[1]):
+        for l in range(count):
+            c, s, cn, sn = lanes[_COS, l], lanes[_SIN, l], lanes[_COS_N, l], lanes[_SIN_N, l]
+            a, b = coefficients[0, n, begin + l], coefficients[1, n, begin + l]
+            lanes[_FACTOR, l] += (n + 1) * (a * sn - b * cn)
+            lanes[_COS_N, l], lanes[_SIN_N, l] = cn * c - sn * s, sn * c + cn * s
+
+
+@inlined
+def _turn(c, s):
+    """Return atan2(s, c): the tangent of a sixteenth of it is below 0.2, where the series of atan is short."""
+    t = s / max(math.sqrt(c * c + s * s) + c, 1e-300)
+    for _ in range(3):
+        t = t / (1.0 + math.sqrt(1.0 + t * t))
+    tt, total = t * t, 0.0
+    for k in range(10, -1, -1):
+        total = (1.0 if k % 2 == 0 else -1.0) / (2 * k + 1) + tt * total
+    return 16.0 * t * total
+
+
+@inlined
+def _patch(c, s, size):
     """Return which of so many parts of the circle an angle is in, and how far; the first part if it is nan."""
-    angle = math.atan2(turn[1], turn[0]) % _CIRCLE
+    angle = math.atan2(s, c) % _CIRCLE
     part = max(0, min(int(angle / _CIRCLE * size), size - 1))
     return part, angle - part * (_CIRCLE / size)
 
 
-@inner
+@inlined
 def _of_map(patch, u, v):
     """Return -dV/du and -dV/dv of V = sum_kl c_kl u^(3-k) v^(3-l)."""
     energy, of_u, of_v = 0.0, 0.0, 0.0
@@ -96,6 +160,93 @@ def _of_map(patch, u, v):
         energy = energy * u + row
         of_v = of_v * u + slope
     return -of_u, -of_v
+
+
+@inlined
+def _act(out, i, j, f, u):
+    """Add a force f u on i, and its reaction on j."""
+    for e in range(3):
+        out[i, e] += f * u[e]
+    for e in range(3):
+        out[j, e] -= f * u[e]
+
+
+@inner
+def _add_bonds(x, bonds, of_bonds, out):
+    for n in range(len(bonds)):
+        i, j = bonds[n]
+        u = _difference(x, i, j)
+        r = math.sqrt(_dot(u, u))
+        if r != 0.0:  # a bond of no length has no direction: OpenMM has no force there either
+            _act(out, i, j, of_bonds[1, n] * (of_bonds[0, n] - r) / r, u)
+
+
+@inner
+def _add_pairs(x, pairs, of_pairs, out):
+    for n in range(len(pairs)):
+        i, j = pairs[n]
+        u = _difference(x, i, j)
+        square = _dot(u, u)
+        s = of_pairs[1, n] * of_pairs[1, n] / square
+        s *= s * s
+        f = of_pairs[0, n] / math.sqrt(square) + of_pairs[2, n] * (48.0 * s - 24.0) * s
+        _act(out, i, j, f / square, u)
+
+
+@inner_reordered
+def _add_angles(x, angles, of_angles, out):
+    lanes = np.empty((_ROWS, _BLOCK))
+    for n in range(0, len(angles), _BLOCK):
+        count = min(_BLOCK, len(angles) - n)
+        _gather(x, angles, n, count, 0, 3, lanes)
+        _angles(lanes, count)
+        for l in range(count):
+            c, s, a, b = lanes[_COS, l], lanes[_SIN, l], of_angles[0, n + l], of_angles[1, n + l]
+            lanes[_FACTOR, l] = of_angles[2, n + l] * _turn(a * c + b * s, b * c - a * s)
+        _scatter(lanes, angles, n, count, 0, 3, out)
+
+
+@inner_reordered
+def _add_torsions(x, torsions, of_torsions, out):
+    lanes = np.empty((_ROWS, _BLOCK))
+    for n in range(0, len(torsions), _BLOCK):
+        count = min(_BLOCK, len(torsions) - n)
+        _gather(x, torsions, n, count, 0, 4, lanes)
+        _torsions(lanes, count)
+        _series(lanes, n, count, of_torsions)
+        _scatter(lanes, torsions, n, count, 0, 4, out)
+
+
+@inner_reordered
+def _add_impropers(x, impropers, of_impropers, out):
+    lanes = np.empty((_ROWS, _BLOCK))
+    for n in range(0, len(impropers), _BLOCK):
+        count = min(_BLOCK, len(impropers) - n)
+        _gather(x, impropers, n, count, 0, 4, lanes)
+        _torsions(lanes, count)
+        for l in range(count):
+            away = math.atan2(lanes[_SIN, l], lanes[_COS, l]) - of_impropers[0, n + l]
+            away -= of_impropers[2, n + l] * round(away / of_impropers[2, n + l])
+            lanes[_FACTOR, l] = -2.0 * of_impropers[1, n + l] * away
+        _scatter(lanes, impropers, n, count, 0, 4, out)
+
+
+@inner_reordered
+def _add_maps(x, maps, patches, out):
+    lanes, others = np.empty((_ROWS, _BLOCK)), np.empty((_ROWS, _BLOCK))
+    for n in range(0, len(maps), _BLOCK):
+        count = min(_BLOCK, len(maps) - n)
+        _gather(x, maps, n, count, 0, 4, lanes)
+        _gather(x, maps, n, count, 4, 4, others)
+        _torsions(lanes, count)
+        _torsions(others, count)
+        for l in range(count):
+            first, size = maps[n + l, 8], maps[n + l, 9]
+            s, u = _patch(lanes[_COS, l], lanes[_SIN, l], size)
+            t, v = _patch(others[_COS, l], others[_SIN, l], size)
+            lanes[_FACTOR, l], others[_FACTOR, l] = _of_map(patches[first + s * size + t], u, v)
+        _scatter(lanes, maps, n, count, 0, 4, out)
+        _scatter(others, maps, n, count, 4, 4, out)
 
 
 @compiled("f2 i2 f2 i2 f2 i2 f3 i2 f2 i2 f2 i2 f3 F2")
@@ -117,45 +268,16 @@ def forces(
 ):
     """Write the forces (n, 3) in kJ/mol/nm on particles at x (n, 3) in nm.
 
-    `of_bonds` (., 2) are lengths and strengths, `of_angles` (., 2) angles and strengths, `of_torsions` (., 2, N) the
-    coefficients of cosines and sines, `of_pairs` (., 3) products of charges in kJ nm/mol, sigmas and epsilons,
-    `of_impropers` (., 3) angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's formulas have it. `maps`
-    (., 10) are the particles of two torsions, the first patch of a map and how many it has in each direction; `patches`
-    (., 4, 4) the coefficients of bicubic polynomials, highest powers first.
+    `of_bonds` (2, .) are lengths and strengths, `of_angles` (3, .) cosines and sines of angles, and strengths,
+    `of_torsions` (2, N, .) the coefficients of cosines and sines, `of_pairs` (3, .) products of charges in kJ nm/mol,
+    sigmas and epsilons, `of_impropers` (3, .) angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's
+    formulas have it. `maps` (., 10) are the particles of two torsions, the first patch of a map and how many it has in
+    each direction; `patches` (., 4, 4) the coefficients of bicubic polynomials, highest powers first.
     """
     out[:] = 0.0
-    for n in range(len(bonds)):
-        i, j = bonds[n]
-        u = _difference(x, i, j)
-        r = math.sqrt(_dot(u, u))
-        if r != 0.0:  # a bond of no length has no direction: OpenMM has no force there either
-            _act(out, i, j, of_bonds[n, 1] * (of_bonds[n, 0] - r) / r, u)
-    for n in range(len(pairs)):
-        i, j = pairs[n]
-        u = _difference(x, i, j)
-        square = _dot(u, u)
-        s = (of_pairs[n, 1] * of_pairs[n, 1] / square) ** 3
-        _act(out, i, j, (of_pairs[n, 0] / math.sqrt(square) + of_pairs[n, 2] * (48.0 * s - 24.0) * s) / square, u)
-    for n in range(len(angles)):
-        i, j, k = angles[n]
-        u, v = _difference(x, i, j), _difference(x, k, j)
-        normal = _cross(u, v)
-        sine = max(math.sqrt(_dot(normal, normal)), 1e-12)
-        f = of_angles[n, 1] * (of_angles[n, 0] - math.atan2(sine, _dot(u, v))) / sine
-        _act(out, i, j, f / _dot(u, u), _cross(u, normal))
-        _act(out, k, j, f / _dot(v, v), _cross(normal, v))
-    for n in range(len(torsions)):
-        turn, arms = _torsion(x, torsions[n])
-        _twist(out, torsions[n], _of_torsion(turn, (of_torsions[n, 0], of_torsions[n, 1])), arms)
-    for n in range(len(impropers)):
-        turn, arms = _torsion(x, impropers[n])
-        away = math.atan2(turn[1], turn[0]) - of_impropers[n, 0]
-        away -= of_impropers[n, 2] * round(away / of_impropers[n, 2])
-        _twist(out, impropers[n], -2.0 * of_impropers[n, 1] * away, arms)
-    for n in range(len(maps)):
-        one, two, first, size = maps[n, :4], maps[n, 4:8], maps[n, 8], maps[n, 9]
-        (turn, arms), (other, others) = _torsion(x, one), _torsion(x, two)
-        (s, u), (t, v) = _patch(turn, size), _patch(other, size)
-        f, g = _of_map(patches[first + s * size + t], u, v)
-        _twist(out, one, f, arms)
-        _twist(out, two, g, others)
+    _add_bonds(x, bonds, of_bonds, out)
+    _add_pairs(x, pairs, of_pairs, out)
+    _add_angles(x, angles, of_angles, out)
+    _add_torsions(x, torsions, of_torsions, out)
+    _add_impropers(x, impropers, of_impropers, out)
+    _add_maps(x, maps, patches, out)
