@@ -57,7 +57,7 @@ def _between(lanes, l, i, j):
 
 @inlined
 def _put(lanes, l, i, u):
-    """Put a force on the i-th particle of a term in the place of its position."""
+    """Write a force on the i-th particle of a term over its position."""
     lanes[3 * i, l], lanes[3 * i + 1, l], lanes[3 * i + 2, l] = u
 
 
