@@ -28,11 +28,12 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from device import FORCE_FIELD
 from one_line import SMOOTH, TEMPERATURE, box, simulation_of, start_of, system_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.files import written_whole
 from peptide import PEPTIDE
-from protein import FORCE_FIELD, solvated_helix
+from protein import solvated_helix
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "default_energies.csv"
 MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}

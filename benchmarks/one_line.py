@@ -29,8 +29,8 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from device import solvated
-from protein import FORCE_FIELD, solvated_helix
+from device import FORCE_FIELD, solvated
+from protein import solvated_helix
 
 STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
 PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Integrator]]] = {

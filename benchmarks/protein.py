@@ -22,9 +22,9 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from device import FORCE_FIELD
 from water import OUT, energy_noise
 
-FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
 #: Scheme and options: bonded forces and pairs three bonds apart are nested unless they say otherwise.
 METHODS = {
     "Verlet": None,

@@ -33,13 +33,13 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from device import FORCE_FIELD
 from group_temperatures import Groups
 from one_line import simulation_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
 from peptide import PEPTIDE
-from protein import FORCE_FIELD
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -62,13 +62,18 @@ def _put(lanes, l, i, u):
 
 
 @inlined
-def _gather(x, members, begin, count, column, n, lanes):
-    """Put the positions of the n particles of terms, whose numbers begin in a column, into lanes."""
+def _gather(x, members, begin, column, n, lanes):
+    """Put the positions of the n particles of a block of terms into lanes, and return how many terms it has.
+
+    Their numbers begin in a column of `members`, and the block in a row.
+    """
+    count = min(_BLOCK, len(members) - begin)
     for l in range(count):
         for i in range(n):
             particle = np.uint64(members[begin + l, column + i])  # which cannot count from the end
             for e in range(3):
                 lanes[3 * i + e, l] = x[particle, e]
+    return count
 
 
 @inlined
@@ -83,8 +88,9 @@ def _scatter(lanes, members, begin, count, column, n, out):
 
 
 @inlined
-def _angles(lanes, count):
-    """Find the sines and cosines of angles, times the lengths of both sides, and forces."""
+def _angles(x, angles, begin, lanes):
+    """Find the sines and cosines of a block of angles, times the lengths of both sides, and forces."""
+    count = _gather(x, angles, begin, 0, 3, lanes)
     for l in range(count):
         u, v = _between(lanes, l, 0, 1), _between(lanes, l, 2, 1)
         normal = _cross(u, v)
@@ -95,11 +101,13 @@ def _angles(lanes, count):
         _put(lanes, l, 0, of_u)
         _put(lanes, l, 1, _scaled(-1.0, _sum(of_u, of_v)))
         _put(lanes, l, 2, of_v)
+    return count
 
 
 @inlined
-def _torsions(lanes, count):
-    """Find the cosines and sines of torsions, and forces."""
+def _torsions(x, torsions, begin, column, lanes):
+    """Find the cosines and sines of a block of torsions, and forces."""
+    count = _gather(x, torsions, begin, column, 4, lanes)
     for l in range(count):
         first, axis, last = _between(lanes, l, 0, 1), _between(lanes, l, 1, 2), _between(lanes, l, 3, 2)
         a, b, g = _cross(first, axis), _cross(last, axis), math.sqrt(_dot(axis, axis))
@@ -112,6 +120,7 @@ def _torsions(lanes, count):
         _put(lanes, l, 1, _sum(of_axis, _scaled(-1.0, of_first)))
         _put(lanes, l, 2, _scaled(-1.0, _sum(of_axis, of_last)))
         _put(lanes, l, 3, of_last)
+    return count
 
 
 @inlined
@@ -197,9 +206,7 @@ def _add_pairs(x, pairs, of_pairs, out):
 def _add_angles(x, angles, of_angles, out):
     lanes = np.empty((_ROWS, _BLOCK))
     for n in range(0, len(angles), _BLOCK):
-        count = min(_BLOCK, len(angles) - n)
-        _gather(x, angles, n, count, 0, 3, lanes)
-        _angles(lanes, count)
+        count = _angles(x, angles, n, lanes)
         for l in range(count):
             c, s, a, b = lanes[_COS, l], lanes[_SIN, l], of_angles[0, n + l], of_angles[1, n + l]
             lanes[_FACTOR, l] = of_angles[2, n + l] * _turn(a * c + b * s, b * c - a * s)
@@ -210,9 +217,7 @@ def _add_angles(x, angles, of_angles, out):
 def _add_torsions(x, torsions, of_torsions, out):
     lanes = np.empty((_ROWS, _BLOCK))
     for n in range(0, len(torsions), _BLOCK):
-        count = min(_BLOCK, len(torsions) - n)
-        _gather(x, torsions, n, count, 0, 4, lanes)
-        _torsions(lanes, count)
+        count = _torsions(x, torsions, n, 0, lanes)
         _series(lanes, n, count, of_torsions)
         _scatter(lanes, torsions, n, count, 0, 4, out)
 
@@ -221,9 +226,7 @@ def _add_torsions(x, torsions, of_torsions, out):
 def _add_impropers(x, impropers, of_impropers, out):
     lanes = np.empty((_ROWS, _BLOCK))
     for n in range(0, len(impropers), _BLOCK):
-        count = min(_BLOCK, len(impropers) - n)
-        _gather(x, impropers, n, count, 0, 4, lanes)
-        _torsions(lanes, count)
+        count = _torsions(x, impropers, n, 0, lanes)
         for l in range(count):
             away = math.atan2(lanes[_SIN, l], lanes[_COS, l]) - of_impropers[0, n + l]
             away -= of_impropers[2, n + l] * round(away / of_impropers[2, n + l])
@@ -235,11 +238,8 @@ def _add_impropers(x, impropers, of_impropers, out):
 def _add_maps(x, maps, patches, out):
     lanes, others = np.empty((_ROWS, _BLOCK)), np.empty((_ROWS, _BLOCK))
     for n in range(0, len(maps), _BLOCK):
-        count = min(_BLOCK, len(maps) - n)
-        _gather(x, maps, n, count, 0, 4, lanes)
-        _gather(x, maps, n, count, 4, 4, others)
-        _torsions(lanes, count)
-        _torsions(others, count)
+        count = _torsions(x, maps, n, 0, lanes)
+        _torsions(x, maps, n, 4, others)
         for l in range(count):
             first, size = maps[n + l, 8], maps[n + l, 9]
             s, u = _patch(lanes[_COS, l], lanes[_SIN, l], size)
