@@ -7,25 +7,34 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+from openmm_exactrb.context.platforms import DEVICES, platforms
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 # A scheme for each structure of rows: kick first, drift first, displaced places, a processor, and both of these.
 STRUCTURES = ("V2", "PEFRL", "Chin4A", "V2_C17", "W4_4")
 
 
-def opencl():
-    """Return the OpenCL platform where there is a device for it, else skip."""
-    names = [openmm.Platform.getPlatform(i).getName() for i in range(openmm.Platform.getNumPlatforms())]
-    if "OpenCL" not in names:
-        pytest.skip("OpenMM has no OpenCL platform here")
-    platform = openmm.Platform.getPlatform("OpenCL")
+def gpu_platform(names=DEVICES):
+    """Return the first platform of these that has a device here: a GPU, or a CPU for OpenCL. Skip if there is none."""
+    present = {platform.getName(): platform for platform in platforms()}
     system = openmm.System()
     system.addParticle(1.0)
-    try:
-        openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
-    except openmm.OpenMMException as error:
-        pytest.skip(f"no OpenCL device: {error}")
-    return platform
+    missing = []
+    for name in names:
+        try:
+            openmm.Context(system, openmm.VerletIntegrator(0.001), present[name])
+        except KeyError:
+            missing.append(f"OpenMM has no platform {name}")
+        except openmm.OpenMMException as error:
+            missing.append(f"no device for {name}: {error}")
+        else:
+            return present[name]
+    return pytest.skip("; ".join(missing))
+
+
+def opencl():
+    """Return the OpenCL platform where there is a device for it, else skip."""
+    return gpu_platform(["OpenCL"])
 
 
 def context_of(system, positions, engine, *, platform=REFERENCE, precision=None, kelvin=300.0, h=0.001, **options):

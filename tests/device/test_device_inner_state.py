@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import openmm
 import pytest
-from devices import REFERENCE, context_of, opencl, pair, shown, stepped
+from devices import REFERENCE, context_of, gpu_platform, pair, shown, stepped
 from openmm import app
 
 import openmm_exactrb as rb
@@ -56,8 +56,8 @@ def test_a_simulation_costs_what_the_name_of_the_scheme_says(scheme, most, remov
 
 
 @pytest.mark.opencl
-def test_opencl_costs_the_same_and_shows_what_the_host_shows(water):
-    platform, (_, system, positions), scheme = opencl(), water, "W2_1"
+def test_a_device_costs_the_same_and_shows_what_the_host_shows(water):
+    platform, (_, system, positions), scheme = gpu_platform(), water, "W2_1"
     simulation = simulation_of(*water, scheme, platform, {"Precision": "double"})
     host = context_of(system, positions, "host", scheme=scheme, h=step_of(scheme))
     simulation.step(10)

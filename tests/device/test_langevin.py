@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import openmm
 import pytest
-from devices import REFERENCE, all_kinds, opencl, shown, stepped
+from devices import REFERENCE, all_kinds, gpu_platform, shown, stepped
 
 import openmm_exactrb as rb
 from openmm_exactrb.device.noise import GENERATORS, draws, streams
@@ -276,7 +276,7 @@ def test_molecules_in_a_trap_and_a_field_have_their_exact_distributions(scheme):
     for i in range(system.getNumParticles()):
         force.addParticle(i, [system.getParticleMass(i)._value, (-2.0, 1.0, 1.0)[i % 3] * 50.0])
     system.addForce(force)
-    context = langevin(system, positions, 8.0, h=0.005, platform=opencl(), precision="mixed", scheme=scheme)
+    context = langevin(system, positions, 8.0, h=0.005, platform=gpu_platform(), precision="mixed", scheme=scheme)
     integrator = context.getIntegrator()
     integrator.step(200)
     places, along = [], []

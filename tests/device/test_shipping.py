@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import openmm
 import pytest
-from devices import REFERENCE, context_of, opencl, shown, stepped
+from devices import REFERENCE, context_of, gpu_platform, shown, stepped
 
 import openmm_exactrb as rb
 from peptides import in_water
@@ -64,12 +64,13 @@ def test_a_peptide_with_inner_steps_in_plain_openmm(tmp_path):
 
 
 @pytest.mark.opencl
-def test_plain_openmm_on_opencl(tmp_path):
+def test_plain_openmm_on_a_device(tmp_path):
     _, system, positions = rb.rigid_water(27)
-    context = context_of(system, positions, "device", platform=opencl(), precision="double", scheme="S2_2")
+    platform = gpu_platform()
+    context = context_of(system, positions, "device", platform=platform, precision="double", scheme="S2_2")
     context.getIntegrator().step(3)
     written(context, tmp_path)
-    there, here = continued(tmp_path, "OpenCL", "double", 5), stepped(context, 5)
+    there, here = continued(tmp_path, platform.getName(), "double", 5), stepped(context, 5)
     np.testing.assert_array_equal(there, here)
 
 
@@ -77,10 +78,11 @@ def test_plain_openmm_on_opencl(tmp_path):
 def test_dipoles_with_a_cutoff_in_plain_openmm(tmp_path):
     """In a box, where a new Context wraps molecules and sorts them again, which rounds otherwise."""
     _, system, positions = rb.dipole_fluid(64, kernel="openmm", boundary=rb.ReactionField(cutoff=1.5), density=0.4)
-    context = context_of(system, positions, "device", platform=opencl(), precision="double", scheme="S2_2")
+    platform = gpu_platform()
+    context = context_of(system, positions, "device", platform=platform, precision="double", scheme="S2_2")
     context.getIntegrator().step(3)
     written(context, tmp_path)
-    there, here = continued(tmp_path, "OpenCL", "double", 5), stepped(context, 5)
+    there, here = continued(tmp_path, platform.getName(), "double", 5), stepped(context, 5)
     np.testing.assert_allclose(there[0], here[0], rtol=0.0, atol=1e-7)  # virtual sites: OpenMM's constraints
 
 

@@ -1,11 +1,11 @@
-"""The program of the device on OpenCL, a processor's own (PoCL) where there is no other."""
+"""The program of the device on CUDA, HIP or OpenCL; on OpenCL of the processor (PoCL) where there is no GPU."""
 
 import copy
 
 import numpy as np
 import openmm
 import pytest
-from devices import REFERENCE, all_kinds, context_of, opencl, pair, seeded, shown, stepped
+from devices import REFERENCE, all_kinds, context_of, gpu_platform, pair, seeded, shown, stepped
 from openmm import app, unit
 
 import openmm_exactrb as rb
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.opencl
 
 @pytest.fixture(scope="module")
 def platform():
-    return opencl()
+    return gpu_platform()
 
 
 def boxed(n, method=app.CutoffPeriodic, **options):
