@@ -43,7 +43,7 @@ def without_thermostat(name: str) -> Scheme:
 
 def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n: int) -> list[openmm.State]:
     """Return canonical States."""
-    integrator = protein_steps.integrator_of("W2_3m", 0.004, 5.0)
+    integrator = protein_steps.integrator_of("W2_3m", 0.004, "5.0")
     integrator.setRandomNumberSeed(1)
     run = simulation_of(topology, system, integrator, begin)
     run.context.applyConstraints(1e-9)

@@ -12,6 +12,7 @@ not run again, so that the command continues where it stopped and the record gro
     python benchmarks/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
     python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10
     python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --ensemble NPT
+    python benchmarks/protein_steps.py --integrators W2_3m --fs 8 --masses all --friction 1:10
     python benchmarks/protein_steps.py --integrators "W2_3m CUDA" --fs 8 --masses all
     python benchmarks/protein_steps.py --finished
 """
@@ -224,13 +225,24 @@ def diffusion(centres: list[np.ndarray], lag: float) -> float:
     return float((squares[1] - squares[0]) / (6.0 * (long - short) * lag) * 1e3)
 
 
-def integrator_of(name: str, interval: float, friction: float, temperature: float = TEMPERATURE) -> openmm.Integrator:
-    """Return what evaluates the nonbonded forces every `interval` ps."""
-    if name in OPENMM:
-        return OPENMM[name](temperature, friction, interval)
+def frictions(text: str) -> str:
+    """Return the friction (1/ps) of all molecules, or those of water and solute, as the record has them."""
+    return ":".join(str(float(part)) for part in text.split(":", 1))
+
+
+def integrator_of(name: str, interval: float, friction: str, temperature: float = TEMPERATURE) -> openmm.Integrator:
+    """Return what evaluates the nonbonded forces every `interval` ps, with the frictions that a record has."""
     scheme, _, device = name.partition(" ")
+    of_all, *of_solute = map(float, friction.split(":"))
+    if scheme in OPENMM:
+        if of_solute:
+            raise SystemExit(f"{scheme} has one friction for all molecules, not {friction}")
+        return OPENMM[scheme](temperature, of_all, interval)
     step, engine = splitting(scheme).forces * interval, "device" if device else "host"
-    return rb.ExactRigidBodyLangevinIntegrator(temperature, friction, step, scheme=scheme, engine=engine)
+    own = of_solute[0] if of_solute else None
+    return rb.ExactRigidBodyLangevinIntegrator(
+        temperature, of_all, step, scheme=scheme, engine=engine, flexibleFriction=own
+    )
 
 
 def means_of(
@@ -239,7 +251,7 @@ def means_of(
     masses: str,
     constraints: str,
     fs: float,
-    friction: float,
+    friction: str,
     ensemble: str,
     picoseconds: float,
     seed: int,
@@ -378,12 +390,13 @@ def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
     add("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
-    which = 'LangevinMiddle, or splittings; "W2_3m CUDA" is made by the device engine on that platform'
+    which = 'LangevinMiddle, or splittings; "W2_3m CUDA" runs on that platform'
     add("--integrators", nargs="+", default=["LangevinMiddle", "W2_3m"], help=which)
     add("--masses", nargs="+", choices=["plain", "solute", "all"], default=["all"], help="whose hydrogens have 3 amu")
     add("--constraints", choices=["HBonds", "AllBonds"], default="HBonds", help="%(default)s")
     add("--fs", nargs="+", type=float, default=[2.0, 4.0, 6.0, 8.0, 10.0], help="between two nonbonded forces")
-    add("--friction", nargs="+", type=float, default=[5.0], metavar="1/PS")
+    of_two = "of all molecules, or those of water and solute (%(default)s)"
+    add("--friction", nargs="+", type=frictions, default=["5.0"], metavar="1/PS[:1/PS]", help=of_two)
     add("--ensemble", choices=["NVT", "NPT"], default="NVT", help="NPT at 1 bar (%(default)s)")
     add("--runs", type=int, default=10, help="runs a point, each with its own seed (%(default)s)")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
 from openmm_exactrb import checks
+from openmm_exactrb.context.molecules import molecule_of
 from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.images import joined
@@ -199,14 +200,7 @@ def _refuse_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
         )
 
 
-def _molecules(simulation: Any) -> NDArray[np.integer[Any]]:
-    """Return the index of the molecule of each particle; bodies named by hand join molecules."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    integrator, n = simulation.integrator, simulation.system.getNumParticles()
+def _molecules(simulation: Any) -> NDArray[np.intp]:
+    integrator = simulation.integrator
     named = integrator.getNamedBodies() if isinstance(integrator, ExactRigidBodyIntegrator) else None
-    groups = [*simulation.context.getMolecules(), *(named or [])]
-    pairs = np.array([(group[0], member) for group in groups for member in group])
-    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(n, n))
-    return np.asarray(connected_components(graph, directed=False)[1])
+    return molecule_of(simulation.context, named)

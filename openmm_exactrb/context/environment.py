@@ -65,6 +65,8 @@ class ContextEnvironment:
         Those of kicks, and those of all force groups that act.
     numbers : Numbers
         Persistent numbers that substeps change.
+    flexible : callable
+        ``flexible()`` returns which bodies (N,) are in molecules of more than one body.
     key : int
         Of the random numbers of a call.
     around : (State, State) or None
@@ -83,6 +85,7 @@ class ContextEnvironment:
     settings: Settings
     positions: Positions
     memory: Memory
+    flexible: Callable[[], NDArray[np.bool_]]
     key: int = 0
     around: tuple[State, State] | None = None
 

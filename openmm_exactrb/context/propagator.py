@@ -22,6 +22,7 @@ from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.environment import ContextEnvironment, Settings
 from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
 from openmm_exactrb.context.inner_drift import InnerDrift, free_motion
+from openmm_exactrb.context.molecules import in_flexible_molecules
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
@@ -103,7 +104,7 @@ class Propagator:
         self.updates = ContextUpdates(context, named or [])
         self._updates_act = self.updates.act
         self._conserves = conserve_energy(context.getSystem())
-        self._timings, self._integrator = timings, weakref.ref(integrator)
+        self._timings, self._integrator, self._named = timings, weakref.ref(integrator), named
         self._positions = Positions(context, self.sync.bodies, self.sync.particles)
         self._kinetic = free_motion(self.sync.bodies, rotor)
         found = fast_forces(context.getSystem(), self.sync.bodies, fast)
@@ -271,6 +272,7 @@ class Propagator:
             settings,
             self._positions,
             self._memory,
+            lambda: in_flexible_molecules(sync.context, bodies, self._named),
         )
         step = canonical_momenta(scheme.sequence) if kinetic.partial else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)

@@ -28,7 +28,7 @@ SHOWN, INNER = "", "inner_"
 _STORED = "stored"
 _NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
 #: What the program of a device has as its first number.
-FROM_DEVICE = 3.0
+FROM_DEVICE = 4.0
 #: The mark of the coordinates of the inner state, 0 if there is none, and how many forces and differences of displaced
 #: ones are remembered with it.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"

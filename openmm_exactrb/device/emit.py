@@ -62,7 +62,8 @@ def declare(integrator: openmm.CustomIntegrator, layout: Layout) -> None:
         program.number(names.PACE, f"1/{names.TURNS}")
         program.let("shape", f"vector(_x(shape),_y(shape),{names.PACE})")
         if table.has_thermostat:
-            program.let(names.THERMOSTAT, f"vector({names.FRICTION},{names.TURNING_FRICTION},{names.KT})")
+            one, other = (f"vector({','.join(of)},{names.KT})" for of in (names.FLEXIBLE_FRICTIONS, names.FRICTIONS))
+            program.let(names.THERMOSTAT, f"select({names.FLEXIBLE},{one},{other})")
         if table.continues:
             _keep_or_return(program)
         program.number(names.CHANGED, "0.0")
@@ -97,8 +98,8 @@ def _declare_variables(program: Program) -> None:
     if table.continues:
         program.vectors(*names.INNER, names.LAG, *(name for k in range(sum(table.memory)) for name in names.last(k)))
     if table.has_thermostat:
-        program.vectors(names.THERMOSTAT, *names.STREAMS)
-        program.numbers(0.0, names.KT, names.FRICTION, names.TURNING_FRICTION, names.SEEDED)
+        program.vectors(names.THERMOSTAT, *names.STREAMS, names.FLEXIBLE)
+        program.numbers(0.0, names.KT, *names.FRICTIONS, *names.FLEXIBLE_FRICTIONS, names.SEEDED, names.FLAGGED)
     for name, column in zip(names.TABLES, table.columns(), strict=True):
         program.integrator.addTabulatedFunction(name, openmm.Discrete1DFunction(column))
 

@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.environment import Settings
+from openmm_exactrb.context.molecules import in_flexible_molecules
 from openmm_exactrb.context.propagator import inner_mark
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
@@ -79,6 +80,7 @@ class DevicePropagator:
         load.tell(integrator, {names.SITES: self._sites, names.BAROSTAT: self.updates.moves, names.PUSHED: pushed})
         self._version: object = None
         self._numbers: Mapping[str, float] = {}  # what the program is told of a thermostat
+        self._named, self._flagged = named, False
         self._rate: float | None = None  # b norm(m) of the fastest body in 1/ps, if it was measured
         self._noise: tuple[int, int] | None = None  # seed and step count for which the generators are set, if known
         # For the divergence check.
@@ -107,6 +109,7 @@ class DevicePropagator:
         before = context.getState()
         step = before.getStepCount()
         load.tell(integrator, self._numbers)
+        self._flag(integrator)
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
@@ -147,6 +150,14 @@ class DevicePropagator:
         """Set the random number generators for a seed and a step count, unless they are."""
         if self._noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
             load.seed(integrator, self.sync.bodies, seed, step * draws(self._table, self._sites))
+
+    def _flag(self, integrator: openmm.CustomIntegrator) -> None:
+        """Tell particles in which molecules they are, where frictions depend on it and they do not know."""
+        one, other = ([self._numbers.get(name) for name in of] for of in (names.FRICTIONS, names.FLEXIBLE_FRICTIONS))
+        if one != other and not (self._flagged and integrator.getGlobalVariableByName(names.FLAGGED)):
+            sync = self.sync
+            load.flag(integrator, sync.bodies, in_flexible_molecules(sync.context, sync.bodies, self._named))
+            self._flagged = True
 
     def _attempt(self, integrator: openmm.CustomIntegrator, n: int, turns: int) -> bool:
         """Make n steps, and return whether all positions and velocities are finite."""

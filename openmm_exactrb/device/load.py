@@ -67,6 +67,15 @@ def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, 
     integrator.setGlobalVariableByName(names.SEEDED, float(number))
 
 
+def flag(integrator: openmm.CustomIntegrator, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> None:
+    """Tell all particles whether their bodies are in flexible molecules, (n_bodies,)."""
+    rows = np.zeros((bodies.n_particles, 3))
+    for kind in bodies.kinds:
+        rows[kind.particles] = flexible[kind.bodies][:, None, None]
+    integrator.setPerDofVariableByName(names.FLEXIBLE, rows)
+    integrator.setGlobalVariableByName(names.FLAGGED, 1.0)
+
+
 def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str, Array]:
     """Return the variables that all particles of a body share, (n, 3)."""
     some, n = kind.bodies, len(kind.particles)

@@ -28,8 +28,9 @@ DISPLACED = ("sq", "sw", "move")
 #: The inner state of a processed scheme while the output is shown: R, P, L, q, w and d; and how far x is then from
 #: R + d + image, until a row has placed it.
 INNER, LAG = ("iR", "iP", "iL", "iq", "iw", "id"), "lag"
-#: Of a thermostat: (friction, that of rotation, kT), and the states of the generators of random numbers.
-THERMOSTAT, STREAMS = "thermostat", ("r1", "r2", "r3", "r4")
+#: Of a thermostat: (friction, that of rotation, kT), the states of the generators of random numbers, and 1 in molecules
+#: of more than one body, if these have frictions of their own.
+THERMOSTAT, STREAMS, FLEXIBLE = "thermostat", ("r1", "r2", "r3", "r4"), "flexible"
 
 _PREFIX = "exactrb_"
 #: How the names of the forces begin that are remembered, see `last`.
@@ -42,10 +43,11 @@ SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", 
 #: Rotations that a drift is made of, and one over them; the first and the last turn of the loop in a step; 1 where the
 #: device does not know these numbers yet, or those of a thermostat.
 TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
-#: kT (kJ/mol) and the frictions (1/ps) of a thermostat, and the seed that its generators have.
-KT, FRICTION, TURNING_FRICTION, SEEDED = (
-    f"{_PREFIX}{name}" for name in ("kT", "friction", "rotational_friction", "seeded")
-)
+#: kT (kJ/mol) of a thermostat, the seed that its generators have, and 1 once `FLEXIBLE` is loaded.
+KT, SEEDED, FLAGGED = (f"{_PREFIX}{name}" for name in ("kT", "seeded", "flagged"))
+#: The frictions (1/ps) of translation and of rotation, and these in molecules of more than one body.
+FRICTIONS = f"{_PREFIX}friction", f"{_PREFIX}rotational_friction"
+FLEXIBLE_FRICTIONS = f"{_PREFIX}flexible_friction", f"{_PREFIX}flexible_rotational_friction"
 #: Whether the forces of the present places are known, and how often they were evaluated.
 KNOWN, EVALUATED = f"{_PREFIX}known", f"{_PREFIX}evaluated"
 #: 1 where a pass begins with keeping the inner state, or with returning to it.
@@ -77,5 +79,5 @@ def last(k: int) -> tuple[str, str]:
 def has(name: str) -> bool:
     """Return whether the program of some scheme has a variable of this name."""
     of_step = (*STATE, *CONSTANTS, *FORCES, SPAN, *TEMPORARY, *DISPLACED, PENDING, CLUSTERED)
-    vectors = (*of_step, *INNER, LAG, THERMOSTAT, *STREAMS)
+    vectors = (*of_step, *INNER, LAG, THERMOSTAT, *STREAMS, FLEXIBLE)
     return name in vectors or name.startswith((_PREFIX, LAST_FORCES))

@@ -102,7 +102,7 @@ class HybridMonteCarlo(Langevin):
 
     Parameters
     ----------
-    temperature, friction, rotationalFriction
+    temperature, friction, rotationalFriction, flexibleFriction
         As in `Langevin`; the temperature must be positive.
     stepsPerProposal : int, optional
         Number of steps of the scheme in a proposal.
@@ -143,7 +143,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         As in `ExactRigidBodyLangevinIntegrator`; the temperature must be positive.
     stepSize : float or Quantity, optional
         Duration of a proposal, in ps if it has no unit. Pass either it or ``forceInterval``.
-    scheme, rotor, rotationalFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
+    scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and must not contain a thermostat, such
         as the default, "S2_2". The number of inner steps is that for one step of the scheme.
     stepsPerProposal : int, optional
@@ -167,9 +167,11 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
         stepsPerProposal: int = 1,
+        flexibleFriction: float | unit.Quantity | None = None,
         **options: Unpack[Options],
     ) -> None:
-        thermostat = HybridMonteCarlo(temperature, frictionCoeff, rotationalFriction, stepsPerProposal)
+        frictions = frictionCoeff, rotationalFriction
+        thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
         thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
 

@@ -7,8 +7,9 @@ Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -29,6 +30,8 @@ from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 
 Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
+# Different times of a heat exchange in a step whose factors are kept.
+_TIMES = 16
 
 
 @dataclass(frozen=True)
@@ -43,19 +46,24 @@ class Langevin(Thermostat):
         Of translation, in 1/ps if it has no unit.
     rotationalFriction : float or Quantity, optional
         Of rotation, in 1/ps if it has no unit; by default that of translation.
+    flexibleFriction : float or Quantity, optional
+        Of translation and rotation of all bodies in molecules that consist of more than one, such as a protein, in 1/ps
+        if it has no unit; by default they have the frictions of the others.
     """
 
     temperature: float
     friction: float
     rotationalFriction: float | None = None
+    flexibleFriction: float | None = field(default=None, kw_only=True)
 
     on_device: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "temperature", kelvin(self.temperature))
         object.__setattr__(self, "friction", _rate(self.friction))
-        if self.rotationalFriction is not None:
-            object.__setattr__(self, "rotationalFriction", _rate(self.rotationalFriction))
+        for name in ("rotationalFriction", "flexibleFriction"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _rate(getattr(self, name)))
 
     @property
     def frictions(self) -> tuple[float, float]:
@@ -63,27 +71,39 @@ class Langevin(Thermostat):
         return self.friction, self.friction if self.rotationalFriction is None else self.rotationalFriction
 
     @property
+    def flexible_frictions(self) -> tuple[float, float]:
+        """The same of bodies in molecules of more than one."""
+        return self.frictions if self.flexibleFriction is None else (self.flexibleFriction, self.flexibleFriction)
+
+    @property
     def relaxation(self) -> float | None:
-        """The time in ps of the smaller friction that is not 0."""
-        rates = [rate for rate in self.frictions if rate > 0.0]
+        """The time in ps of the smallest friction that is not 0."""
+        rates = [rate for rate in (*self.frictions, *self.flexible_frictions) if rate > 0.0]
         return 1.0 / min(rates) if rates else None
 
     def bind(self, environment: Any) -> Exchange:
         """Return the Ornstein-Uhlenbeck flow."""
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)
-        return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *self.frictions)
+        frictions: tuple[float | Array, float | Array] = self.frictions
+        if self.flexibleFriction is not None:
+            flexible = environment.flexible()
+            of_translation, of_rotation = (np.where(flexible, self.flexibleFriction, rate) for rate in self.frictions)
+            frictions = of_translation, of_rotation[: bodies.n_turning]
+        return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *frictions)
 
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs."""
-        numbers = gas_constant_times(self.temperature), *self.frictions
-        return dict(zip((names.KT, names.FRICTION, names.TURNING_FRICTION), numbers, strict=True))
+        numbers = gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
+        return dict(zip((names.KT, *names.FRICTIONS, *names.FLEXIBLE_FRICTIONS), numbers, strict=True))
 
 
 def _rate(friction: Any) -> float:
     return not_negative_quantity(friction, _RATE, "a friction")
 
 
-def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, rotational_friction: float) -> Exchange:
+def ornstein_uhlenbeck(
+    mass: Array, moments: Array, kT: float, friction: float | Array, rotational_friction: float | Array
+) -> Exchange:
     """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and the same of m with I and a friction of its own.
 
     It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two flows one after the other are one of both times,
@@ -98,32 +118,55 @@ def ornstein_uhlenbeck(mass: Array, moments: Array, kT: float, friction: float, 
         Principal moments: zero along the axis of a linear body, which gets no noise there.
     kT : float
         Boltzmann's constant times temperature, in the unit of energy.
-    friction, rotational_friction : float
-        In the unit of 1/time. Where it is 0 the momenta are returned as they came; else time must not run back.
+    friction, rotational_friction : float, or arrays (N,) and (K,)
+        In the unit of 1/time, of all bodies or of each. If all are 0 the momenta are returned as they came; else time
+        must not run back.
     """
     kT = not_negative(kT, "kT")
-    g_P, g_m = not_negative(friction, "friction"), not_negative(rotational_friction, "rotational friction")
     width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
+    fade_P = _fading(friction, "friction", width_P)
+    fade_m = _fading(rotational_friction, "rotational friction", width_m)
     advance = advancing()
 
-    def relaxed(x: Array, width: Array, elapsed: float, at: Instant, part: Purpose) -> Array:
-        """Return momenta after a time in units of 1/friction."""
-        if elapsed == 0.0:
+    def relaxed(x: Array, fading: _Fading, tau: float, at: Instant, part: Purpose) -> Array:
+        """Return momenta after a time."""
+        if (found := fading(tau)) is None:
             return x
-        if elapsed < 0.0:
-            raise ValueError("stepSize must be positive when friction is non-zero")
-        # As a change of x, for then rounding fades together with the friction.
-        fade, spread = math.expm1(-elapsed), math.sqrt(-math.expm1(-2.0 * elapsed))
-        change = fade * x[0] + (spread * width) * at.normals(part, width.shape)
+        fade, spread = found
+        change = fade * x[0] + spread * at.normals(part, spread.shape)
         return advance(x, change, 1.0) if len(x) == 2 else add(x, change)
 
     def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
-        return (
-            relaxed(P, width_P, g_P * tau, at, Purpose.TRANSLATION),
-            relaxed(m, width_m, g_m * tau, at, Purpose.ROTATION),
-        )
+        return relaxed(P, fade_P, tau, at, Purpose.TRANSLATION), relaxed(m, fade_m, tau, at, Purpose.ROTATION)
 
     return exchange
+
+
+_Fading = Callable[[float], tuple[Array, Array] | None]
+
+
+def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
+    """Return what gives exp(-g tau) - 1 and the standard deviation of the noise of a time tau; None if nothing changes.
+
+    The factor less 1, for as a change of momenta rounding fades together with the friction.
+    """
+    rates = np.asarray(friction, dtype=np.float64)
+    for rate in np.unique(rates):
+        not_negative(rate, name)
+    kinds = [(float(rate), rates == rate) for rate in np.unique(rates)]
+
+    @lru_cache(maxsize=_TIMES)
+    def fading(tau: float) -> tuple[Array, Array] | None:
+        if tau == 0.0 or not rates.any():
+            return None
+        if tau < 0.0:
+            raise ValueError("stepSize must be positive when friction is non-zero")
+        fade, spread = np.zeros(rates.shape), np.zeros(rates.shape)
+        for rate, of_rate in kinds:  # by the same function for one friction as for many: bits do not depend on it
+            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), math.sqrt(-math.expm1(-2.0 * rate * tau))
+        return fade, spread * width
+
+    return fading
 
 
 class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
@@ -153,6 +196,10 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation, in 1/ps if it has no unit; by default that of translation.
+    flexibleFriction : float or Quantity, optional
+        Friction of molecules that consist of more than one body, such as a protein or a flexible molecule, in 1/ps if
+        it has no unit; by default that of all. It holds the temperature of a protein at long steps while water keeps a
+        small friction, and with it its diffusion. Molecules are those of ``Context.getMolecules``.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
@@ -183,9 +230,10 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
         scheme: str | Scheme | None = None,
         rotor: str | Rotor = "exact",
         rotationalFriction: float | unit.Quantity | None = None,
+        flexibleFriction: float | unit.Quantity | None = None,
         **options: Unpack[Options],
     ) -> None:
-        thermostat = Langevin(temperature, frictionCoeff, rotationalFriction)
+        thermostat = Langevin(temperature, frictionCoeff, rotationalFriction, flexibleFriction=flexibleFriction)
         super().__init__(thermostat, stepSize, scheme, rotor, **options)
 
     def getFriction(self) -> unit.Quantity:
@@ -203,6 +251,14 @@ class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
     def setRotationalFriction(self, coeff: float | unit.Quantity | None) -> None:
         """Set the friction of rotation, in 1/ps if it has no unit; None means that of translation."""
         self._change(rotationalFriction=coeff)
+
+    def getFlexibleFriction(self) -> unit.Quantity:
+        """Return the friction of molecules of more than one body, of translation."""
+        return self._thermostat.flexible_frictions[0] * _RATE
+
+    def setFlexibleFriction(self, coeff: float | unit.Quantity | None) -> None:
+        """Set the friction of molecules of more than one body, in 1/ps if it has no unit; None means that of all."""
+        self._change(flexibleFriction=coeff)
 
     def _arguments(self) -> dict[str, Any]:
         arguments = super()._arguments()
