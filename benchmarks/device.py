@@ -35,6 +35,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from openmm_exactrb.context.platforms import mixed
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
 
 WATER = (64, 512, 4096, 32768, 100_000)
@@ -84,11 +85,12 @@ def protein(name, heavy):
     return system, positions
 
 
-def canonical(system, positions, starts):
-    """Return States at 300 K, 0.5 ps apart, the first after 5 ps on the CPU platform."""
+def canonical(system, positions, starts, platform):
+    """Return States at 300 K, 0.5 ps apart, the first after 5 ps; OpenMM's minimiser may crash on OpenCL of a CPU."""
+    platform = openmm.Platform.getPlatform("CPU") if platform.getName() == "OpenCL" else platform
     langevin = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
     langevin.setRandomNumberSeed(1)
-    context = openmm.Context(copy.deepcopy(system), langevin, openmm.Platform.getPlatform("CPU"))
+    context = openmm.Context(copy.deepcopy(system), langevin, platform, mixed(platform))
     context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 200)
     context.setVelocitiesToTemperature(300.0, 1)
@@ -209,9 +211,9 @@ def measure(name, n, options, platform, properties):
 def measure_protein(name, rate, options, platform, properties):
     """Print the lines of a protein with so many evaluations of the nonbonded forces per ps."""
     system, positions = protein(name, heavy=rate < 200.0)
-    starts = canonical(system, positions, options.starts)
+    starts = canonical(system, positions, options.starts, platform)
     kinds = [(kind,) for kind in INTEGRATORS]
-    kinds += [(engine, scheme) for scheme in options.nested for engine in ("host", "device")]
+    kinds += [(engine, scheme) for scheme in options.nested for engine in options.engines]
     runners = in_turns(kinds, options, system, starts[0], 1.0 / rate, platform, properties)
     unknown = np.full(len(starts), math.nan)  # with a thermostat
     spreads = [
@@ -236,6 +238,8 @@ def main():
     parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 125.0], help="of a protein, per ps")
     which = "schemes with inner steps for a protein"
     parser.add_argument("--nested", nargs="+", default=["S2_3", "W2_1", "W2_3m"], help=which)
+    both = "host", "device"
+    parser.add_argument("--engines", nargs="+", default=both, choices=both, help="of a protein")
     parser.add_argument("--starts", type=int, default=2, help="of a protein, for its energy error")
     parser.add_argument("--sizes", nargs="+", type=int, help="molecules; else those of each system")
     parser.add_argument("--rounds", type=int, default=7)

@@ -277,6 +277,23 @@ def means_of(
         return dict.fromkeys(MEASURED, math.nan)
 
 
+def looking_at(run: app.Simulation) -> openmm.Context:
+    """Return a Context whose bonded forces have a group for each kind: on a device they share one in that of the run."""
+    platform = run.context.getPlatform()
+    if platform.getName() == "CPU":
+        return run.context
+    system = openmm.System()
+    for i in range(run.system.getNumParticles()):
+        system.addParticle(run.system.getParticleMass(i))
+    for force in run.system.getForces():
+        for group, kind in enumerate(KINDS.values(), 1):
+            if isinstance(force, kind):
+                copied = openmm.XmlSerializer.clone(force)
+                copied.setForceGroup(group)
+                system.addForce(copied)
+    return openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Precision": "mixed"})
+
+
 def sampled(
     run: app.Simulation, groups: Groups, torsions: dict[str, list[int]] | None, picoseconds: float, interval: float
 ) -> dict[str, float]:
@@ -286,6 +303,7 @@ def sampled(
     n, often = len(groups.water), max(1, round(1.0 / (every * step)))  # samples a look at all of the water
     total = groups.mass.sum() * DALTON
     samples, angles, centres, counts, spent = [], [], [], np.zeros(len(EDGES) - 1), 0.0
+    seen = looking_at(run)
     for k in range(max(1, round(picoseconds / (every * step)))):
         begin = time.process_time()
         run.step(every)
@@ -294,11 +312,10 @@ def sampled(
         x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
         volume = state.getPeriodicBoxVolume()._value
         sample = groups(x, v) | {"U": state.getPotentialEnergy()._value / n, "density": total / volume}
+        if seen is not run.context:
+            seen.setPositions(state.getPositions())
         for group, kind in enumerate(KINDS, 1):
-            of_kind = math.nan  # on devices they share a group
-            if run.context.getPlatform().getName() == "CPU":
-                of_kind = run.context.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
-            sample[kind] = of_kind
+            sample[kind] = seen.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
         if not np.isfinite([sample["U"], sample["T_tr"], sample["T_solute"]]).all():
             raise rb.NonFiniteError("a temperature or the energy is not finite")
         samples.append(sample)
