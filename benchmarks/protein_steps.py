@@ -278,7 +278,7 @@ def means_of(
 
 
 def looking_at(run: app.Simulation) -> openmm.Context:
-    """Return a Context whose bonded forces have a group for each kind: on a device they share one in that of the run."""
+    """Return a Context whose bonded forces have a group for each kind, which on a device share one in the run."""
     platform = run.context.getPlatform()
     if platform.getName() == "CPU":
         return run.context
