@@ -152,7 +152,7 @@ class DevicePropagator:
             load.seed(integrator, self.sync.bodies, seed, step * draws(self._table, self._sites))
 
     def _flag(self, integrator: openmm.CustomIntegrator) -> None:
-        """Tell particles in which molecules they are, where frictions depend on it and they do not know."""
+        """Load which particles are in flexible molecules, where frictions depend on it and it is not loaded."""
         one, other = ([self._numbers.get(name) for name in of] for of in (names.FRICTIONS, names.FLEXIBLE_FRICTIONS))
         if one != other and not (self._flagged and integrator.getGlobalVariableByName(names.FLAGGED)):
             sync = self.sync

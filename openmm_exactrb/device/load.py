@@ -68,7 +68,7 @@ def seed(integrator: openmm.CustomIntegrator, bodies: RigidBodies, number: int, 
 
 
 def flag(integrator: openmm.CustomIntegrator, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> None:
-    """Tell all particles whether their bodies are in flexible molecules, (n_bodies,)."""
+    """Load whether bodies (n_bodies,) are in flexible molecules, to all of their particles."""
     rows = np.zeros((bodies.n_particles, 3))
     for kind in bodies.kinds:
         rows[kind.particles] = flexible[kind.bodies][:, None, None]
