@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.molecules import Named, in_flexible_molecules
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -65,8 +66,8 @@ class ContextEnvironment:
         Those of kicks, and those of all force groups that act.
     numbers : Numbers
         Persistent numbers that substeps change.
-    flexible : callable
-        ``flexible()`` returns which bodies (N,) are in molecules of more than one body.
+    named : sequence of sequences of int, or None
+        Bodies that the user named, in addition to those of constraints.
     key : int
         Of the random numbers of a call.
     around : (State, State) or None
@@ -85,7 +86,7 @@ class ContextEnvironment:
     settings: Settings
     positions: Positions
     memory: Memory
-    flexible: Callable[[], NDArray[np.bool_]]
+    named: Named
     key: int = 0
     around: tuple[State, State] | None = None
 
@@ -112,6 +113,10 @@ class ContextEnvironment:
             )
         flow: Flow[State] = self.settings.thermostat.flow(self, number)
         return flow
+
+    def flexible(self) -> NDArray[np.bool_]:
+        """Return which bodies (N,) are in molecules of more than one body."""
+        return in_flexible_molecules(self.positions.context, self.bodies, self.named)
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:

@@ -22,7 +22,6 @@ from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.environment import ContextEnvironment, Settings
 from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
 from openmm_exactrb.context.inner_drift import InnerDrift, free_motion
-from openmm_exactrb.context.molecules import in_flexible_molecules
 from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps, fast_forces
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
@@ -272,7 +271,7 @@ class Propagator:
             settings,
             self._positions,
             self._memory,
-            lambda: in_flexible_molecules(sync.context, bodies, self._named),
+            self._named,
         )
         step = canonical_momenta(scheme.sequence) if kinetic.partial else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
