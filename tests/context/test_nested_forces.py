@@ -393,6 +393,44 @@ def test_thermostats_nest_at_the_steps_at_which_constant_energy_does(scheme):
             assert (integrator.timings.fast_evaluations > 0) == nested, integrator
 
 
+def bond_of(period, scheme, often):
+    """Return q² of a bond over that of the exact distribution, and kicks of it in a period, with forces every `often`.
+
+    The momentum and the length of a free bond stay on an ellipse; from canonical momenta it follows what q² is.
+    """
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(12.0)
+    stiffness = 6.0 * (2.0 * np.pi / period) ** 2
+    bond, outer = openmm.HarmonicBondForce(), openmm.CustomExternalForce("0*x")
+    bond.addBond(0, 1, 0.15, stiffness)
+    outer.addParticle(2)
+    for force in (bond, outer):
+        system.addForce(force)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, scheme=scheme, forceInterval=often)
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions([[0.0, 0.0, 0.0], [0.16, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    trajectory, steps = [], 200
+    for _ in range(steps):
+        integrator.step(1)
+        state = context.getState(positions=True, velocities=True)
+        x, v = (a._value for a in (state.getPositions(asNumpy=True), state.getVelocities(asNumpy=True)))
+        trajectory.append((x[1, 0] - x[0, 0] - 0.15, v[1, 0] - v[0, 0]))
+    q, v = np.array(trajectory).T
+    (ratio, _), residual, *_ = np.linalg.lstsq(np.array([-(q**2), np.ones(steps)]).T, v**2)
+    assert residual < 1e-12
+    return stiffness / 6.0 / ratio, integrator.timings.fast_evaluations / state.getTime()._value * period
+
+
+@pytest.mark.parametrize(
+    ("scheme", "kicks", "error"), [("BAOAB", 12.5, 0.004), ("W2_3m", 12.5, 0.01), ("S2_3", 20.0, 0.001)]
+)
+def test_schemes_with_a_heat_exchange_take_fewer_inner_steps_and_keep_the_length_of_bonds(scheme, kicks, error):
+    found = [bond_of(period, scheme, 0.008) for period in (*np.linspace(0.0155, 0.0225, 8), 0.0251)]
+    assert kicks <= min(often for _, often in found) < 1.3 * kicks
+    assert all(q2 == pytest.approx(1.0, abs=error) for q2, _ in found)
+
+
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.StepSizeWarning")  # before it ends
 @pytest.mark.parametrize(("h", "scheme"), [(4.0, "S2_2"), (3.5, "V2"), (8.0, "SRKN4_6b"), (1.0, "W2_1")])
 def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
