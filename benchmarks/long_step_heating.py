@@ -1,4 +1,4 @@
-"""How fast long steps heat a protein in water: the energy that splittings without their heat exchange gain.
+"""How fast long steps heat a protein in water: the energy that Langevin integrators without friction gain.
 
 Modes of the solute that are in resonance with the kicks of the nonbonded forces gain energy, and a thermostat takes it
 away: with a friction g, a solute of n degrees of freedom is P/(n k g) hotter than the thermostat, where P is the power.
@@ -13,32 +13,20 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import openmm
 from openmm import app
 
-import openmm_exactrb as rb
 import protein_steps
 from group_temperatures import Groups
 from one_line import simulation_of
 from openmm_exactrb.files import written_whole
-from openmm_exactrb.schemes import scheme_for_thermostat
-from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import merged
-from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "long_step_heating.csv"
 COLUMNS = ("solute", "freedom", "scheme", "fs", "start", "kJ/mol/ps")
 PICOSECONDS, LOOKED, APART = 3.0, 0.07, 0.5  # ps of a run, between two looks, and between two starts
-
-
-def without_thermostat(name: str) -> Scheme:
-    """Return a scheme without its heat exchange."""
-    scheme = scheme_for_thermostat(name)
-    return replace(scheme, sequence=merged(entry for entry in scheme.sequence if entry[0] != HEAT_EXCHANGE))
 
 
 def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n: int) -> list[openmm.State]:
@@ -57,9 +45,8 @@ def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n
 
 def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> float:
     """Return the slope of the total energy in kJ/mol/ps."""
-    scheme = without_thermostat(name)
-    step = 0.001 * fs * scheme.forces
-    run = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(step, scheme=scheme), start)
+    integrator = protein_steps.integrator_of(name, 0.001 * fs, "0.0")
+    run, step = simulation_of(topology, system, integrator, start), integrator.getStepSize()._value
     every, times, energies = max(1, round(LOOKED / step)), [], []
     for _ in range(round(PICOSECONDS / (every * step))):
         run.step(every)

@@ -67,7 +67,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Scheme of the inner steps: by default S2_2, or SRKN4_6b if the scheme has order above 2 or force gradients.
     innerSteps : int, optional
         Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least
-        once per twentieth of the shortest period of bonds and angles, with SRKN4_6b once per eightieth.
+        once per twentieth of the shortest period of bonds and angles, in schemes that contain a heat exchange once per
+        12.5th, with SRKN4_6b once per eightieth.
     engine : {"auto", "host", "device"}, optional
         Where steps are performed. "host": by kernels of this package. "device": by a program of OpenMM's
         CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": on the device if

@@ -25,7 +25,7 @@ from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchan
 # for outer schemes of order 2, and for those of higher order or with force gradients. High-order outer schemes need a
 # finer inner scheme: with S2_2, or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force
 # evaluations per ps (docs: Any molecule). Schemes with a thermostat within are for averages, to which the energy error
-# matters less: by 0.08 the mean energy of the fastest bond is 0.4 % too low, that of others less.
+# matters less: by 0.08 the mean energy of the fastest bond is half a percent too low, that of others less.
 _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
 # A force evaluation each such part of the period or more often, and every scheme shows its order and little error with
 # bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
