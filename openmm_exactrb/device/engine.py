@@ -14,6 +14,7 @@ from openmm import unit
 
 from openmm_exactrb.context import arrays, variables
 from openmm_exactrb.context.environment import Settings
+from openmm_exactrb.context.find import find_bodies
 from openmm_exactrb.context.molecules import in_flexible_molecules
 from openmm_exactrb.context.propagator import inner_mark
 from openmm_exactrb.context.synchronisation import Synchronisation
@@ -155,8 +156,10 @@ class DevicePropagator:
         """Load which particles are in flexible molecules, where frictions depend on it and it is not loaded."""
         one, other = ([self._numbers.get(name) for name in of] for of in (names.FRICTIONS, names.FLEXIBLE_FRICTIONS))
         if one != other and not (self._flagged and integrator.getGlobalVariableByName(names.FLAGGED)):
-            sync = self.sync
-            load.flag(integrator, sync.bodies, in_flexible_molecules(sync.context, sync.bodies, self._named))
+            context, (x, _) = self.sync.context, self.sync.held()
+            # Those of the host, where two atoms with a constraint between them are one body.
+            bodies = find_bodies(context.getSystem(), x, self._named, self.sync.box())
+            load.flag(integrator, bodies, in_flexible_molecules(context, bodies, self._named))
             self._flagged = True
 
     def _attempt(self, integrator: openmm.CustomIntegrator, n: int, turns: int) -> bool:

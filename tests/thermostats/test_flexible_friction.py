@@ -130,6 +130,39 @@ def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     np.testing.assert_allclose(P[:, still], before[2][:, still], atol=1e-2 * np.abs(before[2]).max())
 
 
+def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
+    """Next to an atom that fast forces act on, the program of a device moves the atoms of pairs one by one."""
+    system = openmm.System()
+    for mass in (14.0, 14.0, 12.0, 12.0, 1.0):
+        system.addParticle(mass)
+    system.addConstraint(0, 1, 0.11)
+    system.addConstraint(3, 4, 0.1)
+    bond, outer = openmm.HarmonicBondForce(), openmm.CustomExternalForce("0*x")
+    bond.addBond(2, 3, 0.15, 2e5)
+    outer.addParticle(0)
+    for force in (bond, outer):
+        system.addForce(force)
+    x = [(2.0, 0.0, 0.0), (2.11, 0.0, 0.0), (0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 0.1, 0.0)]
+    slowed = []
+    for engine in ("host", "device"):
+        integrator = rb.ExactRigidBodyLangevinIntegrator(
+            0.0, FRICTION, 0.004, "BAOAB", flexibleFriction=FLEXIBLE, engine=engine
+        )
+        context = openmm.Context(system, integrator, REFERENCE)
+        context.setPositions(x)
+        context.setVelocitiesToTemperature(300.0, 2)
+        before = squared_velocity(context, (0, 1))
+        integrator.step(5)
+        assert integrator.timings.fast_evaluations > 0
+        slowed.append(squared_velocity(context, (0, 1)) / before)
+    np.testing.assert_allclose(slowed, np.exp(-2.0 * FRICTION * 0.02), rtol=1e-3)
+
+
+def squared_velocity(context, particles):
+    v = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    return (v[list(particles)] ** 2).sum()
+
+
 def test_bodies_named_by_hand_join_molecules():
     context = context_of("host")
     bodies = context.getIntegrator().bodyState()[0]
