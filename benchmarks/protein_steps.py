@@ -76,7 +76,7 @@ COLUMNS = (*POINT, "seed", *MEASURED)
 EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
 # Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
 SHOWN = {
-    ("LangevinMiddle", "plain", "2.0"): ("LangevinMiddleIntegrator, 2 fs", "#E69F00", "s"),
+    ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs, heavy hydrogens", "#E69F00", "s"),
     ("LangevinMiddle", "plain", "4.0"): ("LangevinMiddleIntegrator, 4 fs", "#D55E00", "o"),
     ("W2_3m", "all", "8.0"): ("W2_3m, a force evaluation every 8 fs, heavy hydrogens", "#0072B2", "D"),
 }
