@@ -200,7 +200,9 @@ def _steps(solute: str) -> str:
             continue
         scheme, _, device = integrator.partition(" ")
         how = [*([constraints] if constraints != "HBonds" else []), *(["1 bar"] if ensemble == "NPT" else [])]
-        how += [f"{float(friction):g}/ps"] if friction != "5.0" else []
+        of_all, *of_solute = (f"{float(part):g}/ps" for part in friction.split(":"))
+        how += [of_all] if friction != "5.0" else []
+        how += [f"solute {part}" for part in of_solute]
         how += [f"device ({device})"] if device else []
         label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
         # Devices do not have energies by kind, and constrained bonds have none.
