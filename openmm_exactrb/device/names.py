@@ -45,8 +45,9 @@ SITES, BAROSTAT, PUSHED = (f"{_PREFIX}{name}" for name in ("sites", "barostat", 
 TURNS, PACE, FIRST, LAST, CHANGED = (f"{_PREFIX}{name}" for name in ("turns", "pace", "first", "last", "changed"))
 #: kT (kJ/mol) of a thermostat, the seed that its generators have, and 1 once `FLEXIBLE` is loaded.
 KT, SEEDED, FLAGGED = (f"{_PREFIX}{name}" for name in ("kT", "seeded", "flagged"))
-#: The frictions (1/ps) of translation and of rotation, and these in molecules of more than one body.
+#: The frictions (1/ps) of translation and of rotation.
 FRICTIONS = f"{_PREFIX}friction", f"{_PREFIX}rotational_friction"
+#: The same in molecules of more than one body.
 FLEXIBLE_FRICTIONS = f"{_PREFIX}flexible_friction", f"{_PREFIX}flexible_rotational_friction"
 #: Whether the forces of the present places are known, and how often they were evaluated.
 KNOWN, EVALUATED = f"{_PREFIX}known", f"{_PREFIX}evaluated"
