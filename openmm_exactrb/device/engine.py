@@ -110,7 +110,7 @@ class DevicePropagator:
         before = context.getState()
         step = before.getStepCount()
         load.tell(integrator, self._numbers)
-        self._flag(integrator)
+        self._flag(integrator, x)
         for number, (haste, least) in enumerate(_HASTE):
             turns = max(least, self._turns(integrator, haste))
             if number and turns > _MOST:
@@ -152,11 +152,11 @@ class DevicePropagator:
         if self._noise != (seed, step) or integrator.getGlobalVariableByName(names.SEEDED) != seed:
             load.seed(integrator, self.sync.bodies, seed, step * draws(self._table, self._sites))
 
-    def _flag(self, integrator: openmm.CustomIntegrator) -> None:
-        """Load which particles are in flexible molecules, where frictions depend on it and it is not loaded."""
+    def _flag(self, integrator: openmm.CustomIntegrator, x: Array) -> None:
+        """Load which particles, at x, are in flexible molecules, where frictions depend on it and it is not loaded."""
         one, other = ([self._numbers.get(name) for name in of] for of in (names.FRICTIONS, names.FLEXIBLE_FRICTIONS))
         if one != other and not (self._flagged and integrator.getGlobalVariableByName(names.FLAGGED)):
-            context, (x, _) = self.sync.context, self.sync.held()
+            context = self.sync.context
             # Those of the host, where two atoms with a constraint between them are one body.
             bodies = find_bodies(context.getSystem(), x, self._named, self.sync.box())
             load.flag(integrator, bodies, in_flexible_molecules(context, bodies, self._named))
