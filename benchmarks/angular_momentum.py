@@ -23,8 +23,8 @@ import openmm
 import droplets
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.support.files import written_whole
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "angular_momentum.csv"
 COLUMNS = ("scheme", "force_interval_ps", "picoseconds", "starts", "change")

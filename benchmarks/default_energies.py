@@ -31,7 +31,7 @@ import openmm_exactrb as rb
 from device import FORCE_FIELD
 from one_line import SMOOTH, TEMPERATURE, box, simulation_of, start_of, system_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 from peptide import PEPTIDE
 from protein import solvated_helix
 

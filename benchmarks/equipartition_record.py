@@ -12,7 +12,7 @@ from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 RECORD = Path(__file__).resolve().parents[1] / "docs" / "equipartition.csv"
 LFM = "LangevinMiddle"

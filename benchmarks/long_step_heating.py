@@ -22,7 +22,7 @@ from openmm import app
 import protein_steps
 from group_temperatures import Groups
 from one_line import simulation_of
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "long_step_heating.csv"
 COLUMNS = ("solute", "freedom", "scheme", "fs", "start", "kJ/mol/ps")

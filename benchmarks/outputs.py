@@ -28,7 +28,7 @@ from openmm import app
 import droplets
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 TABLE = Path(__file__).resolve().parents[1] / "docs" / "outputs.csv"
 MOLECULES, MODEL = 64, "tip3p"

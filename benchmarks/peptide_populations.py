@@ -30,8 +30,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 from peptide import PEPTIDE
 from protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals, regions
 

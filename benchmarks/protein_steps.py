@@ -38,8 +38,8 @@ from device import FORCE_FIELD
 from group_temperatures import Groups
 from one_line import simulation_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 from peptide import PEPTIDE
 
 mpl.use("Agg")

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import ellipj, elliprj
 
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.rotors import rotor
 
 OUT = Path("out/benchmarks")

@@ -10,8 +10,8 @@ from openmm import app
 import openmm_exactrb as rb
 import oracle
 import roundoff
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums
 
 REFERENCE = openmm.Platform.getPlatform("Reference")

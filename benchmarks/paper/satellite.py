@@ -12,7 +12,7 @@ import numpy as np
 from claims import Claim, Criterion
 from problems import Satellite, energy, integrate
 
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.schemes import scheme
 
 NAME = "satellite"

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb import kernels, quaternions
+from openmm_exactrb import kernels
 from openmm_exactrb.kernels import build
+from openmm_exactrb.mathematics import quaternions
 
 PACKAGE = Path(rb.__file__).parent
 

@@ -6,7 +6,7 @@ from problems import HeavyTop, energy, integrate
 
 import charts
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 from orders import composes_verlet, slope
 
 
