@@ -1,6 +1,6 @@
 """The library of the device engine: found, or compiled once into the user's cache, and loaded.
 
-A wheel has the library for one minor version of OpenMM beside this file. Where there is none, or OpenMM is another, a
+A wheel has the library for one minor version of OpenMM next to this file. Without it, or with another OpenMM, a
 compiler makes it in some seconds, as numba makes its kernels: the name of the file carries a hash of the source, of
 OpenMM's version and of the compiler, and it is moved into place in one step, for two processes may compile at once.
 """
@@ -43,7 +43,7 @@ class MissingLibraryError(RuntimeError):
 
 
 class Library:
-    """The functions of a loaded library, by which an integrator is made and told what to do.
+    """The functions of a loaded library, by which an integrator is made and controlled.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ def _told(command: str, *arguments: str) -> str:
 
 
 def openmm_folder() -> Path:
-    """Return the folder with OpenMM's headers in include and its library in lib; MissingLibraryError if none is known.
+    """Return the folder with OpenMM's headers in include and its library in lib; MissingLibraryError if it has no headers.
 
     It is that of its wheel, or the prefix of a conda environment.
     """

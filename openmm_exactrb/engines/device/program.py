@@ -21,7 +21,7 @@ class Array:
 
 @dataclass(frozen=True)
 class Source:
-    """Kernel text in OpenMM's common dialect, compiled by itself.
+    """Kernel text in OpenMM's common dialect, compiled as one program.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array of elements of so many bytes, and return its name; none is empty on the device."""
+        """Declare an array of elements of so many bytes, and return its name; on the device it has one element at least."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 

@@ -60,7 +60,9 @@ class Segment:
         return any(move.op in ops for move in self.moves)
 
 
-def divided(rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembers: bool = False) -> list[Segment]:
+def divided(
+    rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembers: bool = False
+) -> list[Segment]:
     """Divide substeps with their parts of a step at the force evaluations.
 
     Parameters
@@ -201,7 +203,7 @@ class Part(Protocol):
         """Return what adds the kinetic energies of its bodies to the array "kinetic"."""
 
     def updates(self, moved: bool) -> list[Operation]:
-        """Return what takes up how OpenMM changed velocities, or positions where they `moved`, in an update."""
+        """Return what reads how an update of OpenMM changed velocities, or positions where they `moved`."""
 
 
 @dataclass
