@@ -12,7 +12,7 @@ last one stopped:
    energy of droplets of four water models in windows of 10 ps, in units of Verlet's, over training starts.
 3. `judge`: 30 ps from starts that nothing else has seen, of other sizes.
 
-    python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120 --folder out/search
+    python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120
     python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64
 """
 
