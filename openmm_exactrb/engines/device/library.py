@@ -201,7 +201,7 @@ def _told(command: str, *arguments: str) -> str:
 
 
 def openmm_folder() -> Path:
-    """Return the folder with OpenMM's headers in include and its library in lib; MissingLibraryError if it has no headers.
+    """Return the folder with OpenMM's headers and its library, in include and lib; MissingLibraryError without headers.
 
     It is that of its wheel, or the prefix of a conda environment.
     """

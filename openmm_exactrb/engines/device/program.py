@@ -101,7 +101,7 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array of elements of so many bytes, and return its name; on the device it has one element at least."""
+        """Declare an array of elements of so many bytes (at least one), and return its name."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 
