@@ -70,7 +70,7 @@ $(VENV)/.python: pyproject.toml
 	touch $@
 
 $(VENV)/.run: $(VENV)/.python
-	$(BIN)/python -m pip install --quiet --editable ".[fast,plot]"
+	$(BIN)/python -m pip install --quiet --editable ".[examples]"
 	touch $@
 
 $(VENV)/.test: $(VENV)/.python
@@ -95,5 +95,5 @@ $(VENV)/.docs: $(VENV)/.python
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.test
-	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --editable ".[lint]"
 	touch $@

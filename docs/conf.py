@@ -76,7 +76,7 @@ nitpick_ignore_regex = [
 #: Of each notebook: a checkout is installed, and the options of the script keep their defaults.
 FIRST_CELL = """\
 # Run this notebook in the folder `examples` of a checkout.
-%pip install --quiet "..[fast,plot]"
+%pip install --quiet "..[examples]"
 import sys
 
 sys.argv = ["notebook"]"""
