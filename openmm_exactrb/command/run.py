@@ -45,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument
-    ensembles = {"type": arguments.named(setup.ENSEMBLES), "choices": setup.ENSEMBLES, "default": "nve"}
+    ensembles: dict[str, Any] = {"type": arguments.named(setup.ENSEMBLES), "choices": setup.ENSEMBLES, "default": "nve"}
     add("--ensemble", **ensembles, help="constant energy, temperature, pressure (nve)")
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
