@@ -24,15 +24,15 @@ _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
 # Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
-# for nothing else: benchmarks/search.py.
+# for nothing else: benchmarks/schemes/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
-# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/shadow.py.
+# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/water/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
-# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/shadow.py.
+# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/water/shadow.py.
 _CANONICAL = "openmm-exactrb, for the canonical distribution of rigid water at 4 fs per force evaluation"
 # Changes of coordinates that leave of a kernel's error what no change removes, for the frequencies of rigid water:
-# benchmarks/processors.py.
+# benchmarks/schemes/processors.py.
 _PROCESSOR = "{}; the processor is of openmm-exactrb"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
@@ -56,7 +56,7 @@ def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float,
 
 _V2_DRIFT = symmetric("V2_drift", order=2, stages=1, first="drift", reference=_VERLET)
 
-# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/outputs.py.
+# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/schemes/outputs.py.
 _OUTPUT_OF_PAIRS = (
     (DRIFT, -0.25),
     *_kicks_of_pairs(
