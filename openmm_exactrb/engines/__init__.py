@@ -1,1 +1,1 @@
-"""Engines: each carries out the sequence of a scheme in a Context of OpenMM."""
+"""Engines: what carries the steps of an integrator out in its Context."""

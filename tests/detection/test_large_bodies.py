@@ -4,10 +4,10 @@ import numpy as np
 import openmm
 import pytest
 
-import large_bodies
 import openmm_exactrb as rb
-from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.mathematics import quaternions
+from benchmarks.cost import large_bodies
+from openmm_exactrb import quaternions
+from openmm_exactrb.context.find import find_bodies
 
 ATOMS, WATER = 200, 729  # no atom of the body is within the cutoff of the image of another one
 REFERENCE = openmm.Platform.getPlatform("Reference")

@@ -6,10 +6,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-import constrained_clusters
 import geodesics
 import openmm_exactrb as rb
-from openmm_exactrb.mathematics.quaternions import from_matrix, rotation_matrix
+from benchmarks.constraints import clusters as constrained_clusters
 from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from reference_clusters import ReferenceClusters
 
