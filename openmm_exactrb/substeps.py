@@ -19,7 +19,6 @@ from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.moves import Move, Op
-from openmm_exactrb.quaternions import exponential, matrix, multiply
 
 Array = NDArray[np.float64]
 #: Force (3, N) and body-frame torque (3, K).

@@ -37,7 +37,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.records import ROOT
-from openmm_exactrb.context.platforms import mixed
+from openmm_exactrb.openmm_access.platforms import mixed
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
 
 WATER = (64, 512, 4096, 32768, 100_000)

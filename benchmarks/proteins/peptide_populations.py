@@ -34,6 +34,7 @@ from benchmarks.common.records import DOCS
 from benchmarks.proteins.protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals, regions
 from openmm_exactrb import ensemble
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "peptide_populations.csv"
 OUT = Path("out/peptide_populations")

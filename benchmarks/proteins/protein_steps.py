@@ -40,6 +40,7 @@ from benchmarks.common.records import DOCS
 from benchmarks.cost.one_line import simulation_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -6,8 +6,8 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.cost import large_bodies
-from openmm_exactrb import quaternions
-from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.mathematics import quaternions
 
 ATOMS, WATER = 200, 729  # no atom of the body is within the cutoff of the image of another one
 REFERENCE = openmm.Platform.getPlatform("Reference")

@@ -9,6 +9,7 @@ import pytest
 import geodesics
 import openmm_exactrb as rb
 from benchmarks.constraints import clusters as constrained_clusters
+from openmm_exactrb.mathematics.quaternions import from_matrix, rotation_matrix
 from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from reference_clusters import ReferenceClusters
 
