@@ -22,9 +22,8 @@ from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.tuning.floor import causes, of_water
+from openmm_exactrb.tuning.floor import causes, is_water, limits
 
-_WATER = 18.015  # amu
 # The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
 _WATER_NVE, _WATER_NVT, _PROTEIN, _HEAVY_NVT = 0.002, 0.004, 0.004, 0.008
 _HEAVY = 2.9  # amu, of each hydrogen of water
@@ -56,21 +55,10 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from _floor(system, bodies)
-    yield from _refusals(system, positions)
-
-
-def _floor(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield what limits the energy error of every integrator."""
-    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
-    molecules = sum(len(kind.particles) for kind in bodies.kinds if _is_water(kind))
-    if level := of_water(system, molecules):
-        yield (
-            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more with any "
-            "integrator: that of TIP3P with these settings, scaled by the square root of the number of molecules"
-        )
+    yield from limits(system, bodies)
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
+    yield from _refusals(system, positions)
 
 
 class _Names:
@@ -162,7 +150,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield a line for constant energy and one for constant temperature, and why."""
     fast = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None))
-    water = any(map(_is_water, bodies.kinds))
+    water = any(map(is_water, bodies.kinds))
     if not water:
         yield (
             "step: no recommendation is measured for molecules like these: exactrb tune finds one"
@@ -190,12 +178,8 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         yield f"{1000.0 * interval:g} fs: beyond is a resonance with a bond or angle, as without constraints=HBonds"
 
 
-def _is_water(kind: Kind) -> bool:
-    return len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1
-
-
 def _is_heavy_water(kind: Kind) -> bool:
-    return _is_water(kind) and bool(np.sort(kind.masses)[0] > _HEAVY)
+    return is_water(kind) and bool(np.sort(kind.masses)[0] > _HEAVY)
 
 
 def _longest(fast: FastForces) -> float:
