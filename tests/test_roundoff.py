@@ -11,8 +11,8 @@ import oracle
 from benchmarks.common.starts import context_of
 from benchmarks.paper import problems
 from benchmarks.schemes import roundoff
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums
 
 REFERENCE = openmm.Platform.getPlatform("Reference")

@@ -39,7 +39,7 @@ import openmm_exactrb as rb
 from benchmarks.common.energies import total
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
 from benchmarks.common.starts import canonical, context_of, put, thermostat
-from openmm_exactrb.context.platforms import mixed
+from openmm_exactrb.openmm_access.platforms import mixed
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
 
 WATER = (64, 512, 4096, 32768, 100_000)

@@ -49,8 +49,8 @@ from benchmarks.common.structure import (
     peak_of,
 )
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 
 OUT = Path("out/protein_steps")
 OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}

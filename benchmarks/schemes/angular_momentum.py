@@ -23,7 +23,7 @@ from benchmarks.common import droplets
 from benchmarks.common.records import DOCS, read, write
 from benchmarks.common.starts import context_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
 
 TABLE = DOCS / "angular_momentum.csv"
 COLUMNS = ("scheme", "force_interval_ps", "picoseconds", "starts", "change")

@@ -24,7 +24,7 @@ from benchmarks.common.pictures import plt
 from benchmarks.common.records import DOCS, OUT, read, write
 from benchmarks.common.starts import R, context_of, masses_of, positions_and_velocities
 from benchmarks.paper import problems
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import Substep
