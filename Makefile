@@ -42,14 +42,15 @@ validate: $(VENV)/.validation
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
-	$(BIN)/python benchmarks/rotor_cost.py
-	$(BIN)/python benchmarks/step_cost.py
-	$(BIN)/python benchmarks/dipole_cost.py
-	$(BIN)/python benchmarks/water.py
-	$(BIN)/python benchmarks/peptide.py
-	$(BIN)/python benchmarks/protein.py
-	$(BIN)/python benchmarks/dipole_precision.py
-	$(BIN)/python benchmarks/roundoff.py
+	$(BIN)/python benchmarks/cost/rotor_cost.py
+	$(BIN)/python benchmarks/cost/step_cost.py
+	$(BIN)/python benchmarks/cost/dipole_cost.py
+	$(BIN)/python benchmarks/water/droplet.py
+	$(BIN)/python benchmarks/cost/water.py
+	$(BIN)/python benchmarks/proteins/peptide.py
+	$(BIN)/python benchmarks/proteins/protein.py
+	$(BIN)/python benchmarks/dipoles/dipole_precision.py
+	$(BIN)/python benchmarks/schemes/roundoff.py
 
 paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)

@@ -24,14 +24,13 @@ from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks/paper"))  # for scripts of pictures
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks, of which some pictures are made too
 
 import droplet
 
 import openmm_exactrb
-import tables
-from equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
+from benchmarks import tables
+from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 log = logging.getLogger(__name__)

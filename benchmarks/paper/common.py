@@ -17,12 +17,13 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-import claims
 import matplotlib as mpl
 import numpy as np
 from dask.system import CPU_COUNT
 from PIL import Image
 from tqdm import tqdm
+
+from benchmarks.paper import claims
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
