@@ -39,7 +39,7 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 
 def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
-    """Return the vectors (3, 3) of the periodic box of a Context, or of a System by default, in nm; None without one."""
+    """Return the vectors (3, 3) of the periodic box of a Context, or the default of a System, in nm; None without."""
     if isinstance(source, openmm.System):
         system, vectors = source, source.getDefaultPeriodicBoxVectors()
     else:

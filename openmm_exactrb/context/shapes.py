@@ -185,7 +185,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
 def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
     """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of places.
 
-    The places, at these distances, are about the mean with these weights, times a root of a weight each.
+    These are positions at these distances about the mean with these weights, times a root of a weight each.
     """
     square = distances**2
     to_centre = square @ weights

@@ -1,4 +1,4 @@
-"""Positions of a System with its molecules whole: joined along constraints and bonds, and against shapes that are known.
+"""Positions of a System with its molecules whole: joined along constraints and bonds, or to a shape that is known.
 
 Bodies that a user named have the shape of their positions. Where nothing joins their parts, positions are taken as they
 are; ValueError where something shows that the box has split them.
@@ -39,6 +39,30 @@ def constraints(system: openmm.System) -> tuple[Indices, Array]:
     return pairs, lengths
 
 
+def molecular_links(system: openmm.System, molecule: Indices) -> Links:
+    """Return the constraints and bonds of a System, and what else joins particles (n_particles,) of one molecule.
+
+    That is nearest images to a particle that a virtual site depends on, or to the first of the molecule.
+    """
+    pairs, lengths = _with_bonds(system)
+    n = len(molecule)
+    sites = [(system.getVirtualSite(i).getParticle(0), i) for i in range(n) if system.isVirtualSite(i)]
+    pairs = np.concatenate([pairs, np.array(sites, dtype=np.intp).reshape(-1, 2)])
+    lengths = np.concatenate([lengths, np.full(len(sites), np.nan)])
+    parts = np.unique(Links(pairs, lengths, n).component, return_index=True)[1]
+    first = np.unique(molecule, return_index=True)[1][molecule]
+    rest = np.column_stack([first, np.arange(n)])[parts[parts != first[parts]]]
+    return Links(np.concatenate([pairs, rest]), np.concatenate([lengths, np.full(len(rest), np.nan)]), n)
+
+
+def _with_bonds(system: openmm.System) -> tuple[Indices, Array]:
+    """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
+    pairs, lengths = constraints(system)
+    bonds = list(_bonds(system))
+    pairs = np.concatenate([pairs, np.array([bond[:2] for bond in bonds], dtype=np.intp).reshape(-1, 2)])
+    return pairs, np.concatenate([lengths, np.array([bond[2] for bond in bonds])])
+
+
 def _bonds(system: openmm.System) -> Iterator[tuple[int, int, float]]:
     """Yield the particles of bonds and their lengths at rest in nm: nan of those by a formula."""
     for force in system.getForces():
@@ -51,29 +75,25 @@ def _bonds(system: openmm.System) -> Iterator[tuple[int, int, float]]:
                 yield *force.getBondParameters(i)[:2], np.nan
 
 
-def whole_positions(
-    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None
-) -> Array:
+def whole_positions(system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None) -> Array:
     """Return positions (n_particles, 3) with clusters of constraints whole, and the bodies that a user named.
 
     Raises
     ------
     ValueError
-        If the box has split a named body, and it cannot be told where its parts belong.
+        If the box has split a named body, and it is not known where its parts belong.
 
     Warns
     -----
     ShapeWarning
-        If a named body looks as if the box had split it.
+        If a named body may well be one that the box has split.
     """
     if box is None:
         return x
     pairs, lengths = constraints(system)
     if not named:
         return joined(x, Links(pairs, lengths, len(x)), box)
-    bonds = list(_bonds(system))
-    pairs = np.concatenate([pairs, np.array([bond[:2] for bond in bonds], dtype=np.intp).reshape(-1, 2)])
-    lengths = np.concatenate([lengths, np.array([bond[2] for bond in bonds])])
+    pairs, lengths = _with_bonds(system)
     owner = np.full(len(x), -1)
     for number, particles in enumerate(named):
         owner[particles] = number
@@ -87,7 +107,7 @@ def whole_positions(
         return y
     split = y is not x
     if split:
-        _refuse_split_parts(links, (np.abs(y - x) > 0.0).any(axis=1), named, loose)
+        _refuse_split_parts(links, np.asarray((np.abs(y - x) > 0.0).any(axis=1)), named, loose)
     return _loose_whole(y, masses, [named[number] for number in loose], loose, box, split)
 
 
@@ -128,7 +148,7 @@ _REMEDY = (
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
     """Return positions with those bodies whole that nothing joins, where another of their masses shows their shape.
 
-    `split` tells whether the box has split other molecules.
+    `split` is whether the box has split other molecules.
     """
     same: dict[bytes, list[int]] = {}
     for place, body in enumerate(bodies):

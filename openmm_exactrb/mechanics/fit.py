@@ -139,8 +139,8 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: do not let a periodic box split molecules, and set positions whose distances "
-            "are about those of the constraints"
+            f", more than {REFUSED:g} nm: set positions whose distances are about those of the constraints, or of the "
+            "positions that a body named by hand had first"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warnings.warn(

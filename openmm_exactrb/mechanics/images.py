@@ -1,7 +1,7 @@
 """Particles that a periodic box has split brought into one image again, and the closest bodies.
 
-Each link between two particles decides by itself by how many vectors of the box they are apart: the image is taken at
-which the link has its length. The rest is to follow a tree of links.
+Each link between two particles decides alone by how many vectors of the box they are apart: the image is taken at which
+the link has its length. The rest is to follow a tree of links.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ class Links:
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
-        self._keys, once = np.unique(_keys(*pairs.T, n_particles), return_index=True)
+        self._keys, once = np.unique(_keys(pairs[:, 0], pairs[:, 1], n_particles), return_index=True)
         self.pairs, self.lengths, self.n_particles = pairs[once], lengths[once], n_particles
         order = np.lexsort((once, self.lengths, np.zeros(len(once)) if last is None else last[once]))
         self._rank = np.empty(len(once))
@@ -38,8 +38,8 @@ class Links:
         """Which of the linked groups each particle (n_particles,) belongs to."""
         from scipy.sparse.csgraph import connected_components  # here, for a short import of the package
 
-        label: Indices = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
-        return label[:-1].astype(np.intp)
+        label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
+        return np.asarray(label[:-1], dtype=np.intp)
 
     @cached_property
     def tree(self) -> tuple[Indices, Indices, Indices]:

@@ -1,4 +1,4 @@
-"""Positions in a periodic box: what is given whole stays, what it has split is joined, and what is not known is said."""
+"""Positions in a periodic box: what is given whole stays, what it has split is joined, what is not known is said."""
 
 import numpy as np
 import openmm
@@ -191,14 +191,16 @@ def test_bodies_without_bonds_have_the_shape_that_others_of_their_masses_show():
 
 def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     x = wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE)
-    with pytest.warns(rb.ShapeWarning, match="body 0 has a gap of 2.72 nm, is taken as it is given"):
+    with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm, is taken as it is given"):
         bodies = find_bodies(system_of(6, CUBE), x, [range(6)], CUBE)
     np.testing.assert_array_equal(bodies.inertia, find_bodies(system_of(6, CUBE), x, [range(6)]).inertia)
 
 
 def test_a_body_without_bonds_is_refused_where_other_molecules_are_split():
     x = np.concatenate([wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE), [[0.05, 2.0, 2.0], [2.95, 2.0, 2.0]]])
-    with pytest.raises(ValueError, match="has split molecules, and body 0 has a gap of 2.72 nm that is 0.14 nm across"):
+    with pytest.raises(
+        ValueError, match=r"has split molecules, and body 0 has a gap of 2\.72 nm that is 0\.14 nm across"
+    ):
         find_bodies(system_of(8, CUBE, [(6, 7, 0.1)]), x, [range(6)], CUBE)
 
 
@@ -306,7 +308,7 @@ def test_particles_that_coincide_are_a_point():
     np.testing.assert_array_equal(y[0], y[1])
     assert np.linalg.norm(y[0] - x[0]) > 1e-3
     np.testing.assert_allclose(np.array([12.0, 4.0, 1.0]) @ (y - x), 0.0, atol=1e-13)
-    context.setPositions(x + [[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    context.setPositions(x + np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]]))
     with pytest.raises(ValueError, match="nm away from its shape"):
         integrator.step(1)
 

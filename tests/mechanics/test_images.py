@@ -85,7 +85,7 @@ def test_a_rod_of_half_the_box_stays_where_it_is_and_is_refused_where_two_images
     whole = np.array([[0.1, 0.2, 0.3], [0.6, 0.2, 0.3]])
     assert shapes.whole(whole, CUBE) is whole
     with pytest.raises(ValueError, match="particles 0, 1 form, and two images suit it equally well"):
-        shapes.whole(whole + [[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], CUBE)
+        shapes.whole(whole + np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), CUBE)
 
 
 def test_many_bodies_are_joined_each_by_itself():
