@@ -13,6 +13,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import starts
 import three_masses
 from few_dipoles import KT, REFERENCE, energies, simulation_of, snapshot
 
@@ -137,9 +138,9 @@ def test_a_restart_ends_in_the_same_bits(tmp_path, how, scheme):
 def test_cm_motion_remover_works():
     topology, system, positions = rb.dipole_fluid(8, trap=0.5)
     system.addForce(openmm.CMMotionRemover(1))
-    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.01, "S2_2"), REFERENCE)
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(KT, 2)
+    simulation = starts.simulation_of(
+        topology, system, rb.ExactRigidBodyIntegrator(0.01, "S2_2"), positions, kelvin=KT, seed=2
+    )
     simulation.step(3)
     _, state = simulation.integrator.bodyState()
     np.testing.assert_allclose(state.P.sum(axis=1), 0.0, atol=1e-12)
@@ -150,8 +151,7 @@ def test_a_bare_context_is_bound_or_found():
     ends = []
     for bind in (True, False):
         integrator = rb.ExactRigidBodyIntegrator(0.01)
-        context = openmm.Context(system, integrator, REFERENCE)
-        context.setPositions(positions)
+        context = starts.context_of(system, integrator, positions)
         if bind:
             integrator.bind(context)
         integrator.step(3)
@@ -187,8 +187,7 @@ def test_copies_have_the_settings_and_no_context():
         assert twin.getIntegrationForceGroups() == 0b1001
     twin = pickle.loads(pickle.dumps(simulation.integrator))
     assert twin.getIntegrationForceGroups() == 0b1001
-    again = app.Simulation(simulation.topology, simulation.system, twin, REFERENCE)
-    again.context.setPositions(snapshot(simulation)[0])
+    again = starts.simulation_of(simulation.topology, simulation.system, twin, snapshot(simulation)[0])
     again.step(1)
 
 
@@ -258,8 +257,7 @@ def test_force_groups_are_whole_numbers(groups):
 def test_a_state_of_bodies_has_unit_quaternions():
     _, system, positions = rb.rigid_water(2)
     integrator = rb.ExactRigidBodyIntegrator(0.002)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = starts.context_of(system, integrator, positions)
     found = integrator.bodyState()
     for wrong, message in (
         (found[1]._replace(q=1.1 * found[1].q), "quaternions of unit length"),
@@ -311,9 +309,7 @@ def test_a_default_evaluates_forces_once_a_step(name):
     topology, system, positions = rb.rigid_water(8)
     system.addForce(openmm.CMMotionRemover())
     integrator = ALL[name](0.002, checkDivergence=False)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(300, 1)
+    simulation = starts.simulation_of(topology, system, integrator, positions, kelvin=300)
     simulation.reporters.append(app.StateDataReporter(io.StringIO(), 100, totalEnergy=True))
     simulation.step(10)
     integrator.timings.reset()
@@ -350,8 +346,7 @@ def test_a_system_without_anything_to_move_is_refused():
     system = openmm.System()
     system.addParticle(0.0)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(np.zeros((1, 3)))
+    _context = starts.context_of(system, integrator, np.zeros((1, 3)))
     with pytest.raises(ValueError, match="nothing to move"):
         integrator.step(1)
 
@@ -400,8 +395,7 @@ def test_a_body_alone_has_no_closest_one():
     force.addParticle(0, [])
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    _context = starts.context_of(system, integrator, three_masses.POSITIONS)
     with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The"):
         integrator.step(1)
 
@@ -424,8 +418,7 @@ def test_a_step_far_too_large_stops_when_bodies_fly_apart():
     """Their energy is absurd and finite, and they would never meet again."""
     _, system, positions = rb.dipole_fluid(125, seed=3, inertia=(1.88, 1.88, 1.88))
     integrator = rb.ExactRigidBodyIntegrator(0.5, scheme="S6_10")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = starts.context_of(system, integrator, positions)
     with pytest.raises(rb.NonFiniteError, match=r"step 1, after 0 ps: .* faster than light"):
         integrator.step(10)
     np.testing.assert_allclose(
@@ -451,8 +444,7 @@ def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
     ends = []
     for breaks in (True, False):
         integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme)
-        context = openmm.Context(system, integrator, REFERENCE)
-        context.setPositions(positions)
+        context = starts.context_of(system, integrator, positions)
         integrator.setVelocitiesToTemperature(20.0, 1)
         if breaks:
             last = len(calls) + integrator.getScheme().processing // 2 + 4 * integrator.getScheme().stages
@@ -534,16 +526,14 @@ def test_a_subclass_with_arguments_of_its_own_can_be_copied(twin_of):
     integrator = OfWater(["water"])
     integrator.setTemperature(310.0)
     integrator.setRandomNumberSeed(3)
-    context = openmm.Context(simulation.system, integrator, REFERENCE)
-    context.setPositions(snapshot(simulation)[0])
+    _context = starts.context_of(simulation.system, integrator, snapshot(simulation)[0])
     integrator.step(1)
     twin = twin_of(integrator)
     assert (type(twin), twin.label) == (OfWater, ["water"])
     assert twin.getSettings() == integrator.getSettings()
     assert set(vars(twin)) == set(vars(OfWater("water")))
     assert twin.timings.evaluations == 0
-    again = openmm.Context(simulation.system, twin, REFERENCE)
-    again.setPositions(snapshot(simulation)[0])
+    again = starts.context_of(simulation.system, twin, snapshot(simulation)[0])
     twin.step(1)
     assert again.getStepCount() == 1
 

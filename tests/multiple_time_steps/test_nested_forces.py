@@ -22,6 +22,7 @@ from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, bonded_apart, end_of, moving, peptide, positions_of
+from starts import context_of
 
 
 @dataclass(frozen=True)
@@ -328,8 +329,7 @@ def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies()
 
 
 def energy_and_forces(system, x, platform=REFERENCE):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
-    context.setPositions(x)
+    context = context_of(system, openmm.VerletIntegrator(0.001), x, platform=platform)
     state = context.getState(energy=True, forces=True)
     return state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value
 
@@ -365,8 +365,7 @@ def test_the_device_has_inner_steps_exactly_where_the_host_has_them():
     _, system, x = peptide("None")
     for h, fast, nested in ((0.004, "auto", True), (0.0005, "auto", False), (0.004, None, False)):
         integrator = rb.ExactRigidBodyIntegrator(h, "S2_2", fast=fast, engine="device")
-        context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, REFERENCE)
-        context.setPositions(x)
+        _context = context_of(openmm.XmlSerializer.clone(system), integrator, x)
         integrator.step(1)
         assert (integrator.timings.fast_evaluations > 0) == nested
 
@@ -386,8 +385,7 @@ def test_thermostats_nest_at_the_steps_at_which_constant_energy_does(scheme):
             rb.ExactRigidBodyHybridIntegrator(300.0, 0.0, 3 * h, scheme, stepsPerProposal=3),
         ]
         for integrator in integrators:
-            context = openmm.Context(system, integrator, REFERENCE)
-            context.setPositions(x)
+            _context = context_of(system, integrator, x)
             integrator.setVelocitiesToTemperature(300.0, 3)
             integrator.step(1)
             assert (integrator.timings.fast_evaluations > 0) == nested, integrator
@@ -408,8 +406,7 @@ def bond_of(period, scheme, often):
     for force in (bond, outer):
         system.addForce(force)
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, scheme=scheme, forceInterval=often)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions([[0.0, 0.0, 0.0], [0.16, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    context = context_of(system, integrator, [[0.0, 0.0, 0.0], [0.16, 0.0, 0.0], [1.0, 1.0, 1.0]])
     trajectory, steps = [], 200
     for _ in range(steps):
         integrator.step(1)
@@ -447,8 +444,7 @@ def test_femtoseconds_without_their_unit_end_at_once(h, scheme):
 def test_a_proposal_that_is_far_too_long_is_refused_at_once():
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 1.0, 4.8, "S2_2")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    _context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(2)
     assert integrator.acceptanceRate() == 0.0

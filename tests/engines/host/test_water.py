@@ -11,8 +11,8 @@ from openmm import app, unit
 from scipy import stats
 
 import openmm_exactrb as rb
+from starts import REFERENCE, context_of, simulation_of
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 CPU = openmm.Platform.getPlatform("CPU")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
@@ -129,8 +129,7 @@ def linear_molecules(n=27):
 def test_linear_molecules_have_five_degrees_of_freedom_and_the_right_temperature():
     topology, system, x = linear_molecules()
     integrator = rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2")
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(x)
+    simulation = simulation_of(topology, system, integrator, x)
     assert integrator.degreesOfFreedom() == (81, 54)
     samples = []
     for seed in range(200):
@@ -185,8 +184,7 @@ def test_bodies_given_by_hand_are_rigid_and_their_inner_energy_is_a_constant():
     topology, system, x = flexible_ring()
     rings = [range(6 * k, 6 * k + 6) for k in range(4)]
     integrator = rb.ExactRigidBodyIntegrator(0.002, scheme="SRKN4_6b", bodies=rings)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(x)
+    simulation = simulation_of(topology, system, integrator, x)
     for group, force in enumerate(system.getForces()):
         force.setForceGroup(group)
     simulation.context.reinitialize(preserveState=True)
@@ -213,9 +211,7 @@ def test_a_rigid_cluster_without_all_its_distances_takes_its_shape_from_the_posi
             if (i, j) != (4, 0):
                 system.addConstraint(j, i, float(np.linalg.norm(x[i] - x[j])))
     integrator = rb.ExactRigidBodyIntegrator(0.01)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    context.setVelocities(rng.standard_normal((5, 3)))
+    context = context_of(system, integrator, x, rng.standard_normal((5, 3)))
     integrator.step(50)
     y = context.getState(positions=True).getPositions(asNumpy=True)._value
     assert np.linalg.norm(y[4] - y[0]) == pytest.approx(np.linalg.norm(x[4] - x[0]), rel=1e-13)
@@ -269,9 +265,7 @@ def test_a_barostat_does_not_tear_bodies_named_by_hand():
 
     def fresh():  # not minimised: nothing would hold the molecules together
         integrator = rb.ExactRigidBodyIntegrator(1e-7, bodies=named)
-        simulation = app.Simulation(topology, system, integrator, CPU)
-        simulation.context.setPositions(positions)
-        return simulation
+        return simulation_of(topology, system, integrator, positions, platform=CPU)
 
     barostat.setScaleMoleculesAsRigid(False)
     with pytest.raises(ValueError, match=r"MonteCarloBarostat .*AsRigid\(True\)"):
@@ -504,8 +498,7 @@ def check_equilibrium(n, starts, picoseconds, cutoff):
     topology, system, positions = periodic_water(n, **options)
     langevin = openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.002)
     langevin.setRandomNumberSeed(1)
-    theirs = app.Simulation(topology, system, langevin, CPU)
-    theirs.context.setPositions(positions)
+    theirs = simulation_of(topology, system, langevin, positions, platform=CPU)
     theirs.minimizeEnergy()
     theirs.context.setVelocitiesToTemperature(300.0, 1)
     theirs.step(round(0.25 * starts * picoseconds / 0.002))
