@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
+from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
 from openmm_exactrb.engines.custom_program.selection import Engine, Selection
@@ -381,6 +382,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._propagator.sync.taken_elsewhere = _parting(self)
         return self._propagator
 
+
+minimise_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"

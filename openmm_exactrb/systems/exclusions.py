@@ -20,9 +20,9 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
     pressures and barostats: OpenMM scales molecules as a whole. The energy changes by a constant; if it depends on
     parameters of the Context, as in free energy calculations, this constant does too.
 
-    Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of the
-    same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within bodies
-    become zero. Call it before the Context is created.
+    Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
+    the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
+    bodies become zero. Call it before the Context is created.
 
     Parameters
     ----------
@@ -90,9 +90,9 @@ def _members(system: openmm.System, bodies: list[list[int]]) -> list[list[int]]:
     for particle in range(system.getNumParticles()):
         if particle not in owner and system.isVirtualSite(particle):
             site = system.getVirtualSite(particle)
-            owners = {owner.get(site.getParticle(k)) for k in range(site.getNumParticles())}
-            if len(owners) == 1 and (number := owners.pop()) is not None:
-                owner[particle] = number
+            owners = {owner.get(site.getParticle(k), -1) for k in range(site.getNumParticles())}
+            if len(owners) == 1 and owners != {-1}:
+                owner[particle] = owners.pop()
     members: list[list[int]] = [[] for _ in bodies]
     for particle in sorted(owner):
         members[owner[particle]].append(particle)
