@@ -24,6 +24,7 @@ from openmm_exactrb.context.program import OwnProgram
 from openmm_exactrb.context.propagator import Propagator
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.units import picoseconds, refuse_temperature
+from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.device.engine import DevicePropagator
 from openmm_exactrb.device.selection import Engine, Selection
 from openmm_exactrb.mechanics.state import State
@@ -382,6 +383,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._propagator.sync.taken_elsewhere = _parting(self)
         return self._propagator
 
+
+draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"
