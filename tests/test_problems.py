@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
 
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
+from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 
 
 @pytest.fixture(params=["top", "satellite"])

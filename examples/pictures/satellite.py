@@ -9,11 +9,11 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from problems import Satellite, energy, integrate
 from sphere import BLUE, ORANGE, draw_sphere, eye
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import matrix
+from benchmarks.paper.problems import Satellite, energy, integrate
+from openmm_exactrb.mathematics.quaternions import matrix
 
 body = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
 q, m = np.array([[1.0], [0.0], [0.0], [0.0]]), body.inertia * np.array([[15.0], [-15.0], [15.0]])

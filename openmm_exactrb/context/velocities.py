@@ -15,15 +15,15 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
-from openmm_exactrb.context.units import gas_constant_times
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import gas_constant_times
 
 Array = NDArray[np.float64]
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
 
 
-def draw_by_integrators(kind: type) -> None:
+def draw_by_integrators(kind: type[Any]) -> None:
     """Have integrators of a kind draw the velocities that OpenMM cannot, by their method of the same name.
 
     It is the class of all Contexts that is told: one may be asked for velocities before its integrator knows it.

@@ -52,7 +52,7 @@ def gas(names, named=False, remover=False):
         else:
             for i, j in itertools.combinations(range(len(masses)), 2) if pairs is None else pairs:
                 system.addConstraint(first + i, first + j, np.linalg.norm(x[i] - x[j]))
-        places.append(x + [2.0 * number, 0.0, 0.0])
+        places.append(x + 2.0 * number * np.eye(3)[0])
         freedom += own
     if remover:
         system.addForce(openmm.CMMotionRemover())

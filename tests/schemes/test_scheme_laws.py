@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from problems import HeavyTop, energy, integrate
 
 import charts
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
+from benchmarks.paper.problems import HeavyTop, energy, integrate
+from openmm_exactrb.mathematics import quaternions
 from orders import composes_verlet, slope
 
 
