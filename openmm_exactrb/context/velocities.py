@@ -26,7 +26,7 @@ _LEFT = 1e-3
 def draw_by_integrators(kind: type[Any]) -> None:
     """Have integrators of a kind draw the velocities that OpenMM cannot, by their method of the same name.
 
-    It is the class of all Contexts that is told: one may be asked for velocities before its integrator knows it.
+    The method of the class is replaced, since a Context may be asked for velocities before its integrator knows it.
     """
     method = openmm.Context.setVelocitiesToTemperature
 
