@@ -17,6 +17,7 @@ from openmm import unit
 from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
 from openmm_exactrb.engines.custom_program.selection import Engine, Selection
 from openmm_exactrb.engines.host.environment import Settings
@@ -384,6 +385,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
 
 minimise_by_integrators(ExactRigidBodyIntegrator)
+draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"
