@@ -4,7 +4,10 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
+import openmm_exactrb as rb
+
 REFERENCE = openmm.Platform.getPlatform("Reference")
+CPU = openmm.Platform.getPlatform("CPU")
 #: The gas constant in kJ/mol/K.
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
@@ -34,6 +37,15 @@ def simulation_of(topology, system, integrator, start, velocities=None, *, kelvi
     put(simulation.context, start, velocities)
     if kelvin is not None:
         simulation.context.setVelocitiesToTemperature(kelvin, seed)
+    return simulation
+
+
+def warm(topology, system, positions, h=0.002, scheme="S2_2", platform=REFERENCE, **options):
+    """Return a Simulation of our integrator, minimised and at 300 K."""
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
+    simulation = simulation_of(topology, system, integrator, positions, platform=platform)
+    simulation.minimizeEnergy(tolerance=50)
+    simulation.context.setVelocitiesToTemperature(300.0, 3)
     return simulation
 
 
