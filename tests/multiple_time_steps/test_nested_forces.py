@@ -17,8 +17,8 @@ from openmm_exactrb.multiple_time_steps.stiffness import fastest
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
 from orders import slope
-from peptides import FORCE_FIELD, PEPTIDE, REFERENCE, bonded_apart, end_of, moving, peptide, positions_of
-from starts import context_of
+from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
+from starts import REFERENCE, context_of
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "None"])

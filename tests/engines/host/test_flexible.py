@@ -13,7 +13,6 @@ from orders import slope
 from peptides import (
     FORCE_FIELD,
     PEPTIDE,
-    REFERENCE,
     R,
     end_of,
     in_water,
@@ -23,7 +22,7 @@ from peptides import (
     velocities_of,
     violations,
 )
-from starts import context_of, simulation_of
+from starts import REFERENCE, context_of, simulation_of
 
 # -- constraints ------------------------------------------------------------------------------------------------
 
