@@ -37,8 +37,6 @@ class Thermostat(ABC):
         In K.
     numbers : tuple of str
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
-    on_device : bool
-        Whether the program of a device has it.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once a step.
@@ -46,7 +44,6 @@ class Thermostat(ABC):
 
     temperature: float
     numbers: tuple[str, ...] = ()
-    on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "BAOA"
 
     @property
@@ -96,9 +93,9 @@ class Thermostat(ABC):
         """Return the settings that decide on the bits of a run."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
-    def device_numbers(self) -> Mapping[str, float]:
-        """Return the numbers that a program on a device needs, by the names of its variables."""
-        return {}
+    def device_numbers(self) -> tuple[float, ...] | None:
+        """Return the numbers that kernels of a device need, None if they do not serve it."""
+        return None
 
 
 class Noise:
