@@ -16,6 +16,7 @@ from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.engine import Propagator, Settings
 from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
@@ -378,6 +379,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._propagator.sync.new_trajectory = _parting(self)
         return self._propagator
 
+
+draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"

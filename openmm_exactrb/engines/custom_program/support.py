@@ -84,12 +84,13 @@ def needs(context: Any, settings: Settings) -> Needs:
     h, groups, named = settings.h, settings.groups, settings.named
     x = arrays.positions(context.getState(positions=True))
     refuse_unset(context)
-    bodies = find_bodies(system, x, named)
+    box = arrays.periodic_box(context)
+    bodies = find_bodies(system, x, named, box)
     found = fast_forces(system, bodies, settings.fast)
     of = None if found is None or isinstance(found.settings.fast, str) else found.settings.fast
     which = fast_group.indices_of_fast(system, of, groups) if found is not None and found.acts(outer, h) else []
     if which or len(bodies.clusters):
-        bodies = find_bodies(system, x, named, pairs=True)  # two particles with a constraint may feel fast forces
+        bodies = find_bodies(system, x, named, box, pairs=True)  # two particles with a constraint may feel fast forces
     if why := gather.unsupported(system, bodies):
         raise UnsupportedError(why)
     sums, clusters = gather.free_group(system, names.GROUP) or 0, bool(len(bodies.clusters))
