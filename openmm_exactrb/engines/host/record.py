@@ -25,8 +25,9 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 def _propagator(
     context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
 ) -> HostPropagator:
-    """Return a propagator, for an integrator whose variables are the host's, or become it."""
-    if not variables.declared(integrator) or integrator.getGlobalVariable(0) not in _marks(settings):
+    """Return a propagator for an integrator, whose variables become the host's unless they are."""
+    own = (variables.NOTHING, *_marks(settings))
+    if not variables.declared(integrator) or integrator.getGlobalVariable(0) not in own:
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)
         program.setIntegrationForceGroups(settings.groups)
