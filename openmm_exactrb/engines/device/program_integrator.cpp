@@ -417,6 +417,8 @@ void ProgramIntegrator::uploadBox() {
 }
 
 void ProgramIntegrator::launch(Kernel& k) {
+    if (placesStale)
+        uploadPlaces();
     for (auto& scalar : k.scalars) {
         if (scalar.second == StepCount)
             k.kernel->setArg(scalar.first, cc->getStepCount());
@@ -438,8 +440,6 @@ void ProgramIntegrator::carryOut(const string& name) {
     auto found = sequences.find(name);
     if (found == sequences.end())
         return;
-    if (placesStale)
-        uploadPlaces();
     for (Operation& o : found->second) {
         switch (o.kind) {
         case Operation::Run:
@@ -453,8 +453,6 @@ void ProgramIntegrator::carryOut(const string& name) {
             break;
         case Operation::Reorder:
             functions.reorderAtoms(cc);
-            if (placesStale)
-                uploadPlaces();
             break;
         case Operation::Clock:
             cc->setTime(stepBegan + o.value * getStepSize());
@@ -482,8 +480,8 @@ void ProgramIntegrator::step(int steps) {
 
 // Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
 // its last forces, "close" ends it, and "between" is "close" and "open" in one. After every "interval" (a scalar, 0 for
-// never) of steps OpenMM updates the Context: then "leave" comes before, "pushed" after it, and "moved" too where
-// positions changed.
+// never) of steps OpenMM updates the Context: then comes "pushed", and "moved" too where positions changed. Around every
+// n-th of these updates, for a scalar "leaves" of n, they are "leave", "leave pushed" and "leave moved".
 void ProgramIntegrator::makeSteps(int steps) {
     Current current(cc);
     uploadBox();
@@ -514,11 +512,18 @@ void ProgramIntegrator::runAlone(const string& name) {
     uploadBox();
     stepBegan = cc->getTime();
     carryOut(name);
+    forcesStale = true;
 }
 
 // Let barostats, thermostats and removers of the System act as in so many steps that end now.
 void ProgramIntegrator::update(int calls) {
-    carryOut("leave");
+    const double leaves = scalar("leaves");
+    const bool leave = leaves > 0 && ++scalar("updates") >= leaves;
+    const string prefix = leave ? "leave " : "";
+    if (leave) {
+        scalar("updates") = 0;
+        carryOut("leave");
+    }
     const long long count = cc->getStepCount();
     bool moved = false;
     updating = true;
@@ -527,13 +532,14 @@ void ProgramIntegrator::update(int calls) {
         moved |= context->updateContextState();
     }
     updating = false;
-    carryOut("pushed");
+    carryOut(prefix + "pushed");
     if (moved) {
         uploadBox();
         uploadPlaces();
-        carryOut("moved");
-        forcesStale = true;
+        carryOut(prefix + "moved");
     }
+    if (moved || leave)
+        forcesStale = true;
 }
 
 // -- what is kept, saved and loaded -----------------------------------------------------------------------------------
