@@ -7,7 +7,7 @@ from typing import Any
 
 from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
-from openmm_exactrb.engines.device.segments import Sequences, Step, Table, known_after
+from openmm_exactrb.engines.device.segments import Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
@@ -61,4 +61,3 @@ def _moves(scheme: Scheme) -> Iterable[Move]:
     """Return all moves of a scheme."""
     rows = (*scheme.sequence, *scheme.processor, *scheme.output)
     return [move for substep, part in rows for move in of_substep(substep, part)]
-

@@ -90,7 +90,8 @@ class RigidPart:
     def _source(self) -> Source:
         demands = self._demands
         nodes, weights = RULES[1]
-        rule = [(f"{name}{j}", f"({x!r})") for name, some in (("NODE", nodes), ("WEIGHT", weights)) for j, x in enumerate(map(float, np.ravel(some)))]
+        rule = [(f"NODE{j}", f"({float(x[0])!r})") for j, x in enumerate(nodes)]
+        rule += [(f"WEIGHT{j}", f"({float(x)!r})") for j, x in enumerate(weights)]
         sizes = {kind.particles.shape[1] for kind in self._kinds}
         defines: list[tuple[str, object]] = [
             *rule,
@@ -130,7 +131,7 @@ class RigidPart:
         to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
         to.array(differences, 6 * self.n * self._demands.differences[0], saved=True)
         to.array(here, 6 * self.n * self._demands.displaces)
-        to.array(*self._named("kinetic"), 3 * GROUPS)
+        to.array(self._prefix + "kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launch of a segment."""
@@ -140,7 +141,7 @@ class RigidPart:
         what |= _HAS_FORCES * segment.has(Op.REMEMBER)
         what |= _MOVES_PARTICLES * (segment.places or displaced or any(move.displaces for move in moves))
         what |= _SHOWS_VELOCITIES * segment.shows | _IS_DISPLACED * displaced
-        arguments = (
+        arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             "force",
             *self._named(*_TABLES),
@@ -198,7 +199,7 @@ class RigidPart:
             first, counts = first + count, counts + count * size
             n_sites, n_masses, n_constants = n_sites + len(sites[-1]), n_masses + size, n_constants + len(of_bodies[-1])
         index = np.stack([self.columns, np.zeros(self.n, dtype=np.intp)])
-        values = {
+        values: dict[str, NDArray[Any]] = {
             "kind": kind_of.astype(np.int32),
             "kinds": np.array(rows, dtype=np.int32),
             "atoms": np.concatenate(atoms).astype(np.int32),
@@ -212,7 +213,7 @@ class RigidPart:
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
         """Write which of all bodies (N,) are in flexible molecules."""
         index = np.stack([self.columns, flexible[self.columns]])
-        device.upload(*self._named("index"), index.astype(np.int32))
+        device.upload(self._prefix + "index", index.astype(np.int32))
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
         """Write the state of all bodies to the device."""

@@ -48,9 +48,9 @@ DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
     for (int k = 0; k < n; k++) {
         shared[LANE] = values[k];
         SYNC_THREADS
-        for (int half = LANES/2; half > 0; half /= 2) {
-            if (LANE < half)
-                shared[LANE] += shared[LANE+half];
+        for (int width = LANES/2; width > 0; width /= 2) {
+            if (LANE < width)
+                shared[LANE] += shared[LANE+width];
             SYNC_THREADS
         }
         values[k] = shared[0];

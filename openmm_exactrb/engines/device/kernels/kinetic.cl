@@ -22,10 +22,10 @@ KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL cons
     for (int k = 0; k < 3; k++)
         shared[k*BLOCK+LOCAL_ID] = mine[k];
     SYNC_THREADS
-    for (int half = BLOCK/2; half > 0; half /= 2) {
-        if (LOCAL_ID < half)
+    for (int width = BLOCK/2; width > 0; width /= 2) {
+        if (LOCAL_ID < width)
             for (int k = 0; k < 3; k++)
-                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+half];
+                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+width];
         SYNC_THREADS
     }
     if (LOCAL_ID == 0)
@@ -43,10 +43,10 @@ KERNEL void total(GLOBAL const double* sums, GLOBAL double* totals, int adds) {
         shared[k*BLOCK+LOCAL_ID] = mine;
     }
     SYNC_THREADS
-    for (int half = BLOCK/2; half > 0; half /= 2) {
-        if (LOCAL_ID < half)
+    for (int width = BLOCK/2; width > 0; width /= 2) {
+        if (LOCAL_ID < width)
             for (int k = 0; k < 3; k++)
-                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+half];
+                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+width];
         SYNC_THREADS
     }
     if (GROUP_ID == 0 && LOCAL_ID < 3)

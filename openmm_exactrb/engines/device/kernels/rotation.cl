@@ -9,10 +9,10 @@
 
 // w = sn(v)/c at s = v/c.
 DEVICE inline double sine_short(double s, double x, double z) {
-    double half_s = 0.5*s, u = half_s*half_s, P = (x+z)*u, Q = (x*z)*(u*u);
+    double short_s = 0.5*s, u = short_s*short_s, P = (x+z)*u, Q = (x*z)*(u*u);
     double in_P = 1.0+P*(-1.0/6+P*(1.0/120+P*(-1.0/5040+P*(1.0/362880-P*(1.0/39916800)))));
     double in_Q = 1.0/10+P*(-11.0/420+P*(17.0/5040-P*(461.0/1663200)))+Q*(1.0/120-P*(307.0/92400));
-    double w = half_s*(in_P+Q*in_Q);
+    double w = short_s*(in_P+Q*in_Q);
     u = w*w;
     double xu = x*u, zu = z*u;
     return 2.0*w*sqrt((1.0-xu)*(1.0-zu))/(1.0-xu*zu);
