@@ -117,7 +117,8 @@ class RigidPart:
         return tuple(self._prefix + name for name in names)
 
     def _state(self, copied: bool) -> tuple[str, ...]:
-        return self._named(*(f"shown_{name}" if copied and self._demands.copied else name for name in _STATE))
+        inner = self._demands.copied and not copied
+        return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
 
     def declare(self, to: Program) -> None:
         """Declare tables, the state, and what is remembered."""
