@@ -22,6 +22,7 @@ from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.thermostat import Factors
 
 # Of the bodies that are lost, so many are named.
 _NAMED = 5
@@ -55,7 +56,9 @@ class DevicePropagator:
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._surroundings: object = None  # box and parameters at the end of the last call: inner coordinates are theirs
+        self._surroundings: object = (
+            None  # box and parameters at the end of the last call: inner coordinates are theirs
+        )
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
         self._load()
 
@@ -73,7 +76,9 @@ class DevicePropagator:
 
     def _load(self) -> None:
         """Give the integrator the program of the settings, and its tables."""
-        self._assembly = assembly = Assembly(self.sync.bodies, self._settings.scheme, self.updates, self._sites)
+        self._assembly = assembly = Assembly(
+            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors
+        )
         self.device.load(assembly.program.text)
         context: Any = self.sync.context
         self.sync.begin(self.device, assembly.parts, self._processed, platforms.is_single(context))
@@ -102,6 +107,11 @@ class DevicePropagator:
             flexible = in_flexible_molecules(self.sync.context, self.sync.bodies, settings.named)
             for part in self._assembly.parts:
                 part.flag(self.device, flexible)
+
+    @property
+    def _factors(self) -> Factors | None:
+        thermostat = self._settings.thermostat
+        return None if thermostat is None else thermostat.factors
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
         """Return the numbers of a heat exchange, as many as the table has room for."""
@@ -215,7 +225,7 @@ class DevicePropagator:
 
     def _potential(self) -> float:
         self._timings.evaluations += 1
-        state = self.sync.context.getState(energy=True, groups=self._integrator().getIntegrationForceGroups())
+        state = self.sync.context.getState(energy=True, groups=self._settings.groups)
         return float(state.getPotentialEnergy()._value)
 
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
