@@ -120,10 +120,6 @@ class DeviceState(Synchronisation):
         self.state, self.inner, self._behind = state, None, False
         self.push()
 
-    def refuse_others(self) -> None:
-        """Raise ValueError for variables that another kind of integrator wrote."""
-        variables.refuse_others(self._integrator(), (0.0, variables.FROM_DEVICE))
-
     def _write(self) -> None:
         """Do nothing: the program has the state, which OpenMM saves with it."""
 
