@@ -327,22 +327,31 @@ def splitting(name: str | Scheme) -> Scheme:
     if found.processor:
         raise ValueError(
             f"scheme {found.name} runs in inner coordinates, but a thermostat acts on the true state at every step: "
-            "choose a scheme without a processor, such as S2_2"
+            "choose a scheme without a processor, such as W2_3m"
         )
     return found
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of some schemes, or one that can be generated; ValueError with the nearest name if it is unknown."""
+    """Return one of some schemes, or one that can be generated; ValueError with the name that was meant otherwise."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
-        raise ValueError(f"a scheme is one of {', '.join(CATALOGUE)}, or a Scheme, not {name!r}")
+        raise ValueError(f'a scheme is a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {name!r}')
     if name in schemes:
         return schemes[name]
     if generated := re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name):
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
+    meant = _meant(name, schemes)
+    hint = f": did you mean {meant!r}? A" if meant else ": a"
+    more = " and openmm_exactrb.schemes.WITH_THERMOSTAT" if len(schemes) > len(CATALOGUE) else ""
+    raise ValueError(f"unknown scheme {name!r}{hint}ll names are in openmm_exactrb.SCHEMES{more}")
+
+
+def _meant(name: str, schemes: Mapping[str, Scheme]) -> str | None:
+    """Return the name that was cut off or misspelt: the cheapest scheme of a family, or else the nearest name."""
     by_capitals = {known.upper(): known for known in schemes}
-    near = difflib.get_close_matches(name.upper(), by_capitals, 1)
-    hint = f"; did you mean {by_capitals[near[0]]!r}?" if near else "."
-    raise ValueError(f"unknown scheme {name!r}{hint} Available: {', '.join(schemes)}")
+    family = [known for capitals, known in by_capitals.items() if capitals.startswith(f"{name.upper()}_")]
+    if family and name.upper() not in by_capitals:
+        return min(family, key=lambda known: schemes[known].forces)
+    return next((by_capitals[near] for near in difflib.get_close_matches(name.upper(), by_capitals, 1)), None)

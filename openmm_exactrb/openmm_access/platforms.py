@@ -1,0 +1,90 @@
+"""Which platform of OpenMM, and in which precision, where the user makes no Context."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from typing import Any
+
+import openmm
+
+_PRECISION = "Precision"
+#: Platforms that keep positions and forces on a device.
+DEVICES = ("CUDA", "HIP", "OpenCL")
+# CPUs in OpenCL's DeviceName and OpenCLPlatformName: of Intel, AMD and Arm, and of PoCL (pthread-..., cpu-..., basic).
+_CPU = re.compile(r"\b(cpu|pthread|basic|core\(tm\)|xeon|pentium|celeron|epyc|ryzen|threadripper|opteron|cortex)", re.I)
+
+
+def platforms() -> list[openmm.Platform]:
+    """Return those that are here, the fastest first."""
+    found = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
+    return sorted(found, key=lambda platform: -platform.getSpeed())
+
+
+def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
+    """Return a platform: the named one, else that of OPENMM_DEFAULT_PLATFORM, which OpenMM obeys too, else the fastest.
+
+    The fastest of those that `refused_by_default` has nothing against.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown.
+    """
+    if isinstance(name, openmm.Platform):
+        return name
+    found = {platform.getName(): platform for platform in platforms()}
+    by_case = {known.lower(): known for known in found}
+    wanted = name if name is not None else os.environ.get("OPENMM_DEFAULT_PLATFORM")
+    if not wanted:
+        return next(platform for platform in found.values() if not refused_by_default(platform))
+    if str(wanted).lower() not in by_case:
+        raise ValueError(f"there is no platform {wanted!r} here: choose one of {', '.join(found)}")
+    return found[by_case[str(wanted).lower()]]
+
+
+def refused_by_default(platform: openmm.Platform) -> str | None:
+    """Return why a platform is taken only where the user names it, or None."""
+    if platform.getName() != "OpenCL":
+        return None
+    system = openmm.System()
+    system.addParticle(1.0)
+    try:
+        why = no_gpu(openmm.Context(system, openmm.VerletIntegrator(0.001), platform))
+    except openmm.OpenMMException as error:
+        return f"no Context can be made: {error}"
+    return why and f"{why}, where OpenMM's minimiser may crash"
+
+
+def no_gpu(context: Any) -> str | None:
+    """Return why the platform of a Context is no GPU, or None."""
+    platform = context.getPlatform()
+    name = platform.getName()
+    if name not in DEVICES:
+        return f"{name} is not a GPU platform"
+    if name != "OpenCL":
+        return None
+    device, vendor = (platform.getPropertyValue(context, key) for key in ("DeviceName", "OpenCLPlatformName"))
+    return f"the OpenCL device {device} is a CPU" if _CPU.search(f"{device} {vendor}") else None
+
+
+def mixed(platform: openmm.Platform) -> dict[str, str]:
+    """Return the properties of mixed precision where a platform has a choice: its default loses the energy's digits."""
+    return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
+
+
+def is_single(context: Any) -> bool:
+    """Return whether a Context computes in the single precision of its platform."""
+    platform = context.getPlatform()
+    return platform.getName() in DEVICES and platform.getPropertyValue(context, _PRECISION) == "single"
+
+
+def warn_of_single_precision(context: Any) -> None:
+    """Warn where rounding hides what an integrator is chosen for."""
+    if is_single(context):
+        warnings.warn(
+            "the Context is in single precision, whose rounding hides the errors and the drift of the energy that "
+            'schemes differ in: make it with the platform properties {"Precision": "mixed"}',
+            stacklevel=5,
+        )

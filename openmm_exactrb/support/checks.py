@@ -1,0 +1,104 @@
+"""Checks of numbers from a user, each with a message of one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import reprlib
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def number(value: Any, name: str, of: str = "") -> float:
+    """Return a finite number as a float; a ValueError with its name and unit (`of`) otherwise."""
+    return _checked(value, name, of, "a finite number{}", lambda x: True)
+
+
+def positive(value: Any, name: str, of: str = "") -> float:
+    """Return a finite number above zero as a float; see `number`."""
+    return _checked(value, name, of, "a positive number{}", lambda x: x > 0.0)
+
+
+def not_negative(value: Any, name: str, of: str = "") -> float:
+    """Return a finite number of at least zero as a float; see `number`."""
+    return _checked(value, name, of, "a number{} of at least 0", lambda x: x >= 0.0)
+
+
+def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
+    """Return a whole number of at least `least`; see `number`."""
+    asked = f"a whole number{{}} of at least {least}"
+    _checked(value, name, of, asked, lambda x: x == int(x) and x >= least)
+    return int(value)
+
+
+def force_groups(value: Any) -> int:
+    """Return force groups, in a set or by bits, as bits; ValueError for anything else."""
+    if _index(value) and -(2**31) <= value < 2**32:
+        return int(value)
+    groups: list[Any] = [*value] if _iterable(value) else [None]
+    if not all(_index(group) and 0 <= group < 32 for group in groups):
+        raise ValueError(f"force groups must be a set of whole numbers from 0 to 31, or their bits, not {value!r}")
+    return sum(1 << group for group in {*map(int, groups)})
+
+
+def switch(value: Any, name: str) -> bool:
+    """Return True or False; ValueError for anything else."""
+    if not isinstance(value, bool):
+        raise ValueError(f"{name} must be True or False, not {reprlib.repr(value)}")
+    return value
+
+
+def array(
+    value: Any, name: str, asked: str = "real numbers in rows of one length, without a unit"
+) -> NDArray[np.float64]:
+    """Return real numbers, also nan or infinite, as an array of floats.
+
+    Raises
+    ------
+    ValueError
+        If it is complex, text, a Quantity, or in rows of different lengths; the message says what is `asked`.
+    """
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        given = np.asarray(value)
+        if given.dtype.kind == "O":
+            given = np.frompyfunc(float, 1, 1)(given)  # not None, which numpy converts to nan
+        if given.dtype.kind in "biufO" and not _has_unit(value):  # which numpy would drop
+            return given.astype(np.float64, copy=False)
+    raise ValueError(f"{name} must be {asked}, not {reprlib.repr(value)}")
+
+
+def lists_of_indices(value: Any, name: str) -> list[list[int]]:
+    """Return lists of numbers of particles as lists of int; iterators are walked once. See `number`."""
+    rows = [list(row) if _iterable(row) else None for row in value] if _iterable(value) else [None]
+    fits = [row for row in rows if row is not None and all(map(_index, row))]
+    if len(fits) < len(rows):
+        given = reprlib.repr(value)
+        raise ValueError(f"{name} must be lists of numbers of particles, such as [[0, 1, 2], [3, 4, 5]], not {given}")
+    return [list(map(int, row)) for row in fits]
+
+
+def _has_unit(value: Any) -> bool:
+    """Return whether a value, or one in a list of values, is a Quantity."""
+    return hasattr(value, "unit") or (isinstance(value, (list, tuple)) and any(hasattr(x, "unit") for x in value))
+
+
+def _iterable(value: Any) -> bool:
+    return np.iterable(value) and not isinstance(value, (str, bytes))
+
+
+def _index(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+
+
+def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
+    huge = isinstance(value, int) and abs(value) > sys.float_info.max  # has no float
+    if not plain or huge or not math.isfinite(value) or not fits(value):
+        shown = f"one beyond {sys.float_info.max:.2g}" if huge else repr(value)
+        raise ValueError(f"{name} must be {asked.format(f' of {of}' if of else '')}, not {shown}")
+    return float(value)
