@@ -27,9 +27,9 @@ import openmm
 from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
-from openmm_exactrb import checks
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 # Blocks of the jackknife, and the fewest frames that they can be made of.
@@ -87,7 +87,7 @@ class PressureOffset:
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
         """Return a barostat that keeps the density of a pressure (in bar if it has no unit) at zero step size."""
-        from openmm_exactrb.context.units import plain
+        from openmm_exactrb.openmm_access.units import plain
 
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
@@ -131,10 +131,7 @@ def corrected(
     ValueError
         If the file has not what the correction needs, or the theory does not hold for the run.
     """
-    settings, columns = read(file)
-    _enough(columns, file)
-    if settings.barostat not in ("", "MonteCarloBarostat"):
-        raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
+    settings, columns = _checked(file)
     if settings.barostat and "pressure" not in columns:
         raise ValueError(f"at constant pressure corrections need the pressure: report {file} with pressure=True")
     if local and "square around" not in columns:
@@ -161,10 +158,16 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     ValueError
         If the file has no pressure, or the run had a barostat other than MonteCarloBarostat.
     """
-    found = corrected(file, "pressure")
-    settings, columns = read(file)
-    raw = float(columns["pressure"].mean())
-    weak, strong = (raw - mean for mean in found.bracket)
+    settings, columns = _checked(file)
+    if "pressure" not in columns:
+        raise ValueError(f"{file} has no pressure: report with pressure=True")
+
+    def result(some: Columns) -> _Result:
+        value, of = _pressure(settings, some)
+        return value, *_at_fixed_volume(settings, some, of, False, some["volume"] if settings.barostat else None)
+
+    found = _jackknife(columns, result)
+    weak, strong = (-found.correction + found.bracket[0] - mean for mean in found.bracket)
     return PressureOffset(
         -found.correction, found.correction_error, (weak, strong), settings.scheme, settings.step, settings.temperature
     )
@@ -326,7 +329,12 @@ _READY = {
 }
 
 
-def _enough(columns: Columns, file: Any) -> None:
+def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
+    """Return the settings and columns of a file; ValueError if they are too few, or no barostat is served."""
+    settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
         raise ValueError(f"{file} has {frames} frames, and errors need at least {_FEWEST}: run longer")
+    if settings.barostat not in ("", "MonteCarloBarostat"):
+        raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
+    return settings, columns

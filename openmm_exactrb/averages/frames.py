@@ -14,13 +14,13 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
-from openmm_exactrb.context.molecules import in_flexible_molecules, molecule_of
-from openmm_exactrb.context.multiple_time_steps import FastForces, fast_forces
-from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules, molecule_of
+from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.thermostats.langevin import Langevin
 
 Array = NDArray[np.float64]
@@ -302,5 +302,3 @@ class _ScaledContext:
         self._own.computeVirtualSites()
         found = self._own.getState(energy=True, forces=True)
         return found.getPotentialEnergy()._value, generalised(of_bodies, arrays.forces(found))
-
-

@@ -9,12 +9,12 @@ from typing import Any
 
 from openmm import unit
 
-from openmm_exactrb import checks
 from openmm_exactrb.averages.frames import Frames, Observable, langevin_of
 from openmm_exactrb.averages.record import Settings, columns_of, head
-from openmm_exactrb.context.units import gas_constant_times, plain
 from openmm_exactrb.context.updates import BAROSTATS, acting_updates
+from openmm_exactrb.openmm_access.units import gas_constant_times, plain
 from openmm_exactrb.schemes.second_order import second_order
+from openmm_exactrb.support import checks
 
 
 class AverageReporter:

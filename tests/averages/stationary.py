@@ -2,7 +2,8 @@
 
 A step is a Markov chain in phase space. Its operator on functions is a matrix in polynomials that are orthonormal under
 the canonical distribution; the vector that its transpose leaves alone is the stationary distribution. Two
-motions are small enough: a particle in the well x⁴/4, with a fast spring in its drifts too, and a linear rotor in a field. kT, mass and moment are 1.
+motions are small enough: a particle in the well x⁴/4, with a fast spring in its drifts too, and a linear rotor in a
+field. kT, mass and moment are 1.
 """
 
 from dataclasses import dataclass
@@ -78,7 +79,7 @@ class Motion:
 class Quartic(Motion):
     """A particle in the well x⁴/4, whose drifts have the force of a spring in them: -spring x."""
 
-    freedom = 1
+    freedom, ricci = 1, 0.0
 
     def __init__(self, spring=0.0, degree=24, nodes=48):
         self.spring = spring
@@ -154,7 +155,7 @@ class Rotor(Motion):
     Functions of u, of its rate s, and of e, the square of the angular velocity, are closed under its motion.
     """
 
-    freedom = 2
+    freedom, ricci = 2, 1.0
 
     def __init__(self, mu=2.0, degree=11, nodes=18):
         self.mu = mu
@@ -164,14 +165,14 @@ class Rotor(Motion):
         u, along, across = (a.ravel() for a in np.meshgrid(u, p, p, indexing="ij"))
         self.w = (wu[:, None, None] * wp[:, None] * wp).ravel()
         self.z = u, np.sqrt(1.0 - u * u) * along, along**2 + across**2
-        self.powers = [
+        powers = [
             (a, b, c)
             for a in range(degree + 1)
             for b in range(degree + 1 - a)
             for c in range((degree - a - b) // 2 + 1)
         ]
-        self.powers.sort(key=lambda abc: (abc[0] + abc[1] + 2 * abc[2], abc))
-        self.transform = None
+        powers.sort(key=lambda abc: (abc[0] + abc[1] + 2 * abc[2], abc))
+        self.powers = np.array(powers)
         values = self._monomials(self.z)
         _, triangle = np.linalg.qr(np.sqrt(self.w)[:, None] * values)
         triangle *= np.sign(np.diag(triangle))[:, None]
@@ -185,15 +186,19 @@ class Rotor(Motion):
         self.flow = (self.basis(self.z) * self.w[:, None]).T @ moved
 
     def _monomials(self, z):
+        (a, b, c), (u, s, q) = self.powers.T, self._powers(z)
+        return u[:, a] * s[:, b] * q[:, c]
+
+    def _powers(self, z):
         u, s, e = z
-        return np.stack([u**a * s**b * (0.25 * e) ** c for a, b, c in self.powers], axis=1)
+        return [x[:, None] ** np.arange(self.powers.max() + 1) for x in (u, s, 0.25 * e)]
 
     def _slopes(self, z):
-        u, s, e = z
-        q = 0.25 * e
-        fu = np.stack([a * u ** max(a - 1, 0) * s**b * q**c for a, b, c in self.powers], axis=1)
-        fs = np.stack([b * u**a * s ** max(b - 1, 0) * q**c for a, b, c in self.powers], axis=1)
-        fe = np.stack([0.25 * c * u**a * s**b * q ** max(c - 1, 0) for a, b, c in self.powers], axis=1)
+        """Return the slopes of the basis in u, s and e."""
+        (a, b, c), (u, s, q) = self.powers.T, self._powers(z)
+        fu = a * u[:, np.maximum(a - 1, 0)] * s[:, b] * q[:, c]
+        fs = b * u[:, a] * s[:, np.maximum(b - 1, 0)] * q[:, c]
+        fe = 0.25 * c * u[:, a] * s[:, b] * q[:, np.maximum(c - 1, 0)]
         return tuple(f @ self.transform for f in (fu, fs, fe))
 
     def basis(self, z):
