@@ -68,10 +68,21 @@ class BodyAccess:
         one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
         return one, other
 
+    def computeSystemTemperature(self) -> unit.Quantity:
+        """Return the temperature of all degrees of freedom of the bodies, in K; nan without any.
+
+        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters ask for it, and would
+        otherwise count the constraints of the System, which redundant ones and bodies named by hand make wrong.
+        """
+        energy, freedom = sum(self.kineticEnergies(), 0.0 * unit.kilojoule_per_mole), sum(self.degreesOfFreedom())
+        return (2.0 * energy / ((freedom or math.nan) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
+
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
 
-        Unlike the method of the Context, it is correct for linear bodies and for bodies without constraints.
+        It is correct for linear bodies, redundant constraints and bodies without constraints. With a CMMotionRemover
+        the total momentum is 0. The method of the same name of the Context calls this one where OpenMM's solver of
+        constraints does not converge, and where bodies are named by hand.
 
         Parameters
         ----------
