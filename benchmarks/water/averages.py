@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,15 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.records import DOCS, OUT, Record, Row
 from benchmarks.common.starts import REPEATED
+from benchmarks.water.equipartition_record import markdown, with_error
 
 TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
 FRAME, BURN, PART = 0.2, 20.0, 20.0  # ps: between two frames, not counted, and between two savings
 SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75, "ewaldErrorTolerance": 1e-4}
 KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
-NAMES = ("potential energy", "pressure", "density", "enthalpy")
-COLUMNS = [f"{name}{part}" for name in NAMES for part in ("", " corrected", " error", " correction error")]
+UNITS = {"potential energy": "kJ/mol", "pressure": "bar", "density": "kg/m³", "enthalpy": "kJ/mol"}
+NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
+COLUMNS = [f"{name}{part}" for name in NAMES for part in PARTS]
 RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
 
 
@@ -94,7 +97,7 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
             per = MOLECULES if name in ("potential energy", "enthalpy") else 1
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
             values = tuple(value / per for value in values)
-        columns = (f"{name}{part}" for part in ("", " corrected", " error", " correction error"))
+        columns = (f"{name}{part}" for part in PARTS)
         row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
     return row
 
@@ -120,19 +123,27 @@ def _is_of(row: Row, run: dict[str, Any]) -> bool:
     return all(row[name] == str(run[name]) for name in ("model", "masses", "scheme", "fs"))
 
 
-def table() -> None:
-    """Print the means over seeds, with errors of the scatter of runs where there are several."""
+def averages() -> str:
+    """Return the means over seeds, as they are and corrected, as a table of a page."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in RECORD.rows().values():
         groups.setdefault(tuple(row[name] for name in KEY[:-2]), []).append(row)
-    for key, rows in groups.items():
-        print(*key, f"{len(rows)} runs, {sum(float(row['ps']) for row in rows):g} ps")
+    body = []
+    for (model, masses, scheme, fs, ensemble, bar), rows in groups.items():
+        of_run = f"{model.upper()}, {masses} hydrogens", f"`{scheme}`, {float(fs):g} fs"
+        held = "constant volume" if ensemble == "NVT" else f"{float(bar):g} bar"
+        length = sum(float(row["ps"]) for row in rows)
         for name in NAMES:
-            values = np.array([[float(row[f"{name}{p}"]) for p in ("", " corrected", " error")] for row in rows])
+            values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in rows])
             if np.isfinite(values).all():
-                weights = 1.0 / values[:, 2] ** 2
-                plain, corrected = (values[:, :2] * weights[:, None]).sum(axis=0) / weights.sum()
-                print(f"    {name:18s} {plain:10.4f} corrected {corrected:10.4f} +- {weights.sum() ** -0.5:.4f}")
+                weights = values[:, 2] ** -2.0 / (values[:, 2] ** -2.0).sum()
+                plain, after, _, _ = weights @ values
+                error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
+                digits = max(0, 1 - math.floor(math.log10(error)))
+                cells = with_error(after, error, digits), with_error(after - plain, of_correction, digits)
+                body.append((*of_run, held, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}", *cells, f"{length:g} ps"))
+    head = ("", "a force evaluation every", "", "average", "as it is", "corrected", "correction", "")
+    return markdown([[*head], ["---"] * len(head), *map(list, body)])
 
 
 def main() -> None:
@@ -146,13 +157,13 @@ def main() -> None:
     parser.add_argument("--offset", action="store_true", help="set the barostat to 1 bar and the predicted offset")
     parser.add_argument("--ps", type=float, default=400.0, help="of a run; %(default)s")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="%(default)s")
-    parser.add_argument("--table", action="store_true", help="print the means of the record only")
+    parser.add_argument("--table", action="store_true", help="print the table of the record only")
     arguments = parser.parse_args()
     if not arguments.table:
         for run in runs(arguments):
             if run not in RECORD:
                 RECORD.add(row_of(run))
-    table()
+    print(averages())
 
 
 if __name__ == "__main__":
