@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
+from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
@@ -383,6 +384,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._propagator
 
 
+minimise_by_integrators(ExactRigidBodyIntegrator)
 draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
