@@ -146,7 +146,7 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     options, step = equilibration.step_of(job, args, box, start, platform)
     setup.pace(box.system, step)
     integrator = setup.integrator_of(args, options, step)
-    setup.correct_pressure(box.system, args.pressure_offset, integrator)
+    setup.correct_pressure(box.system, args.pressure_offset, integrator, args.temperature)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     inputs.begin_at(simulation, start)
 

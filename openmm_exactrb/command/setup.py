@@ -61,14 +61,16 @@ def pace(system: openmm.System, step: float) -> None:
             force.setFrequency(max(1, round(_MOVE / step)))
 
 
-def correct_pressure(system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator) -> None:
-    """Add the offset of a file to the pressure of the barostat; ValueError if it is of other settings."""
+def correct_pressure(
+    system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
+) -> None:
+    """Add the offset of a file to the pressure of the barostat at a temperature; ValueError for other settings."""
     if file is None:
         return
-    offset, thermostat = pressure_offset(file), integrator.getThermostat()
-    own = integrator.getScheme().name, integrator.getStepSize()._value, thermostat and thermostat.temperature
-    theirs = offset.scheme, offset.step, offset.temperature
-    if own[0] != theirs[0] or not np.allclose(own[1:], theirs[1:], rtol=1e-9):
+    offset = pressure_offset(file)
+    scheme, step = integrator.getScheme().name, integrator.getStepSize().value_in_unit(unit.picosecond)
+    theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
+    if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
             f"the pressure offset of {file} is for {theirs[0]} at {theirs[1]:g} ps and {theirs[2]:g} K, and this run "
             f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume with its settings"

@@ -301,10 +301,10 @@ def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_a
     file.write_text(f"# {json.dumps(settings)}\n{','.join(names)}\n{row * 50}")
     (_, system, _, _), langevin = box, rb.ExactRigidBodyLangevinIntegrator
     couple(system, Namespace(ensemble="npt", pressure=1.0, temperature=300.0, seed=7))
-    correct_pressure(system, None, langevin(300.0, 5.0, 0.012, scheme="W2_3m"))
-    correct_pressure(system, str(file), langevin(300.0, 5.0, 0.012, scheme="W2_3m"))
+    correct_pressure(system, None, langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
+    correct_pressure(system, str(file), langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
     barostat = system.getForce(system.getNumForces() - 1)
     assert barostat.getDefaultPressure()._value == pytest.approx(1.0 - 8e-3 * 0.012**2 * 1e6)
     for step, kelvin, scheme in ((0.011, 300.0, "W2_3m"), (0.012, 310.0, "W2_3m"), (0.012, 300.0, "BAOA")):
         with pytest.raises(ValueError, match=r"W2_3m at 0.012 ps and 300 K, and this run has"):
-            correct_pressure(system, str(file), langevin(kelvin, 5.0, step, scheme=scheme))
+            correct_pressure(system, str(file), langevin(kelvin, 5.0, step, scheme=scheme), kelvin)
