@@ -37,7 +37,6 @@ class DeviceState(Synchronisation):
 
     def pull(self) -> bool:
         """Bring the state up to date with the device, and both with what was set in the Context."""
-        self.refuse_others()
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
