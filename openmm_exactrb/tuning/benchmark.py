@@ -134,10 +134,10 @@ class SchemeUnderTest:
         make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
         self.integrator, self._groups = make(), state.groups
         self.context = state.context(self.integrator)
-        engine: Any = self.integrator.getEngine()
-        if engine != "host":  # chosen by name, it is kept when the step changes
+        if (engine := self.integrator.getEngine()) != "host":  # chosen by name, it is kept when the step changes
+            own = copy.deepcopy(state.system)  # to which an engine may add forces
             self.integrator = make(engine=engine)
-            self.context = replace(state, system=copy.deepcopy(state.system)).context(self.integrator)
+            self.context = replace(state, system=own).context(self.integrator)
 
     def begin(self, h: float, start: InitialState) -> None:
         """Go to a start, with a step in ps."""

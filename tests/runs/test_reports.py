@@ -1,7 +1,6 @@
 """What a run writes is what a reporter asked for, at the steps and times that it says."""
 
 import functools
-import resource
 
 import mdtraj
 import numpy as np
@@ -11,16 +10,15 @@ from openmm import app, unit
 from small_droplets import droplet, make
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 
 def in_a_box(integrator=None):
     """Return a Simulation of eight molecules in a periodic box, some of them across its faces."""
     topology, system, positions = rb.rigid_water(8, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.3)
-    simulation = app.Simulation(
-        topology, system, integrator or openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference")
+    return simulation_of(
+        topology, system, integrator or openmm.VerletIntegrator(0.001), np.asarray(positions._value) + 5.0
     )
-    simulation.context.setPositions(np.asarray(positions._value) + 5.0)
-    return simulation
 
 
 @pytest.mark.parametrize("stops", [[40], [15, 40]])
@@ -56,6 +54,7 @@ def test_a_part_of_the_atoms_is_written_from_the_start(tmp_path):
 
 def test_an_xtc_file_that_a_full_disk_cut_is_not_taken_for_whole(tmp_path):
     """OpenMM does not look whether its frames were written: the run says so, and goes on from before."""
+    resource = pytest.importorskip("resource", reason="limits of POSIX")
     run, simulation = rb.Run(tmp_path, every=0.0), droplet(n=30)
     run.add_reporter(app.XTCReporter, "trajectory.xtc", 5)
     run.advance(simulation, 20)
@@ -128,10 +127,7 @@ def test_lines_that_a_reporter_holds_back_are_in_every_checkpoint(tmp_path):
 def test_a_system_without_its_topology_runs(tmp_path):
     system = openmm.System()
     system.addParticle(1.0)
-    simulation = app.Simulation(
-        app.Topology(), system, rb.ExactRigidBodyIntegrator(0.001), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions([[0.0, 0.0, 0.0]])
+    simulation = simulation_of(app.Topology(), system, rb.ExactRigidBodyIntegrator(0.001), [[0.0, 0.0, 0.0]])
     run = rb.Run(tmp_path)
     run.add_reporter(rb.EnergyReporter, "energies.csv", 5)
     run.advance(simulation, 10)
