@@ -148,10 +148,10 @@ def system_of(molecule, n, edge, cutoff=0.9):
     return system
 
 
-def as_xml(molecule, n, folder):
+def as_xml(molecule, n, folder, cutoff=0.7):
     """Write a System and a State without velocities; return their names."""
     x, edge = placed(molecule, n)
-    system = system_of(molecule, n, edge)
+    system = system_of(molecule, n, edge, cutoff)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(x)
     files = folder / "system.xml", folder / "state.xml"
@@ -181,7 +181,7 @@ def as_pdb(molecule, n, folder):
     )
     files[1].write_text(
         f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{molecule.name[:3]}">{own}{bonds}'
-        '</Residue></Residues><NonbondedForce coulomb14scale="0" lj14scale="0">'
+        '</Residue></Residues><NonbondedForce coulomb14scale="0.833333" lj14scale="0.5">'
         f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce><Script>\n'
         "for residue in topology.residues():\n"
         "    first = next(residue.atoms()).index\n"

@@ -208,7 +208,8 @@ class Tuning:
             f"body, within {self.horizon:.3g} ps\n"
             f"(extrapolated from {self.duration:.3g} ps). Cost: wall time in s per ps."
         )
-        return "\n".join([head, "", self._tables(), "", *(textwrap.fill(line, 120) for line in self._conclusions())])
+        tables = [self._tables(), ""] if self.points else []
+        return "\n".join([head, "", *tables, *(textwrap.fill(line, 120) for line in self._conclusions())])
 
     def _tables(self) -> str:
         """Return the errors of all methods by the time per force evaluation; nested schemes have their own table."""

@@ -16,9 +16,9 @@ from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, ste
 COARSE, COARSE_NESTED = 1.6, 8.0
 #: From one step size to the next it falls by this.
 RATIO = 2.0**0.5
-# Scheme of the probe for the noise of the forces, its time per evaluation over the characteristic one, and its length
-# over that of the survey.
-_PROBE, _FINE, _PROBED = "W4_4", 0.07, 0.5
+# Scheme of the probe for the noise of the forces, its time per evaluation over the characteristic one, its length over
+# that of the survey, and the part of an error that is left where it is the scheme's.
+_PROBE, _FINE, _PROBED, _FALLING = "W4_4", 0.05, 0.3, 0.35
 # The first step sizes at which a method need not be stable, and how far behind the best one it may then fall.
 _SEARCHED, _BEHIND = 16, 10.0
 # Methods that are run for the production length at a time, the settings of one that are run, the least rise of the cost
@@ -52,7 +52,7 @@ def search(measured: Measurements, target: float | None, levels: int) -> Outcome
 def probed(measured: Measurements) -> float | None:
     """Return the error that the noise of the forces makes, in two runs that leave little else; None if it is less.
 
-    The steps are so short that the error of the scheme falls to a quarter from the first to the second.
+    The steps are so short that the error of the scheme alone would fall to a quarter from the first to the second.
     """
     benchmark, errors = measured.benchmark, []
     method, duration = Method(CATALOGUE[_PROBE]), _PROBED * measured.duration
@@ -61,7 +61,7 @@ def probed(measured: Measurements) -> float | None:
             step = method.stages * part * benchmark.characteristics.time
             run = benchmark.run(method, step, duration, benchmark.state)
             errors.append(math.inf if run is None else expected_error(run.values, run.interval, measured.horizon))
-    if len(errors) < 2 or not errors[1] > 0.5 * errors[0]:
+    if len(errors) < 2 or not errors[1] > _FALLING * errors[0]:
         return None
     return min(errors) if math.isfinite(min(errors)) else None
 

@@ -138,7 +138,7 @@ def test_the_floor_of_single_precision_is_said_before_anything_is_tried(droplet,
 def test_settings_that_limit_the_error_are_said_first():
     _, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.45)
     said = []
-    some = {"temperature": 300.0, "platform": "Reference", "schemes": "S2_2", "duration": 0.1, "report": said.append}
+    some = {"temperature": 300.0, "platform": "CPU", "schemes": "S2_2", "duration": 0.2, "report": said.append}
     result = rb.tune(system, positions, target=1e-6, **some)
     assert "without a switch" in said[0]
     assert "ewaldErrorTolerance" in said[1]
@@ -165,7 +165,7 @@ def test_a_baseline_that_fails_is_a_row_of_the_result():
     methane = MOLECULES["CH4"]
     x, edge = placed(methane, 27)
     system = system_of(methane, 27, edge, cutoff=0.6)
-    some = {"temperature": 150.0, "platform": "Reference", "duration": 0.1, "horizon": 0.2, "report": None}
+    some = {"temperature": 150.0, "platform": "CPU", "duration": 0.1, "horizon": 0.2, "report": None}
     result = rb.tune(system, x, target=0.1, schemes="W2_1", **some)
     assert result.best().method == "W2_1"
     baseline = [p for p in result.points if p.method == VERLET]
