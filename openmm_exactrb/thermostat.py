@@ -60,7 +60,7 @@ class Thermostat(ABC):
     temperature: float
     numbers: tuple[str, ...] = ()
     factors: Factors | None = None
-    on_device: ClassVar[bool] = False    scheme: ClassVar[str] = "BAOA"
+    scheme: ClassVar[str] = "BAOA"
 
     @property
     def relaxation(self) -> float | None:
