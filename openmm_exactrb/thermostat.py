@@ -51,8 +51,7 @@ class Thermostat(ABC):
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
     factors : Factors, optional
         The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
-    on_device : bool
-        Whether the program of a device has it.    scheme : str
+    scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once a step.
     """
