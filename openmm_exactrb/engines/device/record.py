@@ -40,14 +40,14 @@ def _unsupported(settings: Settings) -> str | None:
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
     """Return why a Context is not served."""
+    if _is_flexible(context, settings):
+        return flexible.DEVICE.unsupported(settings) or flexible.DEVICE.unsupported_in(context, settings)
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
         return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
     if "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
-    if _is_flexible(context, settings):
-        return flexible.DEVICE.unsupported(settings) or flexible.DEVICE.unsupported_in(context, settings)
     return None
 
 
