@@ -5,11 +5,9 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from sequences import advanced
-
-pytest.importorskip("numba")
 from benchmarks.common import droplets
 from benchmarks.schemes import search
+from sequences import advanced
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 
