@@ -1,6 +1,7 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
+from openmm_exactrb.averages import AverageReporter, corrected, pressure_offset
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
@@ -15,7 +16,7 @@ from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.support.version import version
-from openmm_exactrb.systems import dipole_fluid, ellipsoids, heavy_hydrogens, rigid_water
+from openmm_exactrb.systems import dipole_fluid, ellipsoids, exclude_within, heavy_hydrogens, rigid_water
 from openmm_exactrb.thermostats import (
     CanonicalMomenta,
     ExactRigidBodyHybridIntegrator,
@@ -30,6 +31,7 @@ __version__ = version("0+unknown")
 __all__ = [
     "ROTORS",
     "SCHEMES",
+    "AverageReporter",
     "CanonicalMomenta",
     "EnergyReporter",
     "Ewald",
@@ -47,14 +49,17 @@ __all__ = [
     "Run",
     "ShapeWarning",
     "StepSizeWarning",
+    "corrected",
     "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",
     "ellipsoids",
     "ensemble",
+    "exclude_within",
     "free_rotor",
     "heavy_hydrogens",
     "loadState",
+    "pressure_offset",
     "rigid_water",
     "separate_bonded",
     "soft_dipole_force",

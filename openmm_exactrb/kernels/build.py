@@ -29,7 +29,7 @@ def compiled(*arguments: str | type[Any]) -> Callable[[Function], Function]:
 
     `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
     an uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result. A
-    NamedTuple of `openmm_exactrb.kernels.records` stands for itself; its fields say what they are.
+    NamedTuple of `openmm_exactrb.kernels.records` is given itself: its fields say what they are.
     """
     signature = types.void(*itertools.chain.from_iterable(map(_types, arguments)))
 
