@@ -7,6 +7,7 @@ import pytest
 from openmm_exactrb import kernels
 from openmm_exactrb.multiple_time_steps.bonded import pairs_by_formula
 from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
+from starts import context_of
 
 RNG = np.random.default_rng(5)
 N = 140  # more terms than two blocks of the kernel have
@@ -84,8 +85,7 @@ def both(system, x, groups=-1):
     """Return the forces of the kernel and those of OpenMM."""
     out = np.empty_like(x)
     kernels.load("bonded").forces(x, terms_of(system, groups), out)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = context_of(system, openmm.VerletIntegrator(0.001), x)
     return out, context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
 
 
