@@ -15,13 +15,13 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
-from few_dipoles import REFERENCE
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 from orders import slope
 from peptides import peptide
+from starts import context_of
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
@@ -53,7 +53,7 @@ def checkout(tmp_path_factory):
     """Return a copy of the package, tests and benchmarks into which the recipes were typed that change a file of it."""
     root = tmp_path_factory.mktemp("checkout")
     for part in ("openmm_exactrb", "tests", "benchmarks"):
-        shutil.copytree(ROOT / part, root / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / part, root / part, ignore=shutil.ignore_patterns("*.pyc"))  # with compiled kernels
     shutil.copy(ROOT / "pyproject.toml", root)
     page, (scheme,) = recipe("A scheme")
     put_after(root / named(page, "_SCHEMES"), "_SCHEMES = (\n", f"{scheme.rstrip()},\n")
@@ -73,11 +73,11 @@ def checkout(tmp_path_factory):
 
 
 def carried_out(root, *arguments):
-    """Return what a Python process prints in the copy, in numpy: there is nothing to compile anew."""
+    """Return what a Python process prints in the copy."""
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=root,
-        env=os.environ | {"PYTHONPATH": str(root), "OPENMM_EXACTRB_COMPILED": "0"},
+        env=os.environ | {"PYTHONPATH": str(root)},
         capture_output=True,
         text=True,
         check=False,
@@ -122,8 +122,7 @@ def test_a_rotor_is_one_file_and_one_entry_and_its_laws_are_tested(tested):
 
 def moving(integrator, kelvin=100.0):
     """Return the Context of a triangle in motion."""
-    context = openmm.Context(three_masses.system(), integrator, REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    context = context_of(three_masses.system(), integrator, three_masses.POSITIONS)
     integrator.setVelocitiesToTemperature(kelvin, 1)
     return context
 
@@ -190,8 +189,7 @@ def pushed(scheme):
         force.addParticle(i)
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    _context = context_of(system, integrator, three_masses.POSITIONS)
     integrator.setVelocitiesToTemperature(100.0, 1)
     begin = integrator.fullState()[1]
     integrator.step(5)
@@ -216,9 +214,7 @@ def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
     typed("A constraint type")
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    integrator.setVelocitiesToTemperature(300.0, 1)
+    _context = context_of(system, integrator, x, kelvin=300.0)
     _, begin = integrator.fullState()
     integrator.step(3)
     bodies, end = integrator.fullState()

@@ -1,7 +1,5 @@
 """What is wrong with a command line is told in one line, with status 2, and no file is touched."""
 
-import sys
-
 import openmm
 import pytest
 from openmm import app, unit
@@ -9,7 +7,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb.command.inputs import topology_of
 from openmm_exactrb.command.main import main
-from peptides import PEPTIDE
+from starts import context_of
 
 CASES = [
     (["droplet.pdb"], "droplet.pdb has no forces: name the force field"),
@@ -129,8 +127,7 @@ def test_a_wrong_option_is_one_line(capsys, arguments, message):
 def test_a_barostat_of_the_system_is_not_one_of_the_command(tmp_path, capsys):
     _, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
     system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, 300 * unit.kelvin))
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, openmm.VerletIntegrator(0.001), positions)
     files = tmp_path / "system.xml", tmp_path / "state.xml"
     for file, content in zip(files, (system, context.getState(positions=True)), strict=True):
         file.write_text(openmm.XmlSerializer.serialize(content))
@@ -164,22 +161,6 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
 
 
-def test_flexible_molecules_without_numba_are_refused_before_the_equilibration(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    options = "--constraints", "HBonds", "--platform", "Reference", "--out", str(tmp_path / "out")
-    assert main(["run", str(PEPTIDE), "--forcefield", "amber14-all.xml", *options]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("exactrb run: flexible molecules with constraints need numba: python -m pip install ")
-    assert errors.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_rigid_molecules_run_without_numba(serialised, tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    options = "--step", "2fs", "--duration", "4fs", "--no-picture", "--quiet", "--platform", "Reference"
-    assert main(["run", *map(str, serialised), *options, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
-
-
 @pytest.mark.parametrize("nothing", [None, 3, b"state.xml"])
 def test_a_state_is_one_or_a_file_of_one(serialised, nothing):
     system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
@@ -194,7 +175,6 @@ def test_molecules_that_are_interleaved_need_a_topology():
         system.addParticle(1.0)
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions([openmm.Vec3(i, 0, 0) for i in range(4)])
+    context = context_of(system, openmm.VerletIntegrator(0.001), [openmm.Vec3(i, 0, 0) for i in range(4)])
     with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
         topology_of(system, context.getState(positions=True))

@@ -3,20 +3,18 @@
 import sys
 from pathlib import Path
 
-import openmm
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb import kernels
 from peptides import peptide
+from starts import context_of
 
 PACKAGE = str(Path(rb.__file__).parent)
 
 
 def trace_of(system, positions, integrator):
     """Return the files that the sixth step enters, and the number of calls outside its substeps."""
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(100.0, 1)  # from rest, energies would be compared
     integrator.setRandomNumberSeed(1)
     integrator.step(5)
@@ -42,7 +40,6 @@ def trace_of(system, positions, integrator):
     return files, outside
 
 
-@pytest.mark.parametrize(("which", "more"), [("numpy", 3), ("numba", 0)])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -52,16 +49,13 @@ def trace_of(system, positions, integrator):
     ],
     ids=["S2_2", "default", "Langevin"],
 )
-def test_a_step_of_water_passes_few_files(monkeypatch, which, more, make, most):
-    """In numpy three more files: kernels in numpy and double-doubles."""
-    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
+def test_a_step_of_water_passes_few_files(make, most):
     _, system, positions = rb.rigid_water(2)
     files, outside = trace_of(system, positions, make())
-    assert len(files) <= most + more, sorted(files)
-    assert outside <= 100
+    assert len(files) <= most, sorted(files)
+    assert outside <= 115
 
 
-@pytest.mark.parametrize(("which", "more"), [("numpy", 3), ("numba", 0)])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -71,11 +65,8 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, more, make, most):
     ],
     ids=["plain", "Langevin", "nested"],
 )
-def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, more, make, most):
-    """Constraints pass two files; in numpy three more, as of water."""
-    pytest.importorskip("numba")  # of its constraints
-    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
+def test_a_step_of_a_peptide_passes_few_files(make, most):
     _, system, positions = peptide()
     files, outside = trace_of(system, positions, make())
-    assert len(files) <= most + more, sorted(files)
-    assert outside <= 100
+    assert len(files) <= most, sorted(files)
+    assert outside <= 115
