@@ -86,7 +86,7 @@ def test_momenta_of_an_isolated_droplet_are_kept(few_and_processed):
 
     def momenta():
         _, state = simulation.integrator.bodyState()
-        spin = np.einsum("ijn,jn->i", rb.quaternions.matrix(state.q), state.m)
+        spin = np.einsum("ijn,jn->i", rb.mathematics.quaternions.matrix(state.q), state.m)
         return np.concatenate([state.P.sum(1), spin + np.cross(state.R.T, state.P.T).sum(0)])
 
     start = momenta()

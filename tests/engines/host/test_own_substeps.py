@@ -60,7 +60,7 @@ def turning_about_fixed_axes(inertia):
     def flow(q, m, t):
         half = 0.5 * t * np.sqrt((m * m).sum(axis=0)) / inertia[0]
         turn = np.concatenate([np.cos(half)[None], 0.5 * t / inertia[0] * np.sinc(half / np.pi) * m])
-        return rb.quaternions.multiply(q, turn), m.copy()
+        return rb.mathematics.quaternions.multiply(q, turn), m.copy()
 
     return flow
 
@@ -208,7 +208,7 @@ def test_a_substep_of_ones_own_acts_as_it_says():
 
     def momenta():
         _, state = integrator.bodyState()
-        return state.P, np.einsum("ijn,jn->in", rb.quaternions.matrix(state.q), state.m)
+        return state.P, np.einsum("ijn,jn->in", rb.mathematics.quaternions.matrix(state.q), state.m)
 
     start = momenta()
     integrator.step(n)
