@@ -8,6 +8,7 @@ of 1e-8.
     python benchmarks/proteins/rigid_domains.py gyration --ns 100  # docs/rigid_domains_gyration.csv, continued
     python benchmarks/proteins/rigid_domains.py energies           # docs/rigid_domains.csv
     python benchmarks/proteins/rigid_domains.py cost               # docs/rigid_domains_cost.csv
+    python benchmarks/proteins/rigid_domains.py rotation           # of a lone molecule as a whole: printed
 
 Times are of one thread of the CPU platform, as medians of rounds in which the contenders take turns, in processor time.
 """
@@ -26,6 +27,7 @@ import openmm
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.records import DOCS, ROOT, read, write
+from benchmarks.common.starts import R
 
 MODEL = SimpleNamespace(**runpy.run_path(str(ROOT / "examples" / "rigid_domains.py")))
 CPU = openmm.Platform.getPlatform("CPU")
@@ -209,15 +211,52 @@ def cost(rounds: int = 7, steps: int = 100) -> None:
     write(COST, ("bodies", "pairs_within", "step_ms"), rows)
 
 
+def rotation(seeds=(1, 2, 3), duration: float = 450.0) -> None:
+    """Print the temperature of the rotation as a whole of a lone molecule: residues 1 to 120, of one rigid domain."""
+    system = MODEL.calvados2(MODEL.SEQUENCE[:120], MODEL.TEMPERATURE, MODEL.IONIC)
+    bodies = MODEL.DOMAINS[:1]
+    rb.exclude_within(system, bodies)
+    masses = np.array([system.getParticleMass(k)._value for k in range(120)])
+    kinds = {
+        "Nose-Hoover": lambda: rb.ExactRigidBodyNoseHooverIntegrator(
+            MODEL.TEMPERATURE, 2.0, STEP, bodies=bodies, together=True
+        ),
+        "Langevin": lambda: rb.ExactRigidBodyLangevinIntegrator(MODEL.TEMPERATURE, 0.5, STEP, bodies=bodies),
+    }
+    for (name, make), seed in itertools.product(kinds.items(), seeds):
+        integrator = make()
+        context = context_of(system, integrator, MODEL.start()[:120])
+        openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
+        integrator.setRandomNumberSeed(seed)
+        integrator.setVelocitiesToTemperature(MODEL.TEMPERATURE, seed)
+        found = []
+        for _ in range(round(duration / (10 * STEP))):
+            integrator.step(10)
+            found.append(whole_rotation(masses, context))
+        means = [block.mean() for block in np.array_split(found[len(found) // 5 :], BLOCKS)]
+        spread = np.std(means, ddof=1) / BLOCKS**0.5
+        print(f"{name}, seed {seed}: {np.mean(means):.0f} K, standard error {spread:.0f} K", flush=True)
+
+
+def whole_rotation(masses, context):
+    """Return the temperature (K) of a molecule's rotation as a whole, about its centre of mass."""
+    state = context.getState(positions=True, velocities=True)
+    x, v = state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+    arms, rates = x - masses @ x / masses.sum(), v - masses @ v / masses.sum()
+    L = np.einsum("s,si->i", masses, np.cross(arms, rates))
+    tensor = np.einsum("s,sij->ij", masses, [(r @ r) * np.eye(3) - np.outer(r, r) for r in arms])
+    return float(L @ np.linalg.solve(tensor, L)) / (3.0 * R)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("gyration", "energies", "cost"))
+    parser.add_argument("what", choices=("gyration", "energies", "cost", "rotation"))
     parser.add_argument("--ns", type=float, default=100.0, metavar="NS", help="of the run for gyration (%(default)s)")
     args = parser.parse_args()
     if args.what == "gyration":
         gyration(1e3 * args.ns)
     else:
-        {"energies": energies, "cost": cost}[args.what]()
+        {"energies": energies, "cost": cost, "rotation": rotation}[args.what]()
 
 
 if __name__ == "__main__":
