@@ -18,6 +18,7 @@ from openmm_exactrb.command.equilibration import candidates
 from openmm_exactrb.command.main import main
 from openmm_exactrb.command.setup import correct_pressure, couple, integrator_of, pace
 from openmm_exactrb.tuning import CANDIDATES, Choice
+from starts import context_of
 
 
 def carry_out(capsys, *arguments):
@@ -158,9 +159,7 @@ def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
 def box(tmp_path):
     """27 molecules in motion in a periodic box, and the files of their System and State."""
     topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(280 * unit.kelvin, 2)
+    context = context_of(system, openmm.VerletIntegrator(0.001), positions, kelvin=280 * unit.kelvin, seed=2)
     state = context.getState(positions=True, velocities=True)
     files = tmp_path / "system.xml", tmp_path / "state.xml"
     for file, content in zip(files, (system, state), strict=True):
