@@ -23,6 +23,7 @@ from openmm import app, unit
 from openmm.unit import femtoseconds, kelvin, picosecond
 
 import openmm_exactrb as rb
+from openmm_exactrb.mathematics import quaternions
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -143,30 +144,30 @@ def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
             bonds.addBond(k - 1, k, BOND, STIFFNESS)
             contacts.addExclusion(k - 1, k)
             charges.addExclusion(k - 1, k)
-    for force in (bonds, contacts, charges):
+    for group, force in enumerate((bonds, contacts, charges)):  # each cutoff needs a group of its own on a GPU
+        force.setForceGroup(group)
         system.addForce(force)
     return system
 
 
 def start() -> np.ndarray:
-    """Return positions (nm): residues 11 to 179 as they are predicted, and the rest in two spirals away from them."""
-    file = Path(__file__).parent / "data" / "hnrnpa1_domains.csv"
-    known = np.loadtxt(file, delimiter=",")[:, 1:]
-    centre, before, after = known.mean(axis=0), 10, len(SEQUENCE) - 179
-    return np.vstack(
-        [spiral(known[0], known[0] - centre, before)[::-1], known, spiral(known[-1], known[-1] - centre, after)]
-    )
+    """Return positions (nm): residues 11 to 179 as they are predicted, and two coils that keep away from them."""
+    known = np.loadtxt(Path(__file__).parent / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
+    before = coil(known, known[0], 10)[::-1]
+    known = np.vstack([before, known])
+    return np.vstack([known, coil(known, known[-1], len(SEQUENCE) - len(known))])
 
 
-def spiral(first: np.ndarray, direction: np.ndarray, n: int) -> np.ndarray:
-    """Return n places that are `BOND` apart, on a helix along a direction, which begins beside a place."""
-    axes = np.linalg.svd(direction[None])[2]
-    axes[0] = direction / np.linalg.norm(direction)
+def coil(others: np.ndarray, first: np.ndarray, n: int) -> np.ndarray:
+    """Return a helix of n places, `BOND` apart, from a place on: of many orientations the farthest from the others."""
     turn, rise = 0.36, 0.05  # a turn of 1 nm in radius, 0.9 nm above the one before
     radius = np.sqrt(BOND**2 - rise**2) / (2.0 * np.sin(0.5 * turn))
     angle = turn * np.arange(1, n + 1)
-    along = np.column_stack([rise * np.arange(1, n + 1), radius * (np.cos(angle) - 1.0), radius * np.sin(angle)])
-    return first + along @ axes
+    helix = np.column_stack([radius * (np.cos(angle) - 1.0), radius * np.sin(angle), rise * np.arange(1, n + 1)])
+    rng = np.random.default_rng(1)
+    turned = [first + helix @ Q.T for Q in quaternions.rotation_matrix(quaternions.random(rng, 500))]
+    away = others[(others != first).any(axis=1)]
+    return max(turned, key=lambda x: np.linalg.norm(x[:, None] - away, axis=2).min())
 
 
 def radius_of_gyration(system: openmm.System, x: np.ndarray) -> float:
