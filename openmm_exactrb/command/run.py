@@ -104,7 +104,6 @@ def carry_out(args: argparse.Namespace) -> int:
     platform = platform_of(args.platform)
     box = inputs.load(settled)
     inputs.refuse_idle(args, box, _idle(args, box))
-    setup.refuse_flexible(box)
     setup.couple(box.system, settled)
     with job.lock():
         equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
