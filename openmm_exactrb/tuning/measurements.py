@@ -84,6 +84,8 @@ class Measurements:
         self.stages = {name: method.stages for name, method in self.methods.items()}
         #: Force evaluations of a step by method, as `Simulation.step` calls it in the whole System.
         self.evaluations = {name: m.evaluations(benchmark.state.periods) for name, m in self.methods.items()}
+        #: Whether the budget ended the runs of a promise.
+        self.cut = False
         self._points: list[Point] = []
         # Wall time in s of a force evaluation with what is nested in it, and nested evaluations for each, at a step.
         self._taken: dict[tuple[str, float], tuple[float, float]] = {}
@@ -123,7 +125,7 @@ class Measurements:
         except BudgetSpentError:
             if len(errors) == 1:
                 raise
-            margin *= UNSURE
+            margin, self.cut = margin * UNSURE, True
         starts = f" over {self.horizon:.3g} ps from {len(errors) - 1} of {STARTS} starts"
         return self._kept(Point(name, step, max(errors) * margin, math.nan, self.horizon), starts)
 

@@ -45,6 +45,7 @@ def search(measured: Measurements, target: float | None, levels: int) -> Outcome
         _descend(measured, target, levels, outcome)
     except BudgetSpentError:
         outcome.cut = True
+    outcome.cut |= measured.cut
     outcome.floor = _floor(measured) or outcome.floor
     return outcome
 
