@@ -14,7 +14,7 @@ import openmm
 import openmm_exactrb
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
-from openmm_exactrb.openmm_access.platforms import platforms, refused_by_default
+from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
@@ -60,7 +60,7 @@ def _lines() -> Iterator[str]:
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
     yield "platforms, fastest first:"
     for found in platforms():
-        why = refused_by_default(found)
+        why = why_not_by_default(found)
         yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"

@@ -124,7 +124,7 @@ class Propagator(Protocol):
         """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is that at the end of its step.
 
         ValueError if the engine does not know them.

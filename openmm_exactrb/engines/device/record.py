@@ -7,7 +7,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import refuse_unset
+from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.custom_program import record as flexible
@@ -54,7 +54,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 def _is_flexible(context: Any, settings: Settings) -> bool:
     """Return whether molecules have inner steps or constraints that leave them a motion of their own."""
-    refuse_unset(context)
+    require_positions(context)
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     bodies = find_bodies(system, x, settings.named)
     found = fast_forces(system, bodies, settings.fast)
