@@ -164,9 +164,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     root = np.sqrt(masses)
     spread, axes = _scaled(distances, masses / mass, root)
     sites = axes * np.sqrt(spread) / root[:, None]
-    if (
-        not spread.all()
-    ):  # flat, unless it is only the masses that are: then the positions come first, and the axes next
+    if not spread.all():  # flat, unless the masses alone are: then the positions come first, and the axes next
         extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
         if np.count_nonzero(extent) > np.count_nonzero(spread):
             places = directions * np.sqrt(extent)

@@ -52,7 +52,7 @@ def _three_kicks(outer: float) -> Sequence:
 
 #: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
 #: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135 the momenta of W2_3m next to
-#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and its positions are so in the fourth
+#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions are so in the fourth
 #: order where a step ends, `reading_point` behind the thermostat: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {

@@ -11,7 +11,7 @@ from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.custom_program import record as flexible
-from openmm_exactrb.engines.device.library import MissingLibraryError, library
+from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.moves import of_substep
@@ -109,5 +109,6 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
+    information=describe,
     release=flexible.DEVICE.release,
 )
