@@ -170,7 +170,7 @@ def test_bodies_that_come_to_turn_fast_are_turned_in_shorter_rotations(droplet):
     both = pair(*droplet, h=0.004, scheme="V2_drift", kelvin=1.0)
     one, other = (stepped(context, 12) for context in both)
     assert both[1].getIntegrator().getGlobalVariableByName("exactrb_turns") >= 1.0
-    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(other, one, rtol=0.0, atol=1e-13)
 
 
 def test_a_body_beyond_the_range_of_the_series_is_noticed(droplet):
