@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from sequences import advanced
-
-pytest.importorskip("numba")
 from benchmarks.common import droplets
 from benchmarks.schemes import search
 from orders import exponent
+from sequences import advanced
 from starts import context_of
 
 

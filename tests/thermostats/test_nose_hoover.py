@@ -13,7 +13,7 @@ import openmm_exactrb as rb
 from chains import FREQUENCY, H, nose_hoover
 from openmm_exactrb.context import variables
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.thermostats import Langevin, NoseHooverChain
+from openmm_exactrb.thermostats import NoseHooverChain
 from orders import exponent
 from thermostatted import (
     KT,
@@ -266,8 +266,6 @@ def test_the_device_refuses_it_and_auto_leaves_it_to_the_host():
     integrator = nose_hoover(engine="auto")
     assert integrator.getEngine() == "host"
     assert "not NoseHooverChain" in integrator.engineNote()
-    assert Langevin.on_device
-    assert not NoseHooverChain.on_device
 
 
 def test_a_chain_that_is_too_stiff_for_the_step_gets_a_sentence():
