@@ -6,11 +6,8 @@ from scipy.linalg import expm
 
 import openmm_exactrb as rb
 from benchmarks.schemes import processors
-<<<<<<< HEAD
 from orders import exponent
-=======
 from sequences import gradient_kicks
->>>>>>> main
 
 
 @pytest.mark.parametrize(("name", "order"), [("W2_1", 2), ("W4_4", 4), ("S2_3", 2), ("Chin4A", 4), ("W4_5", 4)])
