@@ -34,7 +34,7 @@ def carry_out(args: argparse.Namespace) -> int:
     """Tune for the molecules of files and print the result; return 1 if the target is not reached, else 0."""
     platform = platform_of(args.platform)
     box = inputs.load(inputs.with_defaults(args))
-    inputs.refuse_idle(args, box)
+    inputs.check_idle(args, box)
     result = tune(
         box.system,
         box.positions if box.state is None else box.state,
