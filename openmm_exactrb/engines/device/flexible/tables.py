@@ -1,0 +1,124 @@
+"""The tables of the kernel: blocks, the atoms that each has, clusters, and the terms that touch them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.context.bonded_terms import Terms
+from openmm_exactrb.engines.device.flexible.blocks import Blocks
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Kinds of terms in the order of the kernel's tables, and the numbers of particles of each.
+KINDS = {"bonds": 2, "angles": 3, "torsions": 4, "pairs": 2, "impropers": 4, "maps": 8}
+
+
+class Kind(NamedTuple):
+    """Terms of a kind: `particles` (T, k), what else the kernel reads of them as whole numbers (j, T), and numbers."""
+
+    particles: Indices
+    others: Indices
+    numbers: Array
+
+
+class Copies(NamedTuple):
+    """Terms of a kind, one for each block that they touch: which (C,), of which block (C,), and of which atoms (C, k)."""
+
+    terms: Indices
+    block: Indices
+    atoms: Indices
+
+
+class Local(NamedTuple):
+    """The atoms that blocks have places for (p,), its own ones first, and where those of each begin (b + 1,)."""
+
+    atoms: Indices
+    first: Indices
+
+
+def kinds_of(terms: Terms, precision: type[np.floating]) -> dict[str, Kind]:
+    """Return the terms of the host's kernel, with the numbers of the device's."""
+    length, strength = terms.of_bonds
+    square = length * length
+    near = square.astype(precision).astype(float)
+    none = lambda particles: np.zeros((0, len(particles)))  # noqa: E731
+    rows = {
+        "bonds": (terms.bonds, np.stack([length, near, square - near, strength])),
+        "angles": (terms.angles, terms.of_angles),
+        "torsions": (terms.torsions, terms.of_torsions.reshape(-1, len(terms.torsions))),
+        "pairs": (terms.pairs, terms.of_pairs),
+        "impropers": (terms.impropers, terms.of_impropers),
+        "maps": (terms.maps[:, :8], none(terms.maps)),
+    }
+    others = {"maps": terms.maps[:, 8:].T}
+    return {name: Kind(rows[name][0], others.get(name, none(rows[name][0]).astype(int)), rows[name][1]) for name in KINDS}
+
+
+def copies(particles: Indices, blocks: Blocks) -> Copies:
+    """Return terms of particles (T, k) by blocks, each once in every block that it touches."""
+    atoms = blocks.atom_of[particles]
+    keys = np.unique(blocks.block_of[atoms] * len(atoms) + np.arange(len(atoms))[:, None])
+    terms, block = keys % max(len(atoms), 1), keys // max(len(atoms), 1)
+    return Copies(terms, block, atoms[terms])
+
+
+def local(blocks: Blocks, found: list[Copies]) -> Local:
+    """Return the atoms that each block reads: its own ones, and those of its terms that are of others."""
+    n = len(blocks.particles)
+    keys = [(of_kind.block[:, None] * n + of_kind.atoms).ravel() for of_kind in found]
+    partners = np.unique(np.concatenate([np.zeros(0, int), *keys]))
+    partners = partners[blocks.block_of[partners % n] != partners // n]
+    block = np.concatenate([blocks.block_of, partners // n])
+    order = np.argsort(block, kind="stable")  # own atoms stay in front
+    atoms = np.concatenate([np.arange(n), partners % n])[order]
+    return Local(atoms, np.searchsorted(block[order], np.arange(len(blocks) + 1)))
+
+
+def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
+    """Return the places of the atoms of terms within their blocks (C, k)."""
+    n, own = len(blocks.particles), np.diff(blocks.first_atom)
+    block = np.repeat(np.arange(len(blocks)), np.diff(room.first))
+    within = np.arange(len(room.atoms)) - room.first[block]
+    partner = within >= own[block]
+    keys, of_keys = (block * n + room.atoms)[partner], within[partner]
+    wanted = found.block[:, None] * n + found.atoms
+    there = np.searchsorted(keys, wanted)
+    by_key = np.append(of_keys, 0)[np.minimum(there, len(of_keys))]
+    inside = blocks.block_of[found.atoms] == found.block[:, None]
+    return np.where(inside, found.atoms - blocks.first_atom[found.block][:, None], by_key)
+
+
+def arrays(terms: Terms, blocks: Blocks, precision: type[np.floating]) -> tuple[dict[str, NDArray], dict[str, int]]:
+    """Return the kernel's arrays of terms and blocks, and its constants."""
+    kinds = kinds_of(terms, precision)
+    found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
+    room = local(blocks, list(found.values()))
+    constants = {"BLOCKS": len(blocks), "HARMONICS": terms.of_torsions.shape[1]}
+    constants["PLACES_OF_BLOCK"] = int(np.diff(room.first).max(initial=1))
+    constants["OWN_OF_BLOCK"] = int(np.diff(blocks.first_atom).max(initial=1))
+    members, numbers = [np.zeros(0, int)], [np.zeros(0)]
+    table = [blocks.first_cluster[:-1], np.diff(blocks.first_cluster), room.first[:-1], np.diff(room.first)]
+    table.append(np.diff(blocks.first_atom))
+    for name, kind in kinds.items():
+        which = found[name]
+        constants |= {
+            name.upper(): len(which.terms),
+            f"MEMBERS_OF_{name.upper()}": sum(map(len, members)),
+            f"NUMBERS_OF_{name.upper()}": sum(map(len, numbers)),
+        }
+        members += [places(which, blocks, room).T.ravel(), kind.others[:, which.terms].ravel()]
+        numbers.append(kind.numbers[:, which.terms].ravel())
+        first = np.searchsorted(which.block, np.arange(len(blocks) + 1))
+        table += [first[:-1], first[1:]]
+    made = {
+        "blocks": np.stack(table, axis=1).astype(np.int32),
+        "places": room.atoms.astype(np.int32),
+        "members": np.concatenate(members).astype(np.int32),
+        "numbers": np.concatenate(numbers).astype(precision),
+        "patches": terms.patches.astype(precision),
+    }
+    return made, constants
