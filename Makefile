@@ -40,14 +40,15 @@ validate: $(VENV)/.validation
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
-	$(BIN)/python benchmarks/rotor_cost.py
-	$(BIN)/python benchmarks/step_cost.py
-	$(BIN)/python benchmarks/dipole_cost.py
-	$(BIN)/python benchmarks/water.py
-	$(BIN)/python benchmarks/peptide.py
-	$(BIN)/python benchmarks/protein.py
-	$(BIN)/python benchmarks/dipole_precision.py
-	$(BIN)/python benchmarks/roundoff.py
+	$(BIN)/python benchmarks/cost/rotor_cost.py
+	$(BIN)/python benchmarks/cost/step_cost.py
+	$(BIN)/python benchmarks/cost/dipole_cost.py
+	$(BIN)/python benchmarks/water/droplet.py
+	$(BIN)/python benchmarks/cost/water.py
+	$(BIN)/python benchmarks/proteins/peptide.py
+	$(BIN)/python benchmarks/proteins/protein.py
+	$(BIN)/python benchmarks/dipoles/dipole_precision.py
+	$(BIN)/python benchmarks/schemes/roundoff.py
 
 paper: $(VENV)/.test
 	$(BIN)/python benchmarks/paper/report.py $(ARGS)
@@ -70,7 +71,7 @@ $(VENV)/.python: pyproject.toml
 	touch $@
 
 $(VENV)/.run: $(VENV)/.python
-	$(BIN)/python -m pip install --quiet --editable ".[fast,plot]"
+	$(BIN)/python -m pip install --quiet --editable ".[examples]"
 	touch $@
 
 $(VENV)/.test: $(VENV)/.python
@@ -95,5 +96,5 @@ $(VENV)/.docs: $(VENV)/.python
 	touch $@
 
 $(VENV)/.lint: $(VENV)/.test
-	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --editable ".[lint]"
 	touch $@

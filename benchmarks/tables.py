@@ -6,15 +6,14 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
-from equipartition_record import LFM, markdown, with_error
-from group_temperatures import R
+from benchmarks.common.group_temperatures import R
+from benchmarks.common.records import DOCS
+from benchmarks.water.equipartition_record import LFM, markdown, with_error
 from openmm_exactrb import SCHEMES
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
 THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
 Row = dict[str, str]
 
@@ -39,7 +38,7 @@ def angular_momentum() -> dict[str, str]:
     return {row["scheme"]: row["change"] for row in rows("angular_momentum")}
 
 
-# -- the default at constant energy: benchmarks/default_energies.py --------------------------------------------------
+# -- the default at constant energy: benchmarks/proteins/default_energies.py -----------------------------------------
 
 
 def default_energies() -> str:
@@ -86,7 +85,7 @@ def _what(row: Row) -> tuple[str, str, str, float]:
     return row["system"], row["start"], row["integrator"], float(row["fs"])
 
 
-# -- the output of processed schemes: benchmarks/outputs.py ----------------------------------------------------------
+# -- the output of processed schemes: benchmarks/schemes/outputs.py --------------------------------------------------
 
 
 def outputs() -> str:
@@ -116,7 +115,7 @@ def outputs() -> str:
     return table(head, body)
 
 
-# -- the default at constant temperature: benchmarks/protein_steps.py ------------------------------------------------
+# -- the default at constant temperature: benchmarks/proteins/protein_steps.py ---------------------------------------
 
 
 def default_temperatures() -> str:
@@ -241,7 +240,7 @@ def mean_of(some: list[Row], name: str, digits: int) -> str:
     return with_error(float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held))), digits) + lost
 
 
-# -- physical_validation: benchmarks/validation.py -------------------------------------------------------------------
+# -- physical_validation: benchmarks/water/validation.py -------------------------------------------------------------
 
 TESTS = {  # without those of the ensemble, which need longer runs
     "kinetic energy, p": "kinetic energy, p",
@@ -269,7 +268,7 @@ def ensembles() -> str:
     return table(("integrator", "of", "test", "value"), body)
 
 
-# -- schemes of others: benchmarks/water.py ---------------------------------------------------------------------------
+# -- schemes of others: benchmarks/water/droplet.py ------------------------------------------------------------------
 
 
 def earlier_schemes() -> str:
@@ -289,7 +288,7 @@ def earlier_schemes() -> str:
     return table(("", "order", *(f"{rate} per ps" for rate in rates)), body)
 
 
-# -- Ewald sums of dipoles: benchmarks/dipole_scale.py and dipole_energy.py -------------------------------------------
+# -- Ewald sums of dipoles: benchmarks/dipoles/dipole_scale.py and dipole_energy.py ----------------------------------
 
 
 def dipole_costs() -> str:
@@ -372,7 +371,7 @@ def figures() -> dict[str, str]:
 
 
 def over_verlet(scheme: str) -> float:
-    """Return the energy error of a scheme over Verlet's, in a box of TIP3P over 30 ps: benchmarks/water_boxes.py."""
+    """Return the energy error of a scheme over Verlet's, in TIP3P over 30 ps: benchmarks/water/water_boxes.py."""
     found = {row["method"]: float(row["std_30_ps"]) for row in rows("water_boxes") if row["model"] == "tip3p"}
     return found[scheme] / found["Verlet"]
 
@@ -386,13 +385,13 @@ def error_over_verlet(scheme: str) -> float:
 
 
 def protein_gain() -> float:
-    """Return Verlet's energy error over that of the default, for villin in water over 2 ps: benchmarks/protein.py."""
+    """Return Verlet's energy error over the default's, for villin over 2 ps: benchmarks/proteins/protein.py."""
     std = {row["method"]: float(row["std_2_ps_kJ_mol"]) for row in rows("protein")}
     return std["Verlet"] / std["W2_1"]
 
 
 def costs_at_8_fs() -> tuple[float, float]:
-    """Return the cost of a force every 8 fs over OpenMM's at 4 fs, for villin on one core: benchmarks/one_line.py."""
+    """Return the cost of a force every 8 fs over OpenMM's at 4 fs, for villin: benchmarks/cost/one_line.py."""
     villin = "villin in water, 8867 atoms"
     (row,) = [row for row in rows("one_line") if row["system"] == villin and row["with"].startswith("8 fs")]
     return float(row["least"]), float(row["most"])
@@ -409,7 +408,7 @@ def one_line() -> str:
 
 
 def asked(scheme: str) -> float:
-    """Return the force evaluations of a step through `Simulation.step`: benchmarks/outputs.py."""
+    """Return the force evaluations of a step through `Simulation.step`: benchmarks/schemes/outputs.py."""
     return float(np.mean([float(row["asked per step"]) for row in rows("outputs") if row["scheme"] == scheme]))
 
 

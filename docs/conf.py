@@ -23,14 +23,13 @@ from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks/paper"))  # for scripts of pictures
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks, of which some pictures are made too
 
 import droplet
 
 import openmm_exactrb
-import tables
-from equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
+from benchmarks import tables
+from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
 from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 log = logging.getLogger(__name__)
@@ -76,7 +75,7 @@ nitpick_ignore_regex = [
 #: Of each notebook: a checkout is installed, and the options of the script keep their defaults.
 FIRST_CELL = """\
 # Run this notebook in the folder `examples` of a checkout.
-%pip install --quiet "..[fast,plot]"
+%pip install --quiet "..[examples]"
 import sys
 
 sys.argv = ["notebook"]"""

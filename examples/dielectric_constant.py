@@ -38,7 +38,7 @@ import matplotlib.pyplot as plt
 
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 # The dielectric constant of the Stockmayer fluid and its standard error, at density, kT and mu²: by an Ewald sum of 125
-# dipoles in LAMMPS, 400000 and 150000 steps (benchmarks/dielectric_lammps.py).
+# dipoles in LAMMPS, 400000 and 150000 steps (benchmarks/dipoles/dielectric_lammps.py).
 LAMMPS = "LAMMPS, Ewald sum of 125 dipoles"
 EWALD = {(0.822, 1.15, 3.0): [(LAMMPS, 64.6, 1.8)], (0.822, 1.15, 1.0): [(LAMMPS, 7.51, 0.16)]}
 # That of WCA spheres, at a volume fraction of 0.0262 and lambda = 3: Z. Wang, C. Holm and H. W. Müller, Phys. Rev. E

@@ -94,6 +94,8 @@ def _index(value: Any) -> bool:
 
 
 def _checked(value: Any, name: str, of: str, asked: str, fits: Any) -> float:
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
     plain = isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.bool_, np.complexfloating))
     huge = isinstance(value, int) and abs(value) > sys.float_info.max  # has no float
     if not plain or huge or not math.isfinite(value) or not fits(value):

@@ -21,7 +21,9 @@ from openmm_exactrb.mechanics.images import joined
 Array = NDArray[np.float64]
 # Largest net charge of a molecule that force fields leave by rounding charges.
 _NEUTRAL = 1e-3
-_COLUMNS = ("step", "time (ps)", "translational", "rotational", "kinetic", "potential", "total (kJ/mol)")
+_ENERGIES = ("translational", "rotational", "kinetic", "potential", "total")
+# Of a time in ps: more would show how the steps before it were added up.
+_DIGITS = 12
 
 
 class _Lines:
@@ -48,7 +50,7 @@ class _Lines:
         return int(self._interval - simulation.currentStep % self._interval)
 
     def _write(self, simulation: Any, state: Any, values: Iterable[float]) -> None:
-        time = state.getTime().value_in_unit(unit.picosecond)
+        time = float(f"{state.getTime().value_in_unit(unit.picosecond):.{_DIGITS}g}")
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in (time, *values))]) + "\n")
         self._out.flush()
 
@@ -77,7 +79,8 @@ class EnergyReporter(_Lines):
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
-        super().__init__(file, reportInterval, _COLUMNS, append)
+        columns = ("step", "time (ps)", *(f"{name} (kJ/mol)" for name in _ENERGIES))
+        super().__init__(file, reportInterval, columns, append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Return when the next line is due and which data it needs, as OpenMM requires.

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.quaternions import exponential, matrix, multiply
 
 Array = NDArray[np.float64]
@@ -72,6 +73,10 @@ class Substep:
         """Return its entries in the table of `openmm_exactrb.device.rows`, or None if a device does not support it."""
         return None
 
+    def device_moves(self, part: float) -> tuple[Move, ...] | None:
+        """Return its moves over a part of the step, or None if a device does not support it."""
+        return None
+
     def __str__(self) -> str:
         """Return the symbol."""
         return self.symbol
@@ -106,6 +111,10 @@ class Drift(Substep):
         """Return the drift of a row."""
         return (({"all": "drift", "inner": "inner", "others": "long"}[self.bodies], part),)
 
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the drift."""
+        return (Move(Op.DRIFT, part, bodies=self.bodies),)
+
 
 @dataclass(frozen=True)
 class Kick(Substep):
@@ -137,6 +146,10 @@ class Kick(Substep):
     def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
         """Return the kick of a row, which has all forces."""
         return (("kick", part),) if self.group is None else None
+
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the kick by the forces of its groups."""
+        return (Move(Op.KICK, part, groups=-1 if self.group is None else 1 << self.group),)
 
     def __str__(self) -> str:
         """Return B, or B3 for group 3."""
@@ -182,6 +195,11 @@ class GradientKick(Substep):
         """Return the displacement at the end of a row and the kick of the next one."""
         return ("shift", self.strength * part * part), ("kick", part)
 
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the displacement and the kick by the forces there."""
+        e = self.strength * part * part
+        return Move(Op.DISPLACE, e, groups=-1), Move(Op.DISPLACED_KICK, part, groups=-1, weights=(e,))
+
 
 @dataclass(frozen=True)
 class LastForcesKick(Substep):
@@ -219,6 +237,10 @@ class LastForcesKick(Substep):
         pairs = zip((self.weights, self.differences), memory, strict=True)
         return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
 
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the kick, which has the number of the weights of forces."""
+        return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)
+
 
 @dataclass(frozen=True)
 class HeatExchange(Substep):
@@ -248,6 +270,10 @@ class HeatExchange(Substep):
     def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
         """Return the thermostat of a row."""
         return (("thermostat", part),)
+
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the heat exchange, which has random numbers of its own."""
+        return (Move(Op.EXCHANGE, part, self.number),)
 
 
 DRIFT, KICK, HEAT_EXCHANGE = Drift(), Kick(), HeatExchange()

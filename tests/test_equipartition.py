@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from equipartition import gist
-from equipartition_record import (
+from benchmarks.water.equipartition import gist
+from benchmarks.water.equipartition_record import (
     LFM,
     MEASURED,
     RECORD,

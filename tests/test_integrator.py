@@ -68,7 +68,8 @@ def test_energy_reporter_writes_every_digit(tmp_path):
     simulation.step(6)
     reporter.close()
     head, *lines = file.read_text().splitlines()
-    assert head.startswith("step,time")
+    assert head.startswith("step,time (ps),translational (kJ/mol),")
+    assert head.count("(kJ/mol)") == 5
     step, _, translational, rotational, kinetic, potential, total = map(float, lines[-1].split(","))
     assert (step, len(lines)) == (6, 2)
     assert potential == energies(simulation)[0]
@@ -209,8 +210,9 @@ def test_the_cpu_platform_agrees_with_reference():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"scheme": "RK4"}, r"unknown scheme 'RK4'\. Available: V2, "),
-        ({"scheme": "S6_01"}, r"unknown scheme 'S6_01'; did you mean 'S6_10'\? Available: V2, "),
+        ({"scheme": "RK4"}, r"unknown scheme 'RK4': all names are in openmm_exactrb.SCHEMES$"),
+        ({"scheme": "S6_01"}, r"unknown scheme 'S6_01': did you mean 'S6_10'\? All names"),
+        ({"scheme": "W4"}, r"unknown scheme 'W4': did you mean 'W4_4'\? All names are in openmm_exactrb.SCHEMES$"),
         ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
         ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
         ({"stepSize": float("nan")}, "finite number of ps"),
@@ -221,6 +223,18 @@ def test_the_cpu_platform_agrees_with_reference():
 def test_wrong_settings_get_one_sentence(arguments, message):
     with pytest.raises(ValueError, match=message):
         rb.ExactRigidBodyIntegrator(**({"stepSize": 0.01} | arguments))
+
+
+def test_arrays_of_numpy_without_a_dimension_are_numbers():
+    """OpenMM takes them too."""
+    step, warmth = np.array(2.0) * unit.femtoseconds, np.array(300.0)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(warmth * unit.kelvin, np.array(5), forceInterval=step)
+    assert integrator.getStepSize()._value == 0.002
+    integrator.setTemperature(np.array(310))
+    integrator.setStepSize(np.array(0.001))
+    assert (integrator.getTemperature()._value, integrator.getStepSize()._value) == (310.0, 0.001)
+    with pytest.raises(ValueError, match=r"finite number of ps, not array\(\[0.002\]\)"):
+        integrator.setStepSize(np.array([0.002]))
 
 
 def test_a_step_that_is_refused_changes_nothing():

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import openmm
-import problems
 import pytest
 
 import openmm_exactrb as rb
 import three_masses
+from benchmarks.paper import problems
 from openmm_exactrb import quaternions
 from openmm_exactrb.context.found import find_context
 from openmm_exactrb.context.inner_drift import ExcerptContext

@@ -25,7 +25,11 @@ def test_the_lowest_versions_are_those_that_are_tested():
         name: tuple(map(int, version.split("."))) for name, version in re.findall(r"^([\w-]+)==(.*)$", text, re.M)
     }
     extras = PROJECT["optional-dependencies"]
-    allowed = lowest([*PROJECT["dependencies"], *(r for e in ("ensemble", "fast", "plot", "test") for r in extras[e])])
+    tested = [
+        *PROJECT["dependencies"],
+        *(r for e in ("ensemble", "examples", "fast", "plot", "test") for r in extras[e]),
+    ]
+    allowed = lowest(tested)
     assert set(pinned) == set(allowed)
     for name, version in allowed.items():
         assert pinned[name][: len(version)] == version

@@ -4,7 +4,6 @@ The fast tests judge the page and the data of the last `make paper` and compute 
 scripts compute small versions.
 """
 
-import importlib
 import json
 import re
 import shutil
@@ -20,16 +19,13 @@ import openmm
 import pytest
 
 import oracle
+from benchmarks.paper import claims, common, compiled, figure01, figure16, reference, report, satellite
 from openmm_exactrb import rotors
 
 ROOT = Path(__file__).parent.parent
 REPORT = ROOT / "benchmarks" / "paper" / "report.py"
 PAGES = ROOT / "docs" / "paper"
 DATA = PAGES / "data"
-sys.path.append(str(REPORT.parent))
-claims = importlib.import_module("claims")
-common = importlib.import_module("common")
-report = importlib.import_module("report")
 
 
 # -- what `make paper` left -----------------------------------------------------------------------------------------
@@ -182,20 +178,19 @@ def test_the_summary_counts_the_claims_and_lists_their_verdicts():
 
 def test_the_satellite_is_the_papers_and_what_is_computed_is_kept(tmp_path, monkeypatch):
     """The two lines of figures 14 and 15, within this process."""
-    script = importlib.import_module("satellite")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("OPENMM_CPU_THREADS", "1")
     monkeypatch.setattr(common, "ProcessPoolExecutor", ThreadPoolExecutor)
-    monkeypatch.setattr(script, "LINES", tuple(script.DRAWN.values()))
-    data = script.compute(True)
+    monkeypatch.setattr(satellite, "LINES", tuple(satellite.DRAWN.values()))
+    data = satellite.compute(True)
     assert abs(data["SRKN6_14a exact 0.1"]["H0"] - 1.21595664e7) < 1.0
     assert data["SRKN6_14a exact 0.1"]["largest"] < 2e-7
-    for name, figure in script.draw(data):
+    for name, figure in satellite.draw(data):
         common.save(figure, f"{name}.png")
         assert Path(f"{name}.png").read_bytes().startswith(b"\x89PNG")
     pieces = {file: file.stat().st_mtime_ns for file in common.PIECES.rglob("*.json")}
     assert len(pieces) == 4
-    again = script.compute(True)
+    again = satellite.compute(True)
     assert {key: entry["largest"] for key, entry in again.items()} == {
         key: entry["largest"] for key, entry in data.items()
     }
@@ -203,7 +198,6 @@ def test_the_satellite_is_the_papers_and_what_is_computed_is_kept(tmp_path, monk
 
 
 def test_the_energies_by_which_starts_are_chosen_are_openmms():
-    figure16 = importlib.import_module("figure16")
     system, sites = figure16.spheres()
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     for seed in (327, 1554):  # two with a close pair
@@ -215,13 +209,11 @@ def test_the_energies_by_which_starts_are_chosen_are_openmms():
 @pytest.mark.validate
 def test_compiled_methods_are_the_packages():
     """Those of figure 1 whose costs are compared, for momenta of all signs."""
-    compiled = importlib.import_module("compiled")
-    names = importlib.import_module("figure01").PAPER
     inertia, m = common.random_bodies(np.random.default_rng(7), 300)
     m *= np.random.default_rng(8).choice([-1.0, 1.0], m.shape) * 1.7
     q, _ = np.linalg.qr(np.random.default_rng(9).standard_normal((4, 4)))
     q = np.resize(q, (300, 4)).T.copy()
-    for name in names:
+    for name in figure01.PAPER:
         for h in (0.02, 0.4):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", rotors.NotConvergedWarning)
@@ -267,7 +259,6 @@ def test_the_pages_are_rewritten_from_what_is_stored(quick, tmp_path):
 
 
 def test_the_reference_has_thirty_digits():
-    reference = pytest.importorskip("reference")
     inertia, m = oracle.random_bodies("generic", 2, seed=2)
     q, m1 = reference.taylor(inertia.T, m.T, 3.0)
     for body in range(2):

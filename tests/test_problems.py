@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
 
 import openmm_exactrb as rb
+from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
 from openmm_exactrb import quaternions
 from openmm_exactrb.compensated import exactly
 

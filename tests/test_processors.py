@@ -8,7 +8,7 @@ import openmm_exactrb as rb
 from sequences import gradient_kicks
 
 pytest.importorskip("numba")
-import processors
+from benchmarks.schemes import processors
 
 
 @pytest.mark.parametrize(("name", "order"), [("W2_1", 2), ("W4_4", 4), ("S2_3", 2), ("Chin4A", 4), ("W4_5", 4)])

@@ -3,7 +3,6 @@
 from fractions import Fraction
 
 import numpy as np
-import problems
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
@@ -12,6 +11,7 @@ from scipy import integrate as quadrature
 from scipy.special import ellipj, ellipkinc
 
 import openmm_exactrb as rb
+from benchmarks.paper import problems
 from openmm_exactrb import compensated, elliptic, quaternions
 from openmm_exactrb.kernels import load
 from openmm_exactrb.rotors import LARGEST_MOMENT, SMALLEST_MOMENT, WIDEST, rotor, rotor_of_sums

@@ -42,3 +42,15 @@ def test_a_file_that_ends_within_a_line_is_refused_and_left_alone(tmp_path, left
     with pytest.raises(ValueError, match="ends within a line"):
         rb.EnergyReporter(file, 1, append=True)
     assert file.read_text() == left
+
+
+def test_a_time_has_no_digits_of_the_sum_of_its_steps(tmp_path):
+    """A hundred steps of 2 fs add up to 0.20000000000000012 ps."""
+    simulation = simulation_of_two_dipoles()
+    reporter = rb.EnergyReporter(tmp_path / "energies.csv", 100)
+    simulation.reporters.append(reporter)
+    simulation.integrator.setStepSize(0.002)
+    simulation.step(100)
+    reporter.close()
+    assert simulation.context.getTime()._value != 0.2
+    assert (tmp_path / "energies.csv").read_text().splitlines()[1].startswith("100,0.2,")

@@ -2,14 +2,14 @@
 
 import numpy as np
 import openmm
-import problems
 import pytest
 from mpmath import mp
 from openmm import app
 
 import openmm_exactrb as rb
 import oracle
-import roundoff
+from benchmarks.paper import problems
+from benchmarks.schemes import roundoff
 from openmm_exactrb import quaternions
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums

@@ -8,8 +8,8 @@ import openmm_exactrb as rb
 from sequences import advanced
 
 pytest.importorskip("numba")
-import droplets
-import search
+from benchmarks.common import droplets
+from benchmarks.schemes import search
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 

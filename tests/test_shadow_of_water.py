@@ -1,13 +1,13 @@
-"""What shadow energies predict for slow translation and fast rotation: benchmarks/shadow.py."""
+"""What shadow energies predict for slow translation and fast rotation: benchmarks/water/shadow.py."""
 
 import numpy as np
 import pytest
 
+from benchmarks.water.shadow import TEMPERATURE, Anharmonicity, at_thermostat, predicted
 from openmm_exactrb.schemes import WITH_THERMOSTAT, splitting
 from openmm_exactrb.schemes import shadow as kept
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 from openmm_exactrb.substeps import DRIFT, KICK
-from shadow import TEMPERATURE, Anharmonicity, at_thermostat, predicted
 
 SLOW, FAST = 40.0, 120.0  # 1/ps
 SPECTRUM = np.array([SLOW, FAST]), np.array([1.0, 0.0]), np.array([0.0, 1.0])

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import openmm_exactrb as rb
-import tables
+from benchmarks import tables
 
 ROOT = Path(__file__).resolve().parents[1]
 

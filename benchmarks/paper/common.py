@@ -17,11 +17,12 @@ import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
-import claims
 import matplotlib as mpl
 import numpy as np
 from PIL import Image
 from tqdm import tqdm
+
+from benchmarks.paper import claims
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -11,13 +11,12 @@ import sys
 import warnings
 from functools import partial
 
-import common
-import compiled
 import matplotlib.pyplot as plt
 import numpy as np
-from claims import Claim, Criterion
-from reference import taylor
 
+from benchmarks.paper import common, compiled
+from benchmarks.paper.claims import Claim, Criterion
+from benchmarks.paper.reference import taylor
 from openmm_exactrb.rotors import NotConvergedWarning, rotor
 
 NAME = "figure01"

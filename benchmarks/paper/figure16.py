@@ -10,14 +10,14 @@ hardly move.
 import sys
 from functools import lru_cache, partial
 
-import common
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
-from claims import Claim, Criterion
 from openmm import unit
 
 import openmm_exactrb as rb
+from benchmarks.paper import common
+from benchmarks.paper.claims import Claim, Criterion
 from openmm_exactrb.rotors import rotor
 
 NAME = "figure16"

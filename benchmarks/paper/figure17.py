@@ -22,13 +22,13 @@ from collections import defaultdict
 from functools import lru_cache
 from pathlib import Path
 
-import common
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
-from claims import Claim, Criterion
 
 import openmm_exactrb as rb
+from benchmarks.paper import common
+from benchmarks.paper.claims import Claim, Criterion
 from openmm_exactrb import ensemble
 
 NAME = "figure17"
@@ -251,6 +251,6 @@ def command():
 
 
 if __name__ == "__main__":
-    from figure17 import command as imported  # under the name by which the workers find the functions
+    from benchmarks.paper.figure17 import command as imported  # under the name by which the workers find the functions
 
     sys.exit(imported())

@@ -10,14 +10,13 @@ refuted.
 
 import sys
 
-import common
-import figure17
 import matplotlib.pyplot as plt
 import numpy as np
 import openmm
-from claims import Claim, Criterion
 
 import openmm_exactrb as rb
+from benchmarks.paper import common, figure17
+from benchmarks.paper.claims import Claim, Criterion
 
 NAME = "figure18"
 TITLE = "Figure 18: two Nyström splittings on a longer interval"

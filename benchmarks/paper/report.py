@@ -6,16 +6,7 @@ docs/paper.md has all verdicts; docs/paper has a page for each table or figure.
 import argparse
 import textwrap
 
-import claims
-import common
-import figure01
-import figure16
-import figure17
-import figure18
-import satellite
-import table1
-import tops
-import triangle
+from benchmarks.paper import claims, common, figure01, figure16, figure17, figure18, satellite, table1, tops, triangle
 
 SCRIPTS = (table1, figure01, triangle, tops, satellite, figure16, figure17, figure18)
 INTRODUCTION = """\

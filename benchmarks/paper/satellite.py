@@ -6,12 +6,12 @@ same number of torque evaluations are added.
 
 import sys
 
-import common
 import matplotlib.pyplot as plt
 import numpy as np
-from claims import Claim, Criterion
-from problems import Satellite, energy, integrate
 
+from benchmarks.paper import common
+from benchmarks.paper.claims import Claim, Criterion
+from benchmarks.paper.problems import Satellite, energy, integrate
 from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.schemes import scheme
 

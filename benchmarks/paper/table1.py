@@ -11,14 +11,13 @@ import sys
 import time
 from functools import partial
 
-import common
-import compiled
 import matplotlib.pyplot as plt
 import numpy as np
-from claims import Claim, Criterion
-from reference import taylor
 from scipy.integrate import solve_ivp
 
+from benchmarks.paper import common, compiled
+from benchmarks.paper.claims import Claim, Criterion
+from benchmarks.paper.reference import taylor
 from openmm_exactrb.rotors import quaternion, rotation, rotor
 from openmm_exactrb.rotors.euler import carlson
 

@@ -8,12 +8,12 @@ largest along the run, at a hundred equidistant times (ten for a processed schem
 
 import sys
 
-import common
 import matplotlib.pyplot as plt
 import numpy as np
-from claims import Claim, Criterion
-from problems import HeavyTop, energy, integrate
 
+from benchmarks.paper import common
+from benchmarks.paper.claims import Claim, Criterion
+from benchmarks.paper.problems import HeavyTop, energy, integrate
 from openmm_exactrb.schemes import scheme
 
 NAME = "tops"

@@ -11,13 +11,13 @@ numbers are not.
 import sys
 import warnings
 
-import common
 import matplotlib.pyplot as plt
 import numpy as np
-from claims import Claim, Criterion
-from reference import taylor
 from scipy.ndimage import gaussian_filter
 
+from benchmarks.paper import common
+from benchmarks.paper.claims import Claim, Criterion
+from benchmarks.paper.reference import taylor
 from openmm_exactrb.rotors import NotConvergedWarning, rotor
 
 NAME = "triangle"

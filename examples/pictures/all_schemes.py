@@ -7,9 +7,9 @@ Every scheme of the catalogue on heavy tops, at the same cost. New schemes get a
 
 import matplotlib.pyplot as plt
 import numpy as np
-from problems import HeavyTop, energy, integrate
 
 import openmm_exactrb as rb
+from benchmarks.paper.problems import HeavyTop, energy, integrate
 
 tops, start = HeavyTop.random(np.random.default_rng(1), epsilon=1.0, T0=1.0, n=20)
 first = energy(tops, start)

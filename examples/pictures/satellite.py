@@ -9,10 +9,10 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from problems import Satellite, energy, integrate
 from sphere import BLUE, ORANGE, draw_sphere, eye
 
 import openmm_exactrb as rb
+from benchmarks.paper.problems import Satellite, energy, integrate
 from openmm_exactrb.quaternions import matrix
 
 body = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))

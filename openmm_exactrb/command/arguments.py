@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 _PICOSECONDS = {"": 1.0, "fs": 1e-3, "ps": 1.0, "ns": 1e3, "us": 1e6}
@@ -41,6 +41,12 @@ def _picoseconds(text: str) -> float:
     if match is None or match[2].lower() not in _PICOSECONDS:
         raise ValueError(text)
     return float(match[1]) * _PICOSECONDS[match[2].lower()]
+
+
+def named(names: Iterable[str]) -> Callable[[str], str]:
+    """Return an argparse type that accepts some names in any case."""
+    by_case = {name.lower(): name for name in names}
+    return lambda text: by_case.get(text.lower(), text)  # what is no name is left to choices=
 
 
 _UNITS = "in ps, or with a unit such as 4fs, 100ps or 1ns"

@@ -17,12 +17,21 @@ from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
 from openmm_exactrb.context.platforms import platforms, refused_by_default
 from openmm_exactrb.rotors import ROTORS
-from openmm_exactrb.schemes import CATALOGUE
+from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
 
 #: The purpose, in one sentence.
 PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported; else what is installed."
 
+_INTEGRATORS = (
+    openmm_exactrb.ExactRigidBodyIntegrator,
+    openmm_exactrb.ExactRigidBodyLangevinIntegrator,
+    openmm_exactrb.ExactRigidBodyRescalingIntegrator,
+    openmm_exactrb.ExactRigidBodyNoseHooverIntegrator,
+    openmm_exactrb.ExactRigidBodyHybridIntegrator,
+)
+# The documentation says what for: "Which integrator, scheme and step".
+_RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
@@ -57,8 +66,12 @@ def _lines() -> Iterator[str]:
         yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
-    yield from ("schemes:", *(f"  {entry!r}" for entry in CATALOGUE.values()))
-    yield from ("rotors:", *(f"  {entry!r}" for entry in ROTORS.values()))
+    yield "integrators:"
+    for integrator in _INTEGRATORS:
+        yield f"  {integrator.__name__}: {str(integrator.__doc__).splitlines()[0]}"
+    yield f"schemes: {len(CATALOGUE)} in openmm_exactrb.SCHEMES, of which these are recommended for most runs:"
+    yield from (f"  {scheme_for_thermostat(name)!r}" for name in _RECOMMENDED)
+    yield f'rotors: {len(ROTORS)} in openmm_exactrb.ROTORS; "exact" is the default'
 
 
 def _version(library: str) -> str:

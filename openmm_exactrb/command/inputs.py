@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+import errno
+import os
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +24,11 @@ from openmm_exactrb.systems import rigid_water
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
 #: Constraints of ForceField.createSystem beside rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
+
+#: What describes molecules, in words.
+FILES = (
+    "one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml, a prmtop and an inpcrd, or a top and a gro)"
+)
 
 #: Defaults of options that only some files have.
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
@@ -56,28 +63,45 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("files", nargs="*", type=Path, metavar="FILE", help=files)
     add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
     add("--solvate", type=arguments.count, metavar="N", help="add N molecules of water; water alone without a file")
-    add("--water", choices=WATERS, help="water model of --solvate (the one that a force field is named after)")
+    add(
+        "--water",
+        type=arguments.named(WATERS),
+        choices=WATERS,
+        help="water model of --solvate (the one that a force field is named after)",
+    )
     add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
     add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
-    add("--constraints", choices=CONSTRAINTS, help=f"in addition to rigid water {shown['constraints']}")
+    add(
+        "--constraints",
+        type=arguments.named(CONSTRAINTS),
+        choices=CONSTRAINTS,
+        help=f"in addition to rigid water {shown['constraints']}",
+    )
     add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
+
+
+def refuse_missing(files: Iterable[Path]) -> None:
+    """Raise FileNotFoundError for the first file that is not there."""
+    for file in files:
+        if not file.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
 
 
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
+    if not args.files and not args.solvate:
+        raise ValueError(f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for that much water")
+    refuse_missing(args.files)
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)
     if len(kinds) == 2 and set(kinds) & (_AMBER | _GROMACS):
         return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _AMBER | _GROMACS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
-        raise ValueError(
-            "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml, a prmtop and an inpcrd, or a top "
-            "and a gro), or none with --solvate, "
-            f"not {' '.join(map(str, args.files))}"
-        )
+        raise ValueError(f"give {FILES}, or none with --solvate, not {' '.join(map(str, args.files))}")
     if not args.forcefield:
-        raise ValueError("name the force field, such as --forcefield tip4pew.xml")
+        what = f"{args.files[0]} has no forces" if kinds else "water has several models"
+        raise ValueError(f"{what}: name the force field, such as --forcefield tip4pew.xml")
     force_field = _understood("the force field", app.ForceField, *args.forcefield)
     modeller = _read(args, force_field) if kinds else _water_box(args)
     modeller.addExtraParticles(force_field)
@@ -140,8 +164,6 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
 
 def _water_box(args: argparse.Namespace) -> app.Modeller:
     """Return water alone, without extra particles: the force field adds its own."""
-    if not args.solvate:
-        raise ValueError("there is nothing to run: give a file, or --solvate 216 for that many molecules of water")
     topology, _, positions = rigid_water(args.solvate, args.seed, model=_water(args), nonbondedMethod=app.PME)
     modeller = app.Modeller(topology, positions)
     modeller.delete([atom for atom in topology.atoms() if atom.element is None])

@@ -48,7 +48,7 @@ def _status(args: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
     except _ERRORS as error:
-        print(f"exactrb {args.command}: {' '.join(str(error).split())}", file=sys.stderr)
+        print(f"exactrb {args.command}: {_told(error)}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
@@ -57,6 +57,15 @@ def _status(args: argparse.Namespace) -> int:
         begin = "\n" if sys.stderr.isatty() else ""  # after ^C, or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return 128 + signal.SIGINT
+
+
+def _told(error: Exception) -> str:
+    """Return the message of an error in one line; that of an OSError without its number."""
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"there is no file {error.filename}"
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())
 
 
 def _parser() -> Parser:

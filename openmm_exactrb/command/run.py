@@ -45,7 +45,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument
-    add("--ensemble", choices=setup.ENSEMBLES, default="nve", help="constant energy, temperature, pressure (nve)")
+    ensembles: dict[str, Any] = {"type": arguments.named(setup.ENSEMBLES), "choices": setup.ENSEMBLES, "default": "nve"}
+    add("--ensemble", **ensembles, help="constant energy, temperature, pressure (nve)")
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
     add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
@@ -69,7 +70,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
     Run.add_options(parser, "out/run")
     add = parser.add_argument
-    add("--trajectory", choices=_TRAJECTORIES, default="dcd", help="format (%(default)s)")
+    add(
+        "--trajectory",
+        type=arguments.named(_TRAJECTORIES),
+        choices=_TRAJECTORIES,
+        default="dcd",
+        help="format (%(default)s)",
+    )
     add("--interval", type=times, default=0.1, metavar="T", help="between frames and lines, ps (%(default)s)")
     add("--no-picture", dest="picture", action="store_false", help="draw none at the end")
     add("--quiet", action="store_true", help="nothing on stderr but errors")
@@ -79,6 +86,11 @@ def carry_out(args: argparse.Namespace) -> int:
     """Run the simulation that the options describe; return the exit status 0."""
     named = {name: value for name, value in vars(args).items() if value is not None}
     settled = argparse.Namespace(**vars(args) | _DEFAULTS | named)
+    if args.resume and not args.files and not args.solvate:
+        raise ValueError(
+            f"--resume continues the same command: repeat it, with its files and options, and add --resume to continue "
+            f"the run in {args.out}"
+        )
     job = Run.from_options(settled, free=_FREE)
     scheme = _scheme_of(args)
     if args.force_interval is not None:

@@ -10,6 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
+from openmm_exactrb.command import arguments
 from openmm_exactrb.command.inputs import Box
 from openmm_exactrb.context.find import has_flexible_clusters
 from openmm_exactrb.context.updates import UPDATES
@@ -21,7 +22,10 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 ENSEMBLES = ("nve", "nvt", "npt")
 #: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    ("rotor", {"choices": ROTORS, "default": "exact", "help": "free rotation (%(default)s)"}),
+    (
+        "rotor",
+        {"type": arguments.named(ROTORS), "choices": ROTORS, "default": "exact", "help": "free rotation (%(default)s)"},
+    ),
 )
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step

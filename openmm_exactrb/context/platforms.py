@@ -35,12 +35,13 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     if isinstance(name, openmm.Platform):
         return name
     found = {platform.getName(): platform for platform in platforms()}
+    by_case = {known.lower(): known for known in found}
     wanted = name if name is not None else os.environ.get("OPENMM_DEFAULT_PLATFORM")
     if not wanted:
         return next(platform for platform in found.values() if not refused_by_default(platform))
-    if wanted not in found:
+    if str(wanted).lower() not in by_case:
         raise ValueError(f"there is no platform {wanted!r} here: choose one of {', '.join(found)}")
-    return found[wanted]
+    return found[by_case[str(wanted).lower()]]
 
 
 def refused_by_default(platform: openmm.Platform) -> str | None:

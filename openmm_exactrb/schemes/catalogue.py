@@ -24,15 +24,15 @@ _VERLET = "L. Verlet, Phys. Rev. 159, 98 (1967), doi:10.1103/PhysRev.159.98"
 _MCLACHLAN = "R. I. McLachlan, SIAM J. Sci. Comput. 16, 151 (1995), doi:10.1137/0916010"
 _HMC = "S. Blanes, F. Casas and J. M. Sanz-Serna, SIAM J. Sci. Comput. 36, A1556 (2014), doi:10.1137/130932740"
 # Found by random searches and Nelder-Mead on the energy error of droplets of rigid water, over starts that were used
-# for nothing else: benchmarks/search.py.
+# for nothing else: benchmarks/schemes/search.py.
 _TUNED = "openmm-exactrb, tuned on rigid water at {} fs per force evaluation"
 # Of the schemes with three forces that stay stable beyond half a period of an oscillator, the one with equal shadow
-# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/shadow.py.
+# energies of fast and slow modes at 4 to 6 fs per force: benchmarks/water/shadow.py.
 _EQUIPARTITION = "openmm-exactrb, for equipartition of rigid water at 4 to 6 fs per force evaluation"
-# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/shadow.py.
+# The least squares of what momenta and places are off from canonical, over 40 to 220/ps: benchmarks/water/shadow.py.
 _CANONICAL = "openmm-exactrb, for the canonical distribution of rigid water at 4 fs per force evaluation"
 # Changes of coordinates that leave of a kernel's error what no change removes, for the frequencies of rigid water:
-# benchmarks/processors.py.
+# benchmarks/schemes/processors.py.
 _PROCESSOR = "{}; the processor is of openmm-exactrb"
 _OMELYAN = (
     "I. P. Omelyan, I. M. Mryglod and R. Folk, Comput. Phys. Commun. 146, 188 (2002), doi:10.1016/S0010-4655(02)00451-4"
@@ -56,7 +56,7 @@ def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float,
 
 _V2_DRIFT = symmetric("V2_drift", order=2, stages=1, first="drift", reference=_VERLET)
 
-# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/outputs.py.
+# Ways back from inner coordinates for output, by the forces of the last kicks: benchmarks/schemes/outputs.py.
 _OUTPUT_OF_PAIRS = (
     (DRIFT, -0.25),
     *_kicks_of_pairs(
@@ -327,22 +327,31 @@ def splitting(name: str | Scheme) -> Scheme:
     if found.processor:
         raise ValueError(
             f"scheme {found.name} runs in inner coordinates, but a thermostat acts on the true state at every step: "
-            "choose a scheme without a processor, such as S2_2"
+            "choose a scheme without a processor, such as W2_3m"
         )
     return found
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of some schemes, or one that can be generated; ValueError with the nearest name if it is unknown."""
+    """Return one of some schemes, or one that can be generated; ValueError with the name that was meant otherwise."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
-        raise ValueError(f"a scheme is one of {', '.join(CATALOGUE)}, or a Scheme, not {name!r}")
+        raise ValueError(f'a scheme is a name in openmm_exactrb.SCHEMES, such as "W4_4", or a Scheme, not {name!r}')
     if name in schemes:
         return schemes[name]
     if generated := re.fullmatch(r"S(ABA|BAB)_([1-9]\d?)", name):
         return (saba if generated[1] == "ABA" else sbab)(int(generated[2]))
+    meant = _meant(name, schemes)
+    hint = f": did you mean {meant!r}? A" if meant else ": a"
+    more = " and openmm_exactrb.schemes.WITH_THERMOSTAT" if len(schemes) > len(CATALOGUE) else ""
+    raise ValueError(f"unknown scheme {name!r}{hint}ll names are in openmm_exactrb.SCHEMES{more}")
+
+
+def _meant(name: str, schemes: Mapping[str, Scheme]) -> str | None:
+    """Return the name that was cut off or misspelt: the cheapest scheme of a family, or else the nearest name."""
     by_capitals = {known.upper(): known for known in schemes}
-    near = difflib.get_close_matches(name.upper(), by_capitals, 1)
-    hint = f"; did you mean {by_capitals[near[0]]!r}?" if near else "."
-    raise ValueError(f"unknown scheme {name!r}{hint} Available: {', '.join(schemes)}")
+    family = [known for capitals, known in by_capitals.items() if capitals.startswith(f"{name.upper()}_")]
+    if family and name.upper() not in by_capitals:
+        return min(family, key=lambda known: schemes[known].forces)
+    return next((by_capitals[near] for near in difflib.get_close_matches(name.upper(), by_capitals, 1)), None)

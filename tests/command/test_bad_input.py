@@ -12,8 +12,11 @@ from openmm_exactrb.command.main import main
 from peptides import PEPTIDE
 
 CASES = [
-    (["droplet.pdb"], "name the force field"),
-    (["nowhere.pdb", "--forcefield", "tip3p.xml"], "nowhere.pdb"),
+    (["droplet.pdb"], "droplet.pdb has no forces: name the force field"),
+    (["--solvate", "27"], "water has several models: name the force field"),
+    (["nowhere.pdb"], "there is no file nowhere.pdb"),
+    (["nowhere.pdb", "--forcefield", "tip3p.xml"], "there is no file nowhere.pdb"),
+    (["system.xml", "nowhere.xml"], "there is no file nowhere.xml"),
     (["droplet.pdb", "--forcefield", "tip9p.xml"], "tip9p.xml"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "RK4"], "unknown scheme 'RK4'"),
     (["droplet.pdb", "--forcefield", "spce.xml", "--scheme", "BAOA"], "BAOA contains a thermostat"),
@@ -32,7 +35,8 @@ CASES = [
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
     (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
-    ([], "there is nothing to run"),
+    ([], "there is nothing to run: give one file"),
+    (["--resume"], "--resume continues the same command: repeat it, with its files"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
     (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),
 ]
@@ -67,12 +71,24 @@ def files(droplet, serialised, tmp_path, monkeypatch):
 @pytest.mark.parametrize(("arguments", "message"), CASES, ids=[message for _, message in CASES])
 @pytest.mark.usefixtures("files")
 def test_a_wrong_call_is_one_line(tmp_path, capsys, arguments, message):
-    assert main(["run", "--out", "out", *arguments, *([] if arguments else ["--forcefield", "tip3p.xml"])]) == 2
+    assert main(["run", "--out", "out", *arguments]) == 2
     out, errors = capsys.readouterr()
     assert errors.startswith("exactrb run: ")
     assert message in errors
     assert (errors.count("\n"), out) == (1, "")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("files")
+def test_names_are_taken_in_any_case(tmp_path, capsys):
+    options = ["--ensemble", "NVT", "--constraints", "hbonds", "--trajectory", "XTC", "--rotor", "Exact"]
+    short = ["--step", "2fs", "--duration", "4fs", "--equilibrate", "0", "--platform", "reference", "--no-picture"]
+    assert main(["run", *PDB, *options, *short, "--out", "out"]) == 0
+    assert (tmp_path / "out" / "trajectory.xtc").exists()
+    assert "ExactRigidBodyLangevinIntegrator" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["run", *PDB, "--ensemble", "nph"])
+    assert "invalid choice: 'nph'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("arguments", "message"), IDLE, ids=[message for _, message in IDLE])

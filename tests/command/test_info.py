@@ -160,7 +160,10 @@ def test_what_acts_between_steps_is_named():
 
 
 @pytest.mark.parametrize("files", [["a.top"], ["a.gro", "b.pdb", "c.xml"], ["a.txt"]])
-def test_files_that_say_nothing_together_are_refused(files, capsys):
+def test_files_that_say_nothing_together_are_refused(files, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in files:
+        Path(file).touch()
     assert main(["info", *files]) == 2
     assert "give one file (PDB" in capsys.readouterr().err
 

@@ -4,9 +4,8 @@ import numpy as np
 import openmm
 import pytest
 
-import martini
-import martini_rings
 import openmm_exactrb as rb
+from benchmarks.constraints import martini, martini_rings
 
 SIDE, SPEED = 0.2, 2.0
 

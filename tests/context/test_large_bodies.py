@@ -4,8 +4,8 @@ import numpy as np
 import openmm
 import pytest
 
-import large_bodies
 import openmm_exactrb as rb
+from benchmarks.cost import large_bodies
 from openmm_exactrb import quaternions
 from openmm_exactrb.context.find import find_bodies
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import constrained_clusters
+from benchmarks.constraints import clusters as constrained_clusters
 from openmm_exactrb.mechanics.clusters import LARGEST, ClusterKind, sorted_into_kinds
 
 STAR = np.array([(0, 1), (2, 0), (0, 3)])

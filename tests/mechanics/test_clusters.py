@@ -6,9 +6,9 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-import constrained_clusters
 import geodesics
 import openmm_exactrb as rb
+from benchmarks.constraints import clusters as constrained_clusters
 from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from openmm_exactrb.quaternions import from_matrix, rotation_matrix
 from reference_clusters import ReferenceClusters

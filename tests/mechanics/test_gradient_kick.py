@@ -3,10 +3,10 @@
 import numpy as np
 import openmm
 import pytest
-from problems import HeavyTop, Satellite, energy, integrate
 
 import charts
 import openmm_exactrb as rb
+from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate
 from openmm_exactrb import quaternions
 from openmm_exactrb.compensated import exactly
 from openmm_exactrb.context.forces import Memory

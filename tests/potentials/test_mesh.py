@@ -4,9 +4,8 @@ import numpy as np
 import openmm
 import pytest
 
-import dipole_scale
-import nufft_ewald
 import openmm_exactrb as rb
+from benchmarks.dipoles import dipole_scale, nufft_ewald
 from force_laws import assert_gradient, context_of, evaluated, positions_of
 from openmm_exactrb.potentials import ewald, ewald_errors
 from soft_dipoles import arrows, assert_same, dipoles_alone, fluid, liquid, sites_of, summed

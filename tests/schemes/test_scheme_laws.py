@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from problems import HeavyTop, energy, integrate
 
 import charts
 import openmm_exactrb as rb
+from benchmarks.paper.problems import HeavyTop, energy, integrate
 from openmm_exactrb import quaternions
 from orders import composes_verlet, slope
 

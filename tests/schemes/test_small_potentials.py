@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mpmath import mp
-from problems import HeavyTop, energy, integrate
 
 import openmm_exactrb as rb
+from benchmarks.paper.problems import HeavyTop, energy, integrate
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick

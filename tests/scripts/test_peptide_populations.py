@@ -5,7 +5,7 @@ import openmm
 import pytest
 from openmm import app
 
-import peptide_populations as script
+from benchmarks.proteins import peptide_populations as script
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 

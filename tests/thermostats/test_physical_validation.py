@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-import validation
+from benchmarks.water import validation
 
 pytestmark = pytest.mark.validate
 pytest.importorskip("physical_validation", reason="pip install 'openmm-exactrb[validation]'")

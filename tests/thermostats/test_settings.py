@@ -69,7 +69,7 @@ def test_other_bad_settings_get_a_sentence_too():
         langevin().setRandomNumberSeed(-1)
     with pytest.raises(ValueError, match=r"must be below 2\^31"):
         langevin().setRandomNumberSeed(2**31)
-    hint = r"unknown scheme 'OBABO'; did you mean 'BAOA'\? Available: BAOAB, .*, V2, "
+    hint = r"unknown scheme 'OBABO': did you mean 'BAOA'\? All names are in .*SCHEMES and .*WITH_THERMOSTAT"
     with pytest.raises(ValueError, match=hint):
         langevin(scheme="OBABO")
     with pytest.raises(ValueError, match="V2_C17 runs in inner coordinates"):

@@ -1,0 +1,1 @@
+"""Measurements of the project, a folder for each question: README.md lists them."""

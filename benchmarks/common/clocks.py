@@ -1,0 +1,34 @@
+"""Times of contenders that take turns, so that all of them meet the same neighbours on the machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+Name = TypeVar("Name")
+
+
+def timed(run: Callable[[], Any], clock: Callable[[], float] = time.process_time) -> float:
+    """Return the seconds that a call takes."""
+    begun = clock()
+    run()
+    return clock() - begun
+
+
+def in_turns(
+    runs: Mapping[Name, Callable[[], Any]], rounds: int, clock: Callable[[], float] = time.process_time
+) -> dict[Name, list[float]]:
+    """Return the seconds of each in each of the rounds, of which every other one goes backwards."""
+    times: dict[Name, list[float]] = {name: [] for name in runs}
+    for k in range(rounds):
+        for name in list(runs)[:: -1 if k % 2 else 1]:
+            times[name].append(timed(runs[name], clock))
+    return times
+
+
+def least(run: Callable[[], Any], duration: float, clock: Callable[[], float], repeats: int = 9) -> float:
+    """Return the least mean time of a call in seconds, over several series of this duration."""
+    run()
+    calls = max(1, int(duration / (timed(run, clock) + 1e-9)))
+    return min(timed(lambda: [run() for _ in range(calls)], clock) / calls for _ in range(repeats))

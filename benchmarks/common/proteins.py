@@ -1,0 +1,75 @@
+"""Solutes in water for benchmarks: alanine dipeptide, a PDB file, or a helix of alanines that is built here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from benchmarks.common.records import ROOT
+
+PEPTIDE = ROOT / "examples" / "data" / "alanine_dipeptide.pdb"
+FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
+# Bonds (nm), angles and torsions (degrees) of an ideal helix: C-N, N-CA, CA-C and what each new atom turns about.
+BACKBONE = {"N": (0.1329, 116.6, -47.0), "CA": (0.1458, 121.7, 180.0), "C": (0.1525, 111.0, -57.0)}
+
+
+def solvated(file: Path, **water) -> tuple[app.Topology, unit.Quantity]:
+    """Return the solute of a PDB file, with water if the file has none: a small box unless `addSolvent` is told."""
+    pdb = app.PDBFile(str(file))
+    model = app.Modeller(pdb.topology, pdb.positions)
+    if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
+        model.addSolvent(app.ForceField(*FORCE_FIELD), **(water or {"boxSize": openmm.Vec3(2.1, 2.1, 2.1)}))
+    return model.topology, model.positions
+
+
+def placed(a, b, c, bond, angle, torsion):
+    """Return the place of an atom by its distance to c, its angle with b and its torsion about b-c."""
+    angle, torsion = np.radians(angle), np.radians(torsion)
+    along = (c - b) / np.linalg.norm(c - b)
+    normal = np.cross(b - a, along)
+    normal /= np.linalg.norm(normal)
+    frame = np.array([along, np.cross(normal, along), normal])
+    turned = np.array([-np.cos(angle), np.sin(angle) * np.cos(torsion), np.sin(angle) * np.sin(torsion)])
+    return c + bond * turned @ frame
+
+
+def helix(residues: int) -> tuple[app.Topology, np.ndarray]:
+    """Return Topology and positions (nm) of a helix of alanines with charged ends; hydrogens are missing."""
+    backbone = [np.array([0.0, 0.0, 0.0]), np.array([0.1458, 0.0, 0.0]), np.array([0.2004, 0.1424, 0.0])]
+    for _ in range(residues - 1):
+        for geometry in BACKBONE.values():
+            backbone.append(placed(*backbone[-3:], *geometry))
+    backbone.append(placed(*backbone[-3:], *BACKBONE["N"]))
+    topology, places = app.Topology(), []
+    chain = topology.addChain()
+    carbon, nitrogen, oxygen = (app.element.get_by_symbol(symbol) for symbol in "CNO")
+    for i in range(residues):
+        n, ca, c, following = backbone[3 * i : 3 * i + 4]
+        residue = topology.addResidue("ALA", chain)
+        atoms = {
+            "N": (nitrogen, n),
+            "CA": (carbon, ca),
+            "C": (carbon, c),
+            "O": (oxygen, placed(following, ca, c, 0.1231, 120.4, 180.0)),
+            "CB": (carbon, placed(c, n, ca, 0.153, 110.0, -122.6)),
+        }
+        if i == residues - 1:
+            atoms["OXT"] = (oxygen, following)
+        for name, (element, place) in atoms.items():
+            topology.addAtom(name, element, residue)
+            places.append(place)
+    topology.createStandardBonds()
+    return topology, np.array(places)
+
+
+def solvated_helix(residues: int) -> tuple[app.Topology, unit.Quantity]:
+    """Return Topology and positions of a helix in a box of water."""
+    topology, places = helix(residues)
+    modeller = app.Modeller(topology, places * unit.nanometer)
+    force_field = app.ForceField(*FORCE_FIELD)
+    modeller.addHydrogens(force_field, platform=openmm.Platform.getPlatform("CPU"))
+    modeller.addSolvent(force_field, padding=0.9 * unit.nanometer)
+    return modeller.topology, modeller.positions

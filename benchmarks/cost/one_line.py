@@ -1,0 +1,204 @@
+"""What one changed line of a stock script costs and brings: the defaults beside OpenMM's own integrators.
+
+A box of TIP3P and a helix in water, as `createSystem` makes them (PME, a CMMotionRemover), on the CPU platform with one
+thread, through `Simulation.step` with a report every 100 steps. Processor times are the least of rounds in which the
+integrators take turns, so that all of them meet the same neighbours on the machine. With --energies also the standard
+deviation of the total energy over 30 ps from the same starts, with a switch and a tight Ewald tolerance.
+
+With --long the time per force evaluation, and how much is simulated in an hour, of a protein with a force every 8 and
+10 fs (`W2_3m`, all hydrogens of 3 amu), in relation to LangevinMiddleIntegrator at 4 fs with heavy hydrogens of the
+solute. The same integrator at 8 fs, which needs AllBonds, shows what OpenMM itself takes for an evaluation every 8 fs,
+with new neighbour lists twice as often. With two threads times are wall times, and the machine should be quiet.
+
+    python benchmarks/cost/one_line.py
+    python benchmarks/cost/one_line.py --energies --molecules 216 --starts 3
+    python benchmarks/cost/one_line.py --molecules 0 --pdb examples/data/alanine_dipeptide.pdb
+    python benchmarks/cost/one_line.py --long --pdb villin.pdb
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from benchmarks.common.proteins import FORCE_FIELD, solvated, solvated_helix
+
+STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
+PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Integrator]]] = {
+    "constant energy": (lambda: openmm.VerletIntegrator(STEP), lambda: rb.ExactRigidBodyIntegrator(STEP)),
+    "constant temperature": (
+        lambda: openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, STEP),
+        lambda: rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, FRICTION, STEP),
+    ),
+}
+# Of --long: masses and constraints, the integrator, force evaluations per step, and fs between two of them.
+LONG: dict[str, tuple[tuple[str, str], Callable[[], openmm.Integrator], int, float]] = {
+    "LangevinMiddle, 2 fs": (("plain", "HBonds"), lambda: langevin_middle(0.002), 1, 2.0),
+    "LangevinMiddle, 4 fs": (("solute", "HBonds"), lambda: langevin_middle(0.004), 1, 4.0),
+    "LangevinMiddle, 8 fs": (("all", "AllBonds"), lambda: langevin_middle(0.008), 1, 8.0),
+    "the default, 2 fs": (("plain", "HBonds"), lambda: ours(0.002), 1, 2.0),
+    "W2_3m, 8 fs": (("all", "HBonds"), lambda: ours(0.024, scheme="W2_3m"), 3, 8.0),
+    "W2_3m, 10 fs": (("all", "HBonds"), lambda: ours(0.030, scheme="W2_3m"), 3, 10.0),
+}
+REFERENCE = "LangevinMiddle, 4 fs"
+SMOOTH = {"switchDistance": 0.8 * unit.nanometer, "ewaldErrorTolerance": 1e-5}
+
+
+def langevin_middle(step: float) -> openmm.Integrator:
+    return openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, step)
+
+
+def ours(step: float, **options: str) -> openmm.Integrator:
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, 5.0, step, **options)
+
+
+def box(molecules: int) -> tuple[app.Topology, unit.Quantity]:
+    """Return a box of TIP3P."""
+    modeller = app.Modeller(app.Topology(), [] * unit.nanometer)
+    modeller.addSolvent(app.ForceField("amber14/tip3p.xml"), numAdded=molecules, model="tip3p")
+    return modeller.topology, modeller.positions
+
+
+def system_of(topology: app.Topology, **options) -> openmm.System:
+    """Return the System that a stock script makes."""
+    usual = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.9 * unit.nanometer, "constraints": app.HBonds}
+    return app.ForceField(*FORCE_FIELD).createSystem(topology, **usual | options)
+
+
+def simulation_of(topology, system, integrator, start=None, threads: int = 1, device: str = "") -> app.Simulation:
+    platform = openmm.Platform.getPlatform(device or "CPU")
+    properties = {"Precision": "mixed"} if device else {"Threads": f"{threads}"}
+    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, properties)
+    if start is not None:
+        made.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+        made.context.setPositions(start.getPositions())
+        made.context.setVelocities(start.getVelocities())
+    return made
+
+
+def start_of(topology, system, positions, seed: int) -> openmm.State:
+    """Return a canonical start."""
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, STEP)
+    integrator.setRandomNumberSeed(seed)
+    made = simulation_of(topology, system, integrator)
+    made.context.setPositions(positions)
+    made.minimizeEnergy(maxIterations=200)
+    made.context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    made.step(2_500)
+    return made.context.getState(positions=True, velocities=True)
+
+
+def costs(topology, system, start, rounds: int) -> None:
+    """Print what a step of ours takes over one of OpenMM's, and how many forces."""
+    for name, makers in PAIRS.items():
+        runs = [simulation_of(topology, system, make(), start) for make in makers]
+        for run in runs:
+            run.reporters.append(app.StateDataReporter(io.StringIO(), 100, potentialEnergy=True, temperature=True))
+            run.step(100)
+        runs[1].integrator.timings.reset()
+        times: list[list[float]] = [[], []]
+        for _ in range(rounds):
+            for run, spent in zip(runs, times, strict=True):
+                begun = time.process_time()
+                run.step(100)
+                spent.append(time.process_time() - begun)
+        theirs, ours = map(min, times)
+        timings = runs[1].integrator.timings
+        evaluations = [count / (100 * rounds) for count in (timings.evaluations, timings.fast_evaluations)]
+        print(
+            f"{name}: {10 * ours:.2f} ms a step over {10 * theirs:.2f}, ratio {ours / theirs:.3f} "
+            f"(median {np.median(times[1]) / np.median(times[0]):.3f}); evaluations a step: all {evaluations[0]:.3f}, "
+            f"bonded beside them {evaluations[1]:.1f}"
+        )
+
+
+def compare(name: str, topology, positions, rounds: int) -> None:
+    """Print the costs of a System from a canonical start."""
+    system = system_of(topology)
+    print(f"{name}, {system.getNumParticles()} atoms")
+    costs(topology, system, start_of(topology, system, positions, 1), rounds)
+
+
+def long_steps(topology, positions, rounds: int, threads: int) -> None:
+    """Print times per force evaluation of a protein with long steps, and what is simulated per hour."""
+    clock = time.process_time if threads == 1 else time.perf_counter
+    start, runs = start_of(topology, system_of(topology), positions, 1), {}
+    for name, ((masses, constraints), make, evaluations, _) in LONG.items():
+        system = system_of(topology, constraints=getattr(app, constraints))
+        if masses != "plain":
+            rb.heavy_hydrogens(system, topology, water=masses == "all")
+        runs[name] = simulation_of(topology, system, make(), start, threads)
+        runs[name].context.applyConstraints(1e-8)
+        runs[name].context.setVelocitiesToTemperature(TEMPERATURE, 1)
+        runs[name].step(12 // evaluations)
+    times: dict[str, list[float]] = {name: [] for name in LONG}
+    for k in range(rounds):
+        for name in list(LONG)[:: 1 if k % 2 else -1]:
+            begun = clock()
+            runs[name].step(24 // LONG[name][2])
+            times[name].append((clock() - begun) / 24)
+    for name, spent in times.items():
+        ratio = float(np.median(np.array(spent) / times[REFERENCE]))
+        print(
+            f"{name:22} {1000 * np.median(spent):6.2f} ms per force evaluation, {ratio:.3f} of {REFERENCE}; "
+            f"simulated per hour: {LONG[name][3] / LONG[REFERENCE][3] / ratio:.2f} times as much"
+        )
+
+
+def energies(topology, system, positions, starts: int, picoseconds: float) -> None:
+    """Print the standard deviation of the total energy over whole runs of both integrators."""
+    spreads: list[list[float]] = [[], []]
+    for seed in range(1, starts + 1):
+        start = start_of(topology, system, positions, seed)
+        for make, found in zip(PAIRS["constant energy"], spreads, strict=True):
+            run = simulation_of(topology, system, make(), start)
+            total = []
+            for _ in range(round(picoseconds / (50 * STEP))):
+                run.step(50)
+                state = run.context.getState(energy=True)
+                total.append((state.getPotentialEnergy() + state.getKineticEnergy())._value)
+            found.append(float(np.std(total)))
+        print(f"start {seed}: {spreads[1][-1]:.3f} over {spreads[0][-1]:.3f} kJ/mol", flush=True)
+    theirs, ours = (np.sqrt(np.mean(np.square(found))) for found in spreads)
+    print(f"energy over {picoseconds:g} ps, {starts} starts: {ours / theirs:.3f} of VerletIntegrator's")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--molecules", type=int, default=887, help="of water in the box; 0 for no box (%(default)s)")
+    add("--residues", type=int, default=35, help="of the helix; 0 for none (%(default)s)")
+    add("--rounds", type=int, default=8)
+    add("--long", action="store_true", help="long steps of a protein instead")
+    add("--pdb", type=Path, help="a protein instead of the helix; without water a small peptide")
+    add("--threads", type=int, default=1, help="of --long (%(default)s)")
+    add("--energies", action="store_true", help="energy errors instead of times")
+    add("--starts", type=int, default=3)
+    add("--picoseconds", type=float, default=30.0)
+    args = parser.parse_args()
+    if args.long:
+        long_steps(*(solvated(args.pdb) if args.pdb else solvated_helix(args.residues)), args.rounds, args.threads)
+        return
+    if args.energies:
+        topology, positions = box(args.molecules)
+        smooth = system_of(topology, **SMOOTH, removeCMMotion=False)
+        energies(topology, smooth, positions, args.starts, args.picoseconds)
+        return
+    if args.molecules:
+        compare(f"{args.molecules} TIP3P", *box(args.molecules), args.rounds)
+    if args.pdb:
+        compare(args.pdb.stem, *solvated(args.pdb), args.rounds)
+    elif args.residues:
+        compare(f"a helix of {args.residues} alanines in water", *solvated_helix(args.residues), args.rounds)
+
+
+if __name__ == "__main__":
+    main()

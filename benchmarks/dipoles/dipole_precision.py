@@ -1,0 +1,191 @@
+"""Energy error against wall time for 125 soft dipoles: our schemes, V2 with McLachlan-Reich, and LAMMPS.
+
+It answers who is fastest at which error. All integrate the same System from the same start at rest over T = 5: a
+droplet of spheres with one moment of inertia, because LAMMPS's fix nve/sphere knows no other. LAMMPS has no pure
+(σ/r)^12, so its energies come from pair_style hybrid/overlay of dipoles and a Mie potential whose attraction is a
+constant; its time is that of plain lj/cut/dipole/cut, which it computes faster. Times are the seconds of an
+evaluation, the least of several rounds in turns, times the evaluations of the run. Raw data go to
+out/benchmarks/dipole_precision.json, the picture to docs/dipole_precision.png.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import unit
+
+import openmm_exactrb as rb
+from benchmarks.common import lammps_peer
+from benchmarks.cost import dipole_cost
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+N, INERTIA, T = 125, 1.88, 5.0
+OURS = ("V2", "S2_2", "SRKN4_6b", "S6_10", "SRKN6_14a", "KL8_17")
+EVALUATIONS = [round(20 * 2 ** (k / 2)) for k in range(17)]  # a unit of time
+STYLES = ("#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#999999", "#000000")
+
+
+def start():
+    return rb.dipole_fluid(N, seed=3, inertia=(INERTIA,) * 3)
+
+
+def ours(scheme, rotor, evaluations):
+    """Return the largest relative energy error and the evaluations of a run."""
+    _, system, positions = start()
+    stages = rb.SCHEMES[scheme].stages
+    steps = max(1, round(T * evaluations / stages))
+    integrator = rb.ExactRigidBodyIntegrator(T / steps, scheme=scheme, rotor=rotor)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+
+    def energy():
+        return integrator.totalEnergy().value_in_unit(unit.kilojoule_per_mole)
+
+    first, largest, every = energy(), 0.0, max(1, steps // 50)
+    try:
+        for _ in range(steps // every):
+            integrator.step(every)
+            largest = max(largest, abs(energy() / first - 1.0))
+    except rb.IntegrationError:
+        largest = float("inf")
+    return largest, steps * stages, first
+
+
+def lammps_error(evaluations, first):
+    """Return the largest energy error of LAMMPS, relative to our energy, and its evaluations."""
+    _, _, positions = start()
+    steps = round(T * evaluations)
+    centres, directions = dipole_cost.arrows(positions._value, N)
+    lmp = lammps_peer.dipoles(
+        centres,
+        2.0**0.5 * directions,
+        """
+        pair_style hybrid/overlay lj/cut/dipole/cut 60 mie/cut 60
+        pair_coeff * * lj/cut/dipole/cut 0.0 1.0
+        pair_coeff * * mie/cut 4.0 1.0 12.0 1.0e-9
+        """,
+    )
+    lmp.commands_string(
+        f"""
+        set type 1 diameter {(10.0 * INERTIA) ** 0.5!r}
+        fix motion all nve/sphere update dipole/dlm
+        compute spin all erotate/sphere
+        thermo_style custom step pe ke c_spin
+        thermo_modify norm no
+        timestep {T / steps!r}
+        run 0
+        """
+    )
+
+    def energy():
+        spin = lmp.extract_compute("spin", 0, 0)
+        return lmp.get_thermo("pe") + lmp.get_thermo("ke") + spin
+
+    begin, largest, every = energy(), 0.0, max(1, steps // 50)
+    for _ in range(steps // every):
+        lmp.command(f"run {every} post no")
+        largest = max(largest, abs(energy() - begin) / abs(first))
+    lmp.close()
+    return largest, steps
+
+
+def seconds():
+    """Return the seconds of a force evaluation by contender, the least of rounds in turns."""
+    runs = {}
+    for scheme, rotor in [*((s, "exact") for s in OURS), ("V2", "mclachlan_reich")]:
+        _, system, positions = start()
+        integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, rotor=rotor)
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+        context.setPositions(positions)
+        integrator.step(1)
+        stages = rb.SCHEMES[scheme].stages
+
+        def run(evaluations, integrator=integrator, context=context, stages=stages):
+            integrator.step(evaluations // stages)
+            return evaluations // stages * stages
+
+        runs[f"{scheme} + {rotor}"] = run
+    if lammps_peer.INSTALLED:
+        step = dipole_cost.lammps_step(N)
+
+        def run_lammps(evaluations):
+            step(evaluations)
+            return evaluations
+
+        runs["LAMMPS"] = run_lammps
+    best = dict.fromkeys(runs, np.inf)
+    for _ in range(12):
+        for name, run in runs.items():
+            begin = time.perf_counter()
+            done = run(200)
+            best[name] = min(best[name], (time.perf_counter() - begin) / done)
+    return best
+
+
+def main():
+    cost, lines = seconds(), {}
+    for scheme, rotor in [*((s, "exact") for s in OURS), ("V2", "mclachlan_reich")]:
+        for rate in EVALUATIONS:
+            error, evaluations, first = ours(scheme, rotor, rate)
+            lines.setdefault(f"{scheme} + {rotor}", []).append((evaluations, error))
+    if lammps_peer.INSTALLED:
+        lines["LAMMPS"] = [lammps_error(rate, first)[::-1] for rate in EVALUATIONS]
+    out = dipole_cost.OUT
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "dipole_precision.json").write_text(json.dumps({"seconds_an_evaluation": cost, "runs": lines}, indent=1))
+    report(cost, lines)
+    draw(cost, lines)
+
+
+def time_for(target, points, cost):
+    """Return the least seconds for an error, between the measured points of falling error; nan out of range."""
+    fine = [(n, e) for n, e in points if 0.0 < e < 0.3]
+    for (n0, e0), (n1, e1) in pairwise(fine):
+        if e0 >= target >= e1 and e0 > e1:
+            part = np.log(e0 / target) / np.log(e0 / e1)
+            return cost * n0 * (n1 / n0) ** part
+    return np.nan
+
+
+def report(cost, lines):
+    targets = [10.0**-k for k in range(3, 13)]
+    print("Seconds for a relative energy error over T = 5 (microseconds an evaluation):")
+    print(f"{'':>24}{'us':>8}" + "".join(f"{t:>9.0e}" for t in targets))
+    for name, points in lines.items():
+        row = [time_for(t, points, cost[name]) for t in targets]
+        print(f"{name:>24}{1e6 * cost[name]:>8.0f}" + "".join(f"{s:>9.2f}" for s in row))
+
+
+def draw(cost, lines):
+    figure, axis = plt.subplots(figsize=(7.5, 5.5), layout="constrained")
+    for k, (name, points) in enumerate(lines.items()):
+        fine = [(cost[name] * n, e) for n, e in points if 0.0 < e < 1.0]
+        ours_exact = name.endswith("+ exact")
+        label = name.replace(" + mclachlan_reich", " + McLachlan-Reich").replace(" + exact", "")
+        axis.loglog(
+            *zip(*fine, strict=True),
+            color=STYLES[k],
+            marker="o^sDvPXx"[k],
+            ls="-" if ours_exact else "--",
+            ms=4,
+            label=label,
+        )
+    axis.set_xlabel("wall time of a run over T = 5 (s)")
+    axis.set_ylabel("largest relative error of the energy")
+    axis.set_title("125 soft dipoles, open boundaries, two cores (LAMMPS: one)")
+    axis.grid(True, alpha=0.3)
+    axis.legend(fontsize=9)
+    figure.savefig(Path("docs") / "dipole_precision.png", dpi=150)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    main()

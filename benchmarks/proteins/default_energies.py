@@ -1,0 +1,156 @@
+"""The energy error and the stability of the default integrator beside VerletIntegrator, through a stock Simulation.
+
+Both take the same step, that is one evaluation of the forces. What counts is the total energy that a
+StateDataReporter writes, every 100 steps for water and every 10 for solutes: its standard deviation over a run.
+
+`water` is a box of TIP3P with smooth forces (a switch, an Ewald tolerance of 1e-5), from canonical starts. `peptide`,
+alanine dipeptide in water, and `protein`, --pdb or a helix of 35 alanines in water, have the forces that createSystem
+makes by default and bonds to hydrogen constrained; they start from the file as it is, or minimised and equilibrated.
+All on the CPU platform with one thread. Results go to docs/default_energies.csv; each run is a job of an ensemble, so
+that the command continues where it stopped.
+
+    python benchmarks/proteins/default_energies.py water
+    python benchmarks/proteins/default_energies.py peptide protein --pdb input.pdb --steps 1 2 3 4 --starts 2
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import itertools
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated_helix
+from benchmarks.common.records import DOCS
+from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, simulation_of, start_of, system_of
+from openmm_exactrb import ensemble
+from openmm_exactrb.files import written_whole
+
+TABLE = DOCS / "default_energies.csv"
+MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}
+REPORTED = {"water": 100, "peptide": 10, "protein": 10}  # steps
+STARTS = {"equilibrated": False, "file": True}
+COLUMNS = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator", "evaluations_per_ps", "std_kJ_mol")
+
+
+@cache
+def prepared(kind: str, source: str | int) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Return a System and its positions; the source is a number of molecules, a file or ""."""
+    if kind == "water":
+        topology, positions = box(int(source))
+        return topology, system_of(topology, **SMOOTH, removeCMMotion=False), positions
+    if kind == "peptide":
+        pdb = app.PDBFile(str(PEPTIDE))
+        modeller = app.Modeller(pdb.topology, pdb.positions)
+        modeller.addSolvent(app.ForceField(*FORCE_FIELD), padding=0.9 * unit.nanometer)
+        topology, positions = modeller.topology, modeller.positions
+    elif source:
+        pdb = app.PDBFile(str(source))
+        topology, positions = pdb.topology, pdb.positions
+    else:
+        topology, positions = solvated_helix(35)
+    return topology, system_of(topology), positions
+
+
+@cache
+def equilibrated(kind: str, source: str | int, seed: int) -> openmm.State:
+    """Return a canonical start."""
+    return start_of(*prepared(kind, source), seed)
+
+
+def energies_of(
+    kind: str, source: str | int, method: str, step: float, seed: int, picoseconds: float, raw: bool
+) -> dict[str, float | list[float]]:
+    """Return the reported total energies in kJ/mol, and force evaluations per ps."""
+    topology, system, positions = prepared(kind, source)
+    integrator = MAKERS[method](step)
+    run = simulation_of(topology, system, integrator, None if raw else equilibrated(kind, source, seed))
+    if raw:
+        run.context.setPositions(positions)
+        run.context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    text = io.StringIO()
+    run.reporters.append(app.StateDataReporter(text, REPORTED[kind], totalEnergy=True))
+    steps, evaluations = round(picoseconds / step), float(round(1.0 / step))
+    try:
+        run.step(steps)
+        if method == "default":
+            evaluations = integrator.timings.evaluations / (steps * step)
+    except (openmm.OpenMMException, rb.IntegrationError):
+        text.write("nan\n")
+    energies = [float(line) for line in text.getvalue().splitlines() if not line.startswith("#")]
+    return {"atoms": system.getNumParticles(), "energies": energies, "evaluations": evaluations}
+
+
+def row_of(job: ensemble.Job, value: dict) -> dict:
+    """Return a line of the table; the standard deviation of a run that diverged is nan."""
+    what = job.arguments
+    energies = np.array(value["energies"])
+    std = float(np.std(energies)) if np.isfinite(energies).all() else math.nan
+    name = Path(what["source"]).stem if isinstance(what["source"], str) and what["source"] else what["kind"]
+    start = "file" if what["raw"] else "equilibrated"
+    run = (1000.0 * what["step"], what["picoseconds"], what["method"])
+    known = (name, value["atoms"], start, what["seed"], *run, f"{value['evaluations']:.1f}", f"{std:.4g}")
+    return dict(zip(COLUMNS, map(str, known), strict=True))
+
+
+def merge(rows: list[dict], file: Path) -> None:
+    """Add lines to the table in the place of those of the same runs."""
+    old = list(csv.DictReader(file.read_text().splitlines())) if file.exists() else []
+    by_run = {tuple(row[name] for name in COLUMNS[:7]): row for row in (*old, *rows)}
+    with written_whole(file) as out:
+        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(row for _, row in sorted(by_run.items()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("systems", nargs="+", choices=["water", "peptide", "protein"])
+    add("--molecules", type=int, default=887, help="of water in the box (%(default)s)")
+    add("--pdb", default="", help="a solvated protein")
+    add("--steps", type=float, nargs="+", default=[2.0], metavar="FS")
+    add("--starts", type=int, default=3, help="(%(default)s)")
+    add("--from", dest="kinds", nargs="+", choices=STARTS, default=[*STARTS], help="of solutes (%(default)s)")
+    add("--methods", nargs="+", choices=MAKERS, default=[*MAKERS])
+    add("--first", type=int, default=101, help="seed of the first start (%(default)s)")
+    add("--picoseconds", type=float, default=30.0, help="length of a run (%(default)s)")
+    add("--out", type=Path, default=Path("out/default_energies"), metavar="FOLDER")
+    args = parser.parse_args()
+    sources = {"water": args.molecules, "peptide": "", "protein": args.pdb}
+    seeds = range(args.first, args.first + args.starts)
+    jobs = [
+        ensemble.Job(
+            energies_of,
+            kind=kind,
+            source=sources[kind],
+            method=method,
+            step=fs / 1000.0,
+            seed=seed,
+            picoseconds=args.picoseconds,
+            raw=raw,
+        )
+        for kind in args.systems
+        for seed, raw, fs, method in itertools.product(
+            seeds, [False] if kind == "water" else [STARTS[name] for name in args.kinds], args.steps, args.methods
+        )
+    ]
+    rows = []
+    for result in ensemble.as_completed(jobs, args.out, workers=1):
+        if result.error is not None:
+            raise SystemExit(result.error)
+        rows.append(row_of(result.job, result.value))
+        print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
+        merge(rows, TABLE)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""How fast long steps heat a protein in water: the energy that Langevin integrators without friction gain.
+
+Modes of the solute that are in resonance with the kicks of the nonbonded forces gain energy, and a thermostat takes it
+away: with a friction g, a solute of n degrees of freedom is P/(n k g) hotter than the thermostat, where P is the power.
+All hydrogens have 3 amu, and bonded forces have inner steps. Printed for each start is the slope of the total energy
+over 3 ps, which is added to docs/long_step_heating.csv unless the record has it.
+
+    python benchmarks/proteins/long_step_heating.py --pdb villin.pdb
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+from pathlib import Path
+
+import numpy as np
+import openmm
+from openmm import app
+
+from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.records import DOCS
+from benchmarks.cost.one_line import simulation_of
+from benchmarks.proteins import protein_steps
+from openmm_exactrb.files import written_whole
+
+TABLE = DOCS / "long_step_heating.csv"
+COLUMNS = ("solute", "freedom", "scheme", "fs", "start", "kJ/mol/ps")
+PICOSECONDS, LOOKED, APART = 3.0, 0.07, 0.5  # ps of a run, between two looks, and between two starts
+
+
+def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n: int) -> list[openmm.State]:
+    """Return canonical States."""
+    integrator = protein_steps.integrator_of("W2_3m", 0.004, "5.0")
+    integrator.setRandomNumberSeed(1)
+    run = simulation_of(topology, system, integrator, begin)
+    run.context.applyConstraints(1e-9)
+    run.context.setVelocitiesToTemperature(protein_steps.TEMPERATURE, 1)
+    step, found = integrator.getStepSize()._value, []
+    for picoseconds in (4.0, *[APART] * (n - 1)):
+        run.step(round(picoseconds / step))
+        found.append(run.context.getState(positions=True, velocities=True))
+    return found
+
+
+def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> float:
+    """Return the slope of the total energy in kJ/mol/ps."""
+    integrator = protein_steps.integrator_of(name, 0.001 * fs, "0.0")
+    run, step = simulation_of(topology, system, integrator, start), integrator.getStepSize()._value
+    every, times, energies = max(1, round(LOOKED / step)), [], []
+    for _ in range(round(PICOSECONDS / (every * step))):
+        run.step(every)
+        state = run.context.getState(energy=True)
+        times.append(state.getTime()._value)
+        energies.append((state.getKineticEnergy() + state.getPotentialEnergy())._value)
+    return float(np.polyfit(times, energies, 1)[0])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
+    parser.add_argument("--schemes", nargs="+", default=["W2_3m", "V2"], help="%(default)s")
+    parser.add_argument("--fs", nargs="+", type=float, default=[6.0, 7.0, 8.0, 9.0, 10.0], help="between two forces")
+    parser.add_argument("--starts", type=int, default=6)
+    parser.add_argument("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
+    args = parser.parse_args()
+    rows = []
+    if args.record.exists():
+        with args.record.open(newline="") as lines:
+            rows = list(csv.DictReader(lines))
+    known = {tuple(row[name] for name in COLUMNS[:-1]) for row in rows}
+    topology, system, _ = protein_steps.molecules(args.pdb, "all", "HBonds")
+    solute = "peptide" if args.pdb is None else args.pdb.stem
+    freedom = f"{Groups(topology, system).freedom}"
+    begins = starts(topology, system, protein_steps.start_of(args.pdb), args.starts)
+    for scheme, fs, number in itertools.product(args.schemes, args.fs, range(args.starts)):
+        point = (solute, freedom, scheme, f"{fs:g}", f"{number + 1}")
+        if point in known:
+            continue
+        slope = power(topology, system, begins[number], scheme, fs)
+        rows.append(dict(zip(COLUMNS, (*point, f"{slope:.4g}"), strict=True)))
+        with written_whole(args.record) as out:
+            table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows)
+        print(*rows[-1].values(), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,454 @@
+"""How rarely a protein in water may ask for forces: temperatures by group, energies by kind, density, torsions.
+
+Alanine dipeptide (amber14) in 212 molecules of TIP3P, or a solvated PDB file with --pdb: PME with a switch, bonds to
+hydrogen held, on the CPU platform with one thread, or on a device by its engine. Masses are plain, or hydrogens of the
+solute, or all of them, have 3 amu. One estimator judges all integrators, by constrained velocities: linear and angular
+momenta of each molecule of water; the solute as a whole; of its groups X-H, X-H2 and X-H3, which constraints hold, the
+centres and what turns about them. "Reported" are the temperatures of the velocities as a State has them.
+
+Every point has runs with seeds of their own, whose scatter gives its errors. Runs that docs/protein_steps.csv has are
+not run again, so that the command continues where it stopped and the record grows; a run that diverged has nan.
+
+    python benchmarks/proteins/protein_steps.py --integrators LangevinMiddle --fs 1 2 4 --masses solute --runs 10
+    python benchmarks/proteins/protein_steps.py --integrators W2_3m --fs 8 --masses all --runs 10
+    python benchmarks/proteins/protein_steps.py --integrators W2_3m --fs 8 --masses all --ensemble NPT
+    python benchmarks/proteins/protein_steps.py --integrators W2_3m --fs 8 --masses all --friction 1:10
+    python benchmarks/proteins/protein_steps.py --integrators "W2_3m CUDA" --fs 8 --masses all
+    python benchmarks/proteins/protein_steps.py --finished
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import itertools
+import math
+import time
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
+from benchmarks.common.records import DOCS
+from benchmarks.cost.one_line import simulation_of
+from openmm_exactrb import ensemble
+from openmm_exactrb.files import written_whole
+from openmm_exactrb.schemes import splitting
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+TABLE = DOCS / "protein_steps.csv"
+OUT = Path("out/protein_steps")
+OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}
+TEMPERATURE, BOX = 300.0, 1.95  # K, nm before the barostat
+DALTON = 1.66053906892  # kg/m³ nm³
+DENSITY = 993.0  # kg/m³ of the peptide at constant volume: the mean at 1 bar
+BURN, LOOKED = 4.0, 0.05  # ps that are not counted, and ps at least between two samples
+HEAVY, BAROSTAT = 3.0, 0.02  # amu of heavy hydrogens; ps between two moves of the barostat
+#: How createSystem makes the forces.
+FORCES = {
+    "nonbondedMethod": app.PME,
+    "nonbondedCutoff": 0.8 * unit.nanometer,
+    "switchDistance": 0.7 * unit.nanometer,
+    "ewaldErrorTolerance": 1e-4,
+    "removeCMMotion": False,
+}
+KINDS = {
+    "bonds": openmm.HarmonicBondForce,
+    "angles": openmm.HarmonicAngleForce,
+    "torsions": openmm.PeriodicTorsionForce,
+}
+TEMPERATURES = ("T_tr", "T_rot", "T_solute", "T_centres", "T_XH", "T_rot reported", "T_solute reported")
+TORSIONS = {"phi": ("C", "N", "CA", "C"), "psi": ("N", "CA", "C", "N")}
+# Of the torsions: parts of the time in the helix, with phi > 0 and, the rest, stretched; and how often psi went.
+CONFORMATIONS = ("helical", "left", "psi crossings")
+MEASURED = (*TEMPERATURES, "U", *KINDS, "density", "peak", "D", *CONFORMATIONS, "ms")
+POINT = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds")
+COLUMNS = (*POINT, "seed", *MEASURED)
+EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
+# Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
+SHOWN = {
+    ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs, heavy hydrogens", "#E69F00", "s"),
+    ("LangevinMiddle", "plain", "4.0"): ("LangevinMiddleIntegrator, 4 fs", "#D55E00", "o"),
+    ("W2_3m", "all", "8.0"): ("W2_3m, a force evaluation every 8 fs, heavy hydrogens", "#0072B2", "D"),
+}
+GROUPS = {
+    "T_tr": "water,\ntranslation",
+    "T_rot reported": "water,\nrotation",
+    "T_centres": "solute,\ngroups",
+    "T_XH": "solute,\nX-H",
+}
+
+
+def pressed(system: openmm.System, frequency: int, seed: int) -> openmm.System:
+    """Return a System with a barostat of 1 bar."""
+    system = openmm.XmlSerializer.clone(system)
+    barostat = openmm.MonteCarloBarostat(1.0, TEMPERATURE, frequency)
+    barostat.setRandomNumberSeed(seed)
+    system.addForce(barostat)
+    return system
+
+
+@cache
+def molecules(pdb: Path | None, masses: str, constraints: str) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Return the solvated solute, with a force group for each kind of bonded force."""
+    force_field = app.ForceField(*FORCE_FIELD)
+    content = app.PDBFile(str(pdb or PEPTIDE))
+    modeller = app.Modeller(content.topology, content.positions)
+    if pdb is None:
+        modeller.addSolvent(force_field, boxSize=openmm.Vec3(BOX, BOX, BOX) * unit.nanometer)
+    system = force_field.createSystem(modeller.topology, constraints=getattr(app, constraints), **FORCES)
+    if masses != "plain":
+        rb.heavy_hydrogens(system, modeller.topology, HEAVY, water=masses == "all")
+    for force in system.getForces():
+        force.setForceGroup(next((n for n, kind in enumerate(KINDS.values(), 1) if isinstance(force, kind)), 0))
+    return modeller.topology, system, modeller.positions
+
+
+def equilibrated(
+    topology: app.Topology, system: openmm.System, positions: np.ndarray, box: np.ndarray, steps: int
+) -> openmm.State:
+    """Return the State after so many steps of 2 fs from the nearest minimum; positions and box are in nm."""
+    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
+    integrator.setRandomNumberSeed(1)
+    run = simulation_of(topology, system, integrator)
+    run.context.setPeriodicBoxVectors(*box)
+    run.context.setPositions(positions)
+    run.minimizeEnergy(maxIterations=200)
+    run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
+    run.step(steps)
+    return run.context.getState(positions=True, velocities=True)
+
+
+def at_density(state: openmm.State, system: openmm.System, density: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and box (nm) at a density (kg/m³): molecules move as wholes, as a barostat moves them."""
+    x, box = (get(asNumpy=True)._value for get in (state.getPositions, state.getPeriodicBoxVectors))
+    mass = np.array([system.getParticleMass(i)._value for i in range(len(x))])
+    scale = (mass.sum() * DALTON / density / np.linalg.det(box)) ** (1 / 3)
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001))
+    for atoms in map(list, context.getMolecules()):
+        x[atoms] += (scale - 1.0) * np.average(x[atoms], axis=0, weights=mass[atoms])
+    return x, scale * box
+
+
+@cache
+def start_of(pdb: Path | None) -> openmm.State:
+    """Return a start, kept in a file: after 15 ps in its own box, of the peptide at DENSITY after 30 ps at 1 bar."""
+    file = OUT / f"start_{'peptide' if pdb is None else pdb.stem}.xml"
+    if not file.exists():
+        topology, system, positions = molecules(pdb, "plain", "HBonds")
+        positions, box = (
+            value.value_in_unit(unit.nanometer) for value in (positions, topology.getPeriodicBoxVectors())
+        )
+        if pdb is None:
+            at_pressure = equilibrated(topology, pressed(system, 10, 1), positions, box, 15_000)
+            positions, box = at_density(at_pressure, system, DENSITY)
+        state = equilibrated(topology, system, positions, box, 7_500)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(file) as out:
+            out.write(openmm.XmlSerializer.serialize(state))
+    return openmm.XmlSerializer.deserialize(file.read_text())
+
+
+def dihedrals(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return torsions in degrees, IUPAC's sign, of positions (..., 3)."""
+    axis = c - b
+    normal, other = np.cross(a - b, axis), np.cross(axis, d - c)
+    along = (np.cross(normal, other) * axis).sum(axis=-1) / np.linalg.norm(axis, axis=-1)
+    return -np.degrees(np.arctan2(along, -(normal * other).sum(axis=-1)))
+
+
+def regions(phi: np.ndarray, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which torsions (degrees) are helical, and which have phi > 0."""
+    left = phi > 0.0
+    return ~left & (psi > -120.0) & (psi < 50.0), left
+
+
+def backbone(topology: app.Topology) -> dict[str, list[int]] | None:
+    """Return the atoms of phi and psi of the peptide's one residue between two caps; None for other solutes."""
+    chain = next(topology.chains())
+    residues = [{atom.name: atom.index for atom in residue.atoms()} for residue in chain.residues()]
+    if [residue.name for residue in chain.residues()] != ["ACE", "ALA", "NME"]:
+        return None
+    before, alanine, after = residues
+    return {
+        "phi": [before["C"], *(alanine[name] for name in ("N", "CA", "C"))],
+        "psi": [*(alanine[name] for name in ("N", "CA", "C")), after["N"]],
+    }
+
+
+def conformations(torsions: list[tuple[float, float]]) -> dict[str, float]:
+    """Return the parts of samples of (phi, psi) in two regions, and the crossings of the helix's border."""
+    if not torsions:
+        return dict.fromkeys(CONFORMATIONS, math.nan)
+    phi, psi = np.array(torsions).T
+    helical, left = regions(phi, psi)
+    # A crossing is from within one region to within the other, 20 degrees behind the border.
+    inside, outside = helical & (psi > -100.0) & (psi < 30.0), ~helical & (np.abs(psi - 150.0) % 360.0 < 80.0)
+    visits = [bool(a) for a, b in zip(inside, outside, strict=True) if a or b]
+    crossings = sum(a != b for a, b in itertools.pairwise(visits))
+    return dict(zip(CONFORMATIONS, (helical.mean(), left.mean(), crossings), strict=True))
+
+
+def distances(x: np.ndarray, edge: float) -> np.ndarray:
+    """Return the histogram of the distances between places in a cube."""
+    counts = np.zeros(len(EDGES) - 1)
+    for i in range(len(x) - 1):
+        apart = x[i + 1 :] - x[i]
+        apart -= edge * np.round(apart / edge)
+        counts += np.histogram(np.sqrt((apart * apart).sum(axis=1)), EDGES)[0]
+    return counts
+
+
+def peak_of(counts: np.ndarray, frames: int, n: int, volume: float) -> float:
+    """Return the first maximum of g(r), from the counts of so many frames of n oxygens."""
+    shells = 4.0 / 3.0 * np.pi * np.diff(EDGES**3)
+    return float((counts / (frames * 0.5 * n * (n - 1) / volume * shells)).max())
+
+
+def diffusion(centres: list[np.ndarray], lag: float) -> float:
+    """Return the coefficient (1e-5 cm²/s) of places a lag (ps) apart, by displacements of about 2 ps and of 8 ps."""
+    short, long = max(1, round(2.0 / lag)), max(2, round(8.0 / lag))
+    if len(centres) < 3 * long:
+        return math.nan
+    x = np.array(centres)
+    x -= x.mean(axis=1, keepdims=True)
+    squares = [((x[k:] - x[:-k]) ** 2).sum(axis=2).mean() for k in (short, long)]
+    return float((squares[1] - squares[0]) / (6.0 * (long - short) * lag) * 1e3)
+
+
+def frictions(text: str) -> str:
+    """Return the friction (1/ps) of all molecules, or those of water and solute, as the record has them."""
+    return ":".join(str(float(part)) for part in text.split(":", 1))
+
+
+def integrator_of(name: str, interval: float, friction: str, temperature: float = TEMPERATURE) -> openmm.Integrator:
+    """Return what evaluates the nonbonded forces every `interval` ps, with the frictions that a record has."""
+    scheme, _, device = name.partition(" ")
+    of_all, *of_solute = map(float, friction.split(":"))
+    if scheme in OPENMM:
+        if of_solute:
+            raise SystemExit(f"{scheme} has one friction for all molecules, not {friction}")
+        return OPENMM[scheme](temperature, of_all, interval)
+    step, engine = splitting(scheme).forces * interval, "device" if device else "host"
+    own = of_solute[0] if of_solute else None
+    return rb.ExactRigidBodyLangevinIntegrator(
+        temperature, of_all, step, scheme=scheme, engine=engine, flexibleFriction=own
+    )
+
+
+def means_of(
+    pdb: Path | None,
+    integrator: str,
+    masses: str,
+    constraints: str,
+    fs: float,
+    friction: str,
+    ensemble: str,
+    picoseconds: float,
+    seed: int,
+) -> dict[str, float]:
+    """Return the means over a run.
+
+    Temperatures are in K, U in kJ/mol per molecule of water, energies by kind in kJ/mol, densities in kg/m³, and ms of
+    processor time are those of a nonbonded force.
+    """
+    topology, system, _ = molecules(pdb, masses, constraints)
+    mover = integrator_of(integrator, 0.001 * fs, friction)
+    mover.setRandomNumberSeed(seed)
+    step = mover.getStepSize()._value
+    if ensemble == "NPT":
+        system = pressed(system, max(1, round(BAROSTAT / step)), seed)
+    run = simulation_of(topology, system, mover, start_of(pdb), device=integrator.partition(" ")[2])
+    run.context.applyConstraints(1e-9)
+    run.context.setVelocitiesToTemperature(TEMPERATURE, seed)
+    try:
+        run.step(max(1, round(BURN / step)))
+        return sampled(run, Groups(topology, system), backbone(topology), picoseconds, 0.001 * fs)
+    except (openmm.OpenMMException, rb.IntegrationError, np.linalg.LinAlgError):
+        return dict.fromkeys(MEASURED, math.nan)
+
+
+def looking_at(run: app.Simulation) -> openmm.Context:
+    """Return a Context whose bonded forces have a group for each kind, which on a device share one in the run."""
+    platform = run.context.getPlatform()
+    if platform.getName() == "CPU":
+        return run.context
+    system = openmm.System()
+    for i in range(run.system.getNumParticles()):
+        system.addParticle(run.system.getParticleMass(i))
+    for force in run.system.getForces():
+        for group, kind in enumerate(KINDS.values(), 1):
+            if isinstance(force, kind):
+                copied = openmm.XmlSerializer.clone(force)
+                copied.setForceGroup(group)
+                system.addForce(copied)
+    return openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Precision": "mixed"})
+
+
+def sampled(
+    run: app.Simulation, groups: Groups, torsions: dict[str, list[int]] | None, picoseconds: float, interval: float
+) -> dict[str, float]:
+    """Return the means over a run from its present state on; NonFiniteError if something is not finite."""
+    step = run.integrator.getStepSize()._value
+    every = max(1, math.ceil(LOOKED / step - 1e-9))
+    n, often = len(groups.water), max(1, round(1.0 / (every * step)))  # samples a look at all of the water
+    total = groups.mass.sum() * DALTON
+    samples, angles, centres, counts, spent = [], [], [], np.zeros(len(EDGES) - 1), 0.0
+    seen = looking_at(run)
+    for k in range(max(1, round(picoseconds / (every * step)))):
+        begin = time.process_time()
+        run.step(every)
+        spent += time.process_time() - begin
+        state = run.context.getState(positions=True, velocities=True, energy=True)
+        x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
+        volume = state.getPeriodicBoxVolume()._value
+        sample = groups(x, v) | {"U": state.getPotentialEnergy()._value / n, "density": total / volume}
+        if seen is not run.context:
+            seen.setPositions(state.getPositions())
+        for group, kind in enumerate(KINDS, 1):
+            sample[kind] = seen.getState(energy=True, groups=1 << group).getPotentialEnergy()._value
+        if not np.isfinite([sample["U"], sample["T_tr"], sample["T_solute"]]).all():
+            raise rb.NonFiniteError("a temperature or the energy is not finite")
+        samples.append(sample)
+        if torsions is not None:
+            angles.append((dihedrals(*x[torsions["phi"]]), dihedrals(*x[torsions["psi"]])))
+        if k % often == 0:
+            centres.append(np.einsum("k,nki->ni", groups.mass[groups.water[0]], x[groups.water]))
+            counts += distances(x[groups.water[:, 0]], state.getPeriodicBoxVectors()[0][0]._value)
+    means = {name: float(np.mean([sample[name] for sample in samples])) for name in samples[0]}
+    of_water = float(groups.mass[groups.water[0]].sum())
+    still = len({sample["density"] for sample in samples}) == 1  # a barostat moves what diffuses
+    return {
+        **means,
+        "peak": peak_of(counts, len(centres), n, total / means["density"]),
+        "D": diffusion([x / of_water for x in centres], often * every * step) if still else math.nan,
+        **conformations(angles),
+        "ms": 1000.0 * spent / (len(samples) * every * step / interval),
+    }
+
+
+Row = dict[str, str]
+
+
+def read(file: Path) -> dict[tuple[str, ...], Row]:
+    """Return the rows of the record by point and seed."""
+    if not file.exists():
+        return {}
+    with file.open(newline="") as lines:
+        return {key_of(row): row for row in csv.DictReader(lines)}
+
+
+def key_of(row: Row) -> tuple[str, ...]:
+    return tuple(row[name] for name in (*POINT, "seed"))
+
+
+def write(file: Path, rows: dict[tuple[str, ...], Row]) -> None:
+    with written_whole(file) as out:
+        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows[key] for key in sorted(rows))
+
+
+def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
+    """Yield means and errors of each point, from the scatter of its runs, those that diverged left out."""
+    for point, some in itertools.groupby(sorted(rows.values(), key=key_of), lambda row: key_of(row)[:-1]):
+        runs = list(some)
+        held = [row for row in runs if math.isfinite(float(row["U"]))]
+        yield f"{' '.join(point)} ps, {len(runs)} runs" + (
+            f", {len(runs) - len(held)} diverged" if len(held) < len(runs) else ""
+        )
+        for name in MEASURED:
+            values = np.array([float(row[name]) for row in held])
+            if len(values) and np.isfinite(values).all():
+                error = values.std(ddof=1) / math.sqrt(len(values)) if len(values) > 1 else math.nan
+                yield f"    {name:18} {values.mean():10.4f} +- {error:.4f}"
+
+
+def draw(rows: dict[tuple[str, ...], Row], file: Path) -> None:
+    """Draw the temperatures of the groups, as a State has them, and the energy of a molecule of water."""
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(9.0, 4.0), layout="constrained", gridspec_kw={"width_ratios": [4, 1]}
+    )
+    of_peptide = {"solute": "peptide", "friction": "5.0", "ensemble": "NVT", "constraints": "HBonds"}
+    places = np.arange(len(GROUPS))
+    for k, ((integrator, masses, fs), (label, colour, marker)) in enumerate(SHOWN.items()):
+        point = of_peptide | {"integrator": integrator, "masses": masses, "fs": fs}
+        runs = [row for row in rows.values() if all(row[name] == value for name, value in point.items())]
+        runs = [row for row in runs if math.isfinite(float(row["U"]))]
+        if len(runs) < 2:
+            continue
+        style = {"fmt": marker, "color": colour, "capsize": 3, "ms": 6}
+        values = np.array([[float(row[name]) for name in (*GROUPS, "U")] for row in runs])
+        means, errors = values.mean(axis=0), values.std(axis=0, ddof=1) / math.sqrt(len(runs))
+        left.errorbar(places + 0.16 * (k - 1), means[:-1], errors[:-1], label=label, **style)
+        right.errorbar([k], means[-1:], errors[-1:], **style)
+    left.axhline(TEMPERATURE, color="0.5", lw=1, zorder=0)
+    left.set_xticks(places, GROUPS.values())
+    left.set_ylabel("temperature (K)")
+    left.legend(frameon=False)
+    right.set_xlim(-1, len(SHOWN))
+    right.set_xticks([])
+    right.set_ylabel("potential energy (kJ/mol per molecule of water)")
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.savefig(file, dpi=150)
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add = parser.add_argument
+    add("--pdb", type=Path, help="a solvated protein, instead of alanine dipeptide")
+    which = 'LangevinMiddle, or splittings; "W2_3m CUDA" runs on that platform'
+    add("--integrators", nargs="+", default=["LangevinMiddle", "W2_3m"], help=which)
+    add("--masses", nargs="+", choices=["plain", "solute", "all"], default=["all"], help="whose hydrogens have 3 amu")
+    add("--constraints", choices=["HBonds", "AllBonds"], default="HBonds", help="%(default)s")
+    add("--fs", nargs="+", type=float, default=[2.0, 4.0, 6.0, 8.0, 10.0], help="between two nonbonded forces")
+    of_two = "of all molecules, or those of water and solute (%(default)s)"
+    add("--friction", nargs="+", type=frictions, default=["5.0"], metavar="1/PS[:1/PS]", help=of_two)
+    add("--ensemble", choices=["NVT", "NPT"], default="NVT", help="NPT at 1 bar (%(default)s)")
+    add("--runs", type=int, default=10, help="runs a point, each with its own seed (%(default)s)")
+    add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
+    add("--workers", type=int, default=1, help="processes (%(default)s)")
+    add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
+    add("--finished", action="store_true", help="run nothing: means, errors and a picture")
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = parse()
+    rows = read(args.record)
+    if args.finished:
+        print("\n".join(summary(rows)))
+        draw(rows, args.record.with_suffix(".png"))
+        return
+    axes = itertools.product(range(1, args.runs + 1), args.integrators, args.masses, args.fs, args.friction)
+    jobs = {}
+    for seed, integrator, masses, fs, friction in axes:
+        point = {"integrator": integrator, "masses": masses, "constraints": args.constraints, "fs": fs}
+        point |= {"friction": friction, "ensemble": args.ensemble, "picoseconds": args.picoseconds, "seed": seed}
+        job = ensemble.Job(means_of, pdb=args.pdb, **point)
+        jobs[job] = {"solute": "peptide" if args.pdb is None else args.pdb.stem} | {k: f"{v}" for k, v in point.items()}
+    start_of(args.pdb)  # before workers ask for it
+    new = [job for job, row in jobs.items() if key_of(row) not in rows]
+    for result in ensemble.as_completed(new, OUT, workers=args.workers):
+        if result.error is not None:
+            raise SystemExit(result.error)
+        row = jobs[result.job] | {name: f"{result.value[name]:.7g}" for name in MEASURED}
+        rows = {**read(args.record), key_of(row): row}
+        write(args.record, rows)
+        print(*row.values(), flush=True)
+    wanted = {key_of(row)[:-1] for row in jobs.values()}
+    print("\n".join(summary({key: row for key, row in rows.items() if key[:-1] in wanted})))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""What processed schemes cost through `Simulation.step`, and what their cheap output is worth.
+
+A run stays in inner coordinates; what is shown is a copy behind the output of the scheme, a post-processor that is far
+cheaper than the exact inverse of the processor. Its error does not accumulate. Here both are read from one and the same
+inner trajectory: droplets of TIP3P with a CMMotionRemover, in calls of ten steps as `Simulation.step` makes them.
+
+An output that is judged by energy alone may cheat: it can cancel the energy error of second order without being a
+change of coordinates. So the mean kinetic energies are compared too, in standard deviations of the exact inverse's
+energy.
+
+Each run is a job of an ensemble, so that the command continues where it stopped; the table goes to docs/outputs.csv.
+
+    python benchmarks/schemes/outputs.py --starts 6 --picoseconds 30
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import app
+
+import openmm_exactrb as rb
+from benchmarks.common import droplets
+from benchmarks.common.records import DOCS
+from openmm_exactrb import ensemble
+from openmm_exactrb.files import written_whole
+
+TABLE = DOCS / "outputs.csv"
+MOLECULES, MODEL = 64, "tip3p"
+RUNS = (("W2_1", 250), ("W2_1", 500), ("W2_1", 1000), ("W4_4", 500), ("W4_4", 1000))
+COLUMNS = ("scheme", "forces per ps", "seed", "asked per step", "Verlet", "inverse", "output", "shift tr", "shift rot")
+
+
+def simulation(scheme: str | rb.schemes.Scheme, h: float, seed: int) -> app.Simulation:
+    """Return a droplet with a CMMotionRemover, at a canonical start."""
+    topology, system, positions = rb.rigid_water(MOLECULES, model=MODEL)
+    system.addForce(openmm.CMMotionRemover(1))
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme)
+    made = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
+    made.context.setPositions(positions)
+    integrator.setBodyState(droplets.start(MOLECULES, MODEL, seed))
+    return made
+
+
+def energies(run: app.Simulation) -> list[float]:
+    """Return the total energy and the kinetic energies of translation and rotation per molecule (kJ/mol)."""
+    integrator = run.integrator
+    total = integrator.totalEnergy()
+    return [energy._value / MOLECULES for energy in (total, *integrator.kineticEnergies())]
+
+
+def row(name: str, rate: int, seed: int, duration: float) -> dict[str, Any]:
+    """Return a row of the table: one start."""
+    scheme = rb.SCHEMES[name]
+    h = scheme.forces / rate
+    run, inverse = simulation(scheme, h, seed), simulation(replace(scheme, output=()), h, seed)
+    verlet = simulation("V2", 1.0 / rate, seed)
+    found: dict[str, list[list[float]]] = {"output": [], "inverse": [], "Verlet": []}
+    calls = round(duration / (10 * h))
+    run.integrator.timings.reset()
+    for _ in range(calls):
+        for key, one, steps in (("output", run, 10), ("inverse", inverse, 10), ("Verlet", verlet, 10 * scheme.forces)):
+            one.step(steps)
+            found[key].append(energies(one))
+    asked = run.integrator.timings.evaluations / (10 * calls)
+    deviation = {key: float(np.std(np.array(values)[:, 0])) for key, values in found.items()}
+    shifts = (np.mean(np.array(found["output"]) - found["inverse"], axis=0) / deviation["inverse"])[1:]
+    return dict(
+        zip(COLUMNS, (name, rate, seed, asked, *map(deviation.get, COLUMNS[4:7]), *map(float, shifts)), strict=True)
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--starts", type=int, default=6)
+    parser.add_argument("--first", type=int, default=21, help="seed of the first start; 1 to 16 chose the outputs")
+    parser.add_argument("--picoseconds", type=float, default=30.0)
+    parser.add_argument("--rates", type=int, nargs="+", default=[250, 500, 1000], help="forces per ps")
+    parser.add_argument("--out", type=Path, default=Path("out/outputs"), metavar="FOLDER")
+    options = parser.parse_args()
+    seeds = range(options.first, options.first + options.starts)
+    jobs = [
+        ensemble.Job(row, name=name, rate=rate, seed=seed, duration=options.picoseconds)
+        for name, rate in RUNS
+        if rate in options.rates
+        for seed in seeds
+    ]
+    rows = []
+    for result in ensemble.as_completed(jobs, options.out, workers=1):
+        if result.error is not None:
+            raise SystemExit(result.error)
+        rows.append(result.value)
+        print(
+            ", ".join(f"{name} {value:.4g}" if name != "scheme" else value for name, value in rows[-1].items()),
+            flush=True,
+        )
+        with written_whole(TABLE) as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(COLUMNS)
+            table.writerows([*list(one.values())[:3], *(f"{x:.5g}" for x in list(one.values())[3:])] for one in rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""The record of the study of equipartition: what each run gave, the means of points, and tables of them.
+
+A line of docs/equipartition.csv is one run: what it was, and its means. The documentation makes its tables from it.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+from typing import NamedTuple, get_type_hints
+
+import numpy as np
+
+from benchmarks.common.records import DOCS
+from openmm_exactrb.files import written_whole
+
+RECORD = DOCS / "equipartition.csv"
+LFM = "LangevinMiddle"
+NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
+MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
+WHOLE = 1000.0  # ps of a point that is in the tables
+FRICTION = 5.0  # 1/ps, of the points in the tables over steps
+GOALS = {"T_rot - T_tr": 1.0, "U": 0.03, "density": 0.1}  # K, kJ/mol per molecule, % of the reference
+
+# What a row of a table is called, of which method it is, and what it shows.
+OURS = (("W2_3m", "W2_3m"), ("W2_4g", "W2_4g"), ("W2_3", "W2_3"), ("BAOA", "BAOA"))
+OTHERS = (("S2_2", "S2_2"), ("hybrid Monte Carlo, no error of the step", "hybrid"))
+TEMPERATURES = (
+    ("`LangevinMiddleIntegrator`, as reported", LFM, "T_rot - T_tr"),
+    ("constrained", LFM, "other T_rot - T_tr"),
+    ("BAOAB, at the step's end", "BAOAB", "T_rot - T_tr"),
+    ("around the heat exchange", "BAOAB", "other T_rot - T_tr"),
+)
+ROWS = {
+    name: (
+        *((*row, name) for row in OURS),
+        *(
+            TEMPERATURES
+            if name == "T_rot - T_tr"
+            else (("`LangevinMiddleIntegrator`", LFM, name), ("BAOAB", "BAOAB", name))
+        ),
+        *((*row, name) for row in OTHERS),
+    )
+    for name in ("T_rot - T_tr", "U", "density")
+}
+DIGITS = {"T_tr": 1, "T_rot - T_tr": 1, "other T_rot - T_tr": 1, "U": 2, "density": 1}
+FRICTIONS = {LFM: "`LangevinMiddleIntegrator`, constrained", "BAOAB": "BAOAB, at the step's end"}
+LABELS = {
+    "T_tr": "T_tr (K)",
+    "T_rot - T_tr": "T_rot − T_tr (K)",
+    "U": "potential energy (kJ/mol per molecule)",
+    "density": "density (kg/m³)",
+}
+
+
+class Run(NamedTuple):
+    """What a run was."""
+
+    model: str
+    ensemble: str
+    method: str
+    interval: float  # fs per force
+    molecules: int
+    friction: float  # 1/ps
+    ps: float
+    seed: int
+
+
+COLUMNS = {"fs per force" if name == "interval" else name: kind for name, kind in get_type_hints(Run).items()}
+Record = dict[Run, dict[str, float]]
+Mean = tuple[float, float]  # and its error
+Means = dict[str, Mean]
+
+
+class Point(NamedTuple):
+    """Runs that differ in their seeds only: the time of all, and (mean, error of the mean) by name."""
+
+    model: str
+    ensemble: str
+    method: str
+    interval: float
+    friction: float
+    ps: float
+    found: Means
+
+
+def read(file: Path) -> Record:
+    """Return what runs gave, by what they were."""
+    if not file.exists():
+        return {}
+    with file.open(newline="") as text:
+        return {
+            Run(*(kind(row[name]) for name, kind in COLUMNS.items())): {name: float(row[name]) for name in MEASURED}
+            for row in csv.DictReader(text)
+        }
+
+
+def merge(found: Record, file: Path) -> Record:
+    """Add runs to the record, in its order, and return all of it; what other commands added meanwhile stays."""
+    record = read(file) | found
+    with written_whole(file) as out:
+        lines = csv.writer(out, lineterminator="\n")
+        lines.writerow([*COLUMNS, *MEASURED])
+        for run, means in sorted(record.items()):
+            lines.writerow([*run, *(f"{means[name]:.7g}" for name in MEASURED)])
+    return record
+
+
+def points(record: Record) -> list[Point]:
+    """Return the means over runs that differ in their seeds; errors are those of the mean of independent runs."""
+    alike: dict[Run, list[Run]] = {}
+    for run in record:
+        alike.setdefault(run._replace(seed=0), []).append(run)
+    return [
+        Point(
+            *(kind.model, kind.ensemble, kind.method, kind.interval, kind.friction, len(runs) * kind.ps),
+            {
+                name: mean_and_error(values)
+                for name in MEASURED
+                if np.isfinite(values := np.array([record[run][name] for run in runs])).all()
+            },
+        )
+        for kind, runs in alike.items()
+    ]
+
+
+def mean_and_error(values: np.ndarray) -> Mean:
+    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else math.nan
+    return float(np.mean(values)), float(error)
+
+
+def whole(record: Record) -> dict[tuple[str, str, str, float, float], Means]:
+    """Return the means of whole points, by model, ensemble, method, time per force and friction."""
+    return {point[:5]: point.found for point in points(record) if point.ps >= WHOLE}
+
+
+def over_steps(record: Record, quantity: str, model: str, ensemble: str) -> str:
+    """Return a table in Markdown: a row for each method, a column for each time per force, of whole points."""
+    found = {
+        (method, interval): means
+        for (*where, method, interval, friction), means in whole(record).items()
+        if (*where, friction) == (model, ensemble, FRICTION)
+    }
+    intervals = sorted({interval for _, interval in found})
+    lines = [[LABELS[quantity], *(f"{interval:g} fs" for interval in intervals)], ["---"] * (1 + len(intervals))]
+    for label, method, name in ROWS[quantity]:
+        cells = [shown(found.get((method, interval), {}), name) for interval in intervals]
+        lines += [[label, *cells]] if any(cells) else []
+    return markdown(lines)
+
+
+def over_goals(record: Record, model: str) -> str:
+    """Return a table in Markdown of what was to be reached with a model, a column for each method.
+
+    References are the runs of LangevinMiddleIntegrator at 0.5 fs per force; what has none yet is left out.
+    """
+    found = whole(record)
+    methods = {
+        "W2_3m": ("W2_3m", FRICTION, "T_rot - T_tr"),
+        "BAOA, friction 30/ps": ("BAOA", 30.0, "T_rot - T_tr"),
+        "`LangevinMiddleIntegrator`, constrained": (LFM, FRICTION, "other T_rot - T_tr"),
+        "BAOAB, around the heat exchange": ("BAOAB", FRICTION, "other T_rot - T_tr"),
+    }
+
+    def of_methods(ensemble: str, interval: float) -> list[Means]:
+        return [found.get((model, ensemble, method, interval, g), {}) for method, g, _ in methods.values()]
+
+    lines = [[NAMES[model], "goal", *methods], ["---"] * (2 + len(methods))]
+    for ensemble, name in (("NVT", "constant volume"), ("NPT", "1 bar")):
+        quantities = (quantity for *_, quantity in methods.values())
+        cells = map(shown, of_methods(ensemble, 6.0), quantities)
+        lines.append([f"T_rot − T_tr at 6 fs, {name} (K)", f"up to {GOALS['T_rot - T_tr']:g}", *cells])
+    for ensemble, name, interval, scale, text in (
+        ("NVT", "U", 6.0, None, "U at 6 fs less that at 0.5 fs (kJ/mol per molecule)"),
+        ("NPT", "density", 4.0, 100.0, "density at 4 fs over that at 0.5 fs (%)"),
+    ):
+        reference = found.get((model, ensemble, LFM, 0.5, FRICTION), {}).get(name)
+        differences = [
+            "" if reference is None or name not in means else with_error(*less(means[name], reference, scale), 2)
+            for means in of_methods(ensemble, interval)
+        ]
+        lines += [[text, f"up to {GOALS[name]:g}", *differences]] if any(differences) else []
+    return markdown(lines)
+
+
+def over_models(record: Record) -> str:
+    """Return a table in Markdown: densities of W2_3m at 4 fs, of OpenMM's integrator at 1 fs or less."""
+    found = whole(record)
+    lines = [
+        ["density (kg/m³), 1 bar", "W2_3m, 4 fs", "`LangevinMiddleIntegrator`", "difference (%)"],
+        ["---"] * 4,
+    ]
+    for model, name in NAMES.items():
+        ours = found.get((model, "NPT", "W2_3m", 4.0, FRICTION), {}).get("density")
+        steps = [step for *what, step, g in found if (*what, g) == (model, "NPT", LFM, FRICTION) and step <= 1.0]
+        if ours is None or not steps:
+            continue
+        theirs = found[model, "NPT", LFM, min(steps), FRICTION]["density"]
+        difference = with_error(*less(ours, theirs, 100.0), 2)
+        lines.append([name, with_error(*ours, 1), f"{with_error(*theirs, 1)} at {min(steps):g} fs", difference])
+    return markdown(lines)
+
+
+def less(a: Mean, b: Mean, scale: float | None = None) -> Mean:
+    """Return the difference of two means with its error, as a part of the second one times a scale if there is one."""
+    factor = 1.0 if scale is None else scale / b[0]
+    return factor * (a[0] - b[0]), abs(factor) * math.hypot(a[1], b[1])
+
+
+def over_frictions(record: Record, model: str, interval: float) -> str:
+    """Return a table in Markdown: a row for each method and friction, a column for each quantity.
+
+    Temperatures and energies are those at constant volume, densities those at 1 bar. Temperatures of
+    LangevinMiddleIntegrator are those of its constrained velocities.
+    """
+    found = {
+        (ensemble, method, friction): means
+        for (name, ensemble, method, step, friction), means in whole(record).items()
+        if (name, step) == (model, interval)
+    }
+    lines = [["", "friction (1/ps)", *(LABELS[name] for name in ("T_tr", *ROWS))], ["---"] * 6]
+    for method, friction in sorted(what for ensemble, *what in found if ensemble == "NVT"):
+        difference = "other T_rot - T_tr" if method == LFM else "T_rot - T_tr"
+        cells = [shown(found["NVT", method, friction], name) for name in ("T_tr", difference, "U")]
+        density = shown(found.get(("NPT", method, friction), {}), "density")
+        lines.append([FRICTIONS.get(method, method), f"{friction:g}", *cells, density])
+    return markdown(lines)
+
+
+def shown(found: Means, name: str) -> str:
+    """Return a mean and its error as a reader wants them, or nothing."""
+    if name not in found:
+        return ""
+    return with_error(*found[name], DIGITS[name])
+
+
+def with_error(mean: float, error: float, digits: int) -> str:
+    """Return a mean and its error with so many digits after the point."""
+    mean, error = (round(value, digits) + 0.0 for value in (mean, error))  # + 0.0: no minus before a zero
+    return f"{mean:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
+
+
+def markdown(lines: list[list[str]]) -> str:
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

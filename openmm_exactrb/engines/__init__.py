@@ -1,0 +1,1 @@
+"""Engines: what carries the steps of an integrator out in its Context."""

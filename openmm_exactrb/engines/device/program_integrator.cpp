@@ -1,0 +1,825 @@
+// An OpenMM Integrator whose steps are a program: named arrays on the device, kernels given as text, and sequences of
+// operations. It knows no physics. It links to libOpenMM alone and reaches OpenCL, CUDA and HIP through the virtual
+// functions of ComputeContext; the few functions that are not virtual are looked up in the library of the platform.
+//
+// Without a program it is a CustomIntegrator, whose global variables it always has. The steps of a program are begun
+// from Python, which knows whether the arrays are those of the Context: see library.py, and program.py for the lines.
+#include "openmm/Context.h"
+#include "openmm/CustomIntegrator.h"
+#include "openmm/OpenMMException.h"
+#include "openmm/Platform.h"
+#include "openmm/System.h"
+#include "openmm/common/ComputeContext.h"
+#include "openmm/internal/ContextImpl.h"
+#include "openmm/serialization/SerializationNode.h"
+#include "openmm/serialization/SerializationProxy.h"
+#include <cstring>
+#include <dlfcn.h>
+#include <map>
+#include <memory>
+#include <sstream>
+#include <string>
+#include <vector>
+
+using namespace OpenMM;
+using std::string;
+using std::vector;
+
+namespace {
+
+OpenMMException error(const string& what) {
+    return OpenMMException("ProgramIntegrator: " + what);
+}
+
+// The beginning of OpenCLPlatform::PlatformData, CudaPlatform::PlatformData and HipPlatform::PlatformData.
+struct PlatformDataHead {
+    ContextImpl* context;
+    vector<ComputeContext*> contexts;
+};
+
+typedef std::unique_ptr<ArrayInterface> DeviceArray;
+
+struct Array {
+    string name;
+    int elementSize = 8;
+    size_t size = 0;
+    bool saved = false;      // belongs to checkpoints, States and what `keep` keeps
+    vector<char> data;       // on the host: what `build` uploads
+    DeviceArray device, kept;
+    size_t bytes() const {
+        return size * elementSize;
+    }
+};
+
+struct Scalar {
+    string name;
+    double value;
+};
+
+struct Kernel {
+    string name, function;
+    int source, threads, block;
+    vector<string> arguments;
+    vector<std::pair<int, int> > scalars;  // index of the argument, index of the scalar or one of the below
+    ComputeKernel kernel;
+};
+enum { StepSize = -1, StepCount = -2 };
+
+struct Operation {
+    enum Kind { Run, Forces, Sites, Reorder, Clock, Step, Add, Copy } kind;
+    int which = 0, other = 0;
+    double value = 0;
+};
+
+// The functions of the library of a platform that are not virtual.
+struct PlatformFunctions {
+    void (*reorderAtoms)(ComputeContext*);
+    void (*setAtomIndex)(ComputeContext*, vector<int>&);
+    void (*virtualSites)(IntegrationUtilities*);
+    double (*kineticEnergy)(IntegrationUtilities*, double);
+
+    // The library is the one that has the class of the context, by the address of its table of virtual functions.
+    void lookUp(ComputeContext* cc) {
+        Dl_info info;
+        if (dladdr(*reinterpret_cast<void**>(cc), &info) == 0)
+            throw error("cannot find the library of the platform");
+        void* library = dlopen(info.dli_fname, RTLD_LAZY | RTLD_NOLOAD);
+        find(library, "_ZN6OpenMM14ComputeContext12reorderAtomsEv", reorderAtoms);
+        find(library, "_ZN6OpenMM14ComputeContext12setAtomIndexERSt6vectorIiSaIiEE", setAtomIndex);
+        find(library, "_ZN6OpenMM20IntegrationUtilities19computeVirtualSitesEv", virtualSites);
+        find(library, "_ZN6OpenMM20IntegrationUtilities20computeKineticEnergyEd", kineticEnergy);
+    }
+    template <class Function> static void find(void* library, const char* name, Function& found) {
+        void* address = dlsym(library, name);
+        if (address == NULL)
+            throw error(string("the library of the platform has no ") + name);
+        found = reinterpret_cast<Function>(address);
+    }
+};
+
+// The context of the device is current as long as this lives.
+struct Current {
+    ComputeContext* cc;
+    explicit Current(ComputeContext* cc) : cc(cc) {
+        cc->pushAsCurrent();
+    }
+    ~Current() {
+        cc->popAsCurrent();
+    }
+};
+
+class ProgramIntegrator : public CustomIntegrator {
+public:
+    explicit ProgramIntegrator(double stepSize) : CustomIntegrator(stepSize) {
+    }
+    void setProgram(const string& text);
+    void step(int steps) override;
+    void makeSteps(int steps);
+    void runAlone(const string& sequence);
+    void keep();
+    void restore();
+    void upload(const string& name, const void* data, size_t bytes);
+    void download(const string& name, void* data, size_t bytes);
+    double& scalar(const string& name) {
+        return scalars[indexOf(scalars, name, "scalar")].value;
+    }
+    // What was changed in the Context by others since this was cleared: bits 1 positions, 2 velocities, 4 what else
+    // forces depend on.
+    int changes = 7;
+    long long launches = 0, forceCalls = 0;
+
+protected:
+    void initialize(ContextImpl& impl) override;
+    void cleanup() override;
+    void stateChanged(State::DataType changed) override {
+        CustomIntegrator::stateChanged(changed);
+        forcesStale = true;
+        if (!updating)
+            changes |= changed == State::Positions ? 5 : changed == State::Velocities ? 2 : 4;
+    }
+    double computeKineticEnergy() override {
+        return hasProgram() ? functions.kineticEnergy(&cc->getIntegrationUtilities(), 0.0) : CustomIntegrator::computeKineticEnergy();
+    }
+    bool kineticEnergyRequiresForce() const override {
+        return !hasProgram() && CustomIntegrator::kineticEnergyRequiresForce();
+    }
+    void createCheckpoint(std::ostream& stream) const override;
+    void loadCheckpoint(std::istream& stream) override;
+    void serializeParameters(SerializationNode& node) const override;
+    void deserializeParameters(const SerializationNode& node) override;
+
+private:
+    friend class Proxy;
+    class Listener;
+    bool hasProgram() const {
+        return cc != NULL && !program.empty();
+    }
+    template <class Named> static int indexOf(const vector<Named>& all, const string& name, const char* what) {
+        for (int i = 0; i < (int) all.size(); i++)
+            if (all[i].name == name)
+                return i;
+        throw error(string("no ") + what + " " + name);
+    }
+    Operation operation(const string& word, std::istringstream& words) const;
+    void build();
+    void release();
+    void bind(Kernel& kernel);
+    void carryOut(const string& sequence);
+    void launch(Kernel& kernel);
+    void evaluate(int groups);
+    void update(int calls);
+    void uploadPlaces();
+    void uploadBox();
+    DeviceArray made(size_t size, int elementSize, const string& name) {
+        DeviceArray array(cc->createArray());
+        array->initialize(*cc, size, elementSize, name);
+        return array;
+    }
+    string program;
+    vector<string> sources;
+    vector<Array> arrays;
+    vector<Scalar> scalars;
+    vector<Kernel> kernels;
+    std::map<string, vector<Operation> > sequences;
+
+    ComputeContext* cc = NULL;
+    PlatformFunctions functions;
+    DeviceArray places, box;  // of each atom its slot and the cell it was moved to; the box as nine numbers
+    vector<double> lastBox;
+    bool forcesStale = true, placesStale = true, updating = false;
+    int forceCount = -1, forceGroups = 0;
+    double stepBegan = 0;  // the time
+
+    struct Kept {  // what `keep` kept beside arrays
+        double time = 0;
+        long long steps = 0;
+        Vec3 box[3];
+        vector<int> order;
+        vector<mm_int4> cells;
+        vector<Scalar> scalars;
+        DeviceArray posq, correction, velm;
+    } kept;
+};
+
+class ProgramIntegrator::Listener : public ComputeContext::ReorderListener {
+public:
+    explicit Listener(ProgramIntegrator& owner) : owner(owner) {
+    }
+    void execute() override {
+        owner.placesStale = owner.forcesStale = true;
+    }
+
+private:
+    ProgramIntegrator& owner;
+};
+
+// -- the program ------------------------------------------------------------------------------------------------------
+
+void ProgramIntegrator::setProgram(const string& text) {
+    release();
+    program.clear(), sources.clear(), arrays.clear(), scalars.clear(), kernels.clear(), sequences.clear();
+    std::istringstream lines(text);
+    string line, word, name;
+    vector<Operation>* sequence = NULL;
+    while (std::getline(lines, line)) {
+        std::istringstream words(line);
+        if (!(words >> word))
+            continue;
+        if (word == "array") {
+            Array a;
+            words >> a.name >> a.elementSize >> a.size >> word;
+            a.saved = word == "saved";
+            a.data.assign(a.bytes(), 0);
+            arrays.push_back(std::move(a));
+        }
+        else if (word == "scalar") {
+            Scalar s;
+            words >> s.name >> s.value;
+            scalars.push_back(s);
+        }
+        else if (word == "source") {
+            size_t bytes = 0;
+            words >> bytes;
+            string source(bytes, ' ');
+            lines.read(&source[0], bytes);
+            sources.push_back(source);
+        }
+        else if (word == "kernel") {
+            Kernel k;
+            k.source = (int) sources.size() - 1;
+            words >> k.name >> k.function >> k.threads >> k.block;
+            while (words >> word)
+                k.arguments.push_back(word);
+            kernels.push_back(std::move(k));
+        }
+        else if (word == "sequence") {
+            words >> name;
+            sequence = &sequences[name];
+        }
+        else if (sequence == NULL)
+            throw error("an operation outside a sequence: " + line);
+        else
+            sequence->push_back(operation(word, words));
+    }
+    program = text;
+    if (cc != NULL)
+        build();
+}
+
+Operation ProgramIntegrator::operation(const string& word, std::istringstream& words) const {
+    Operation made;
+    string name;
+    if (word == "run") {
+        made.kind = Operation::Run;
+        words >> name;
+        made.which = indexOf(kernels, name, "kernel");
+    }
+    else if (word == "forces")
+        made.kind = Operation::Forces, words >> made.which;
+    else if (word == "sites")
+        made.kind = Operation::Sites;
+    else if (word == "reorder")
+        made.kind = Operation::Reorder;
+    else if (word == "clock")
+        made.kind = Operation::Clock, words >> made.value;
+    else if (word == "step")
+        made.kind = Operation::Step;
+    else if (word == "add") {
+        made.kind = Operation::Add;
+        words >> name >> made.value;
+        made.which = indexOf(scalars, name, "scalar");
+    }
+    else if (word == "copy") {
+        made.kind = Operation::Copy;
+        words >> name;
+        made.which = indexOf(arrays, name, "array");
+        words >> name;
+        made.other = indexOf(arrays, name, "array");
+    }
+    else
+        throw error("unknown operation " + word);
+    return made;
+}
+
+// -- in a Context -----------------------------------------------------------------------------------------------------
+
+void ProgramIntegrator::initialize(ContextImpl& impl) {
+    CustomIntegrator::initialize(impl);
+    string platform = impl.getPlatform().getName();
+    if (platform != "OpenCL" && platform != "CUDA" && platform != "HIP")
+        throw error("it needs OpenCL, CUDA or HIP, not " + platform);
+    PlatformDataHead* data = reinterpret_cast<PlatformDataHead*>(impl.getPlatformData());
+    if (data->context != &impl || data->contexts.size() != 1)
+        throw error("it needs a Context on one device");
+    cc = data->contexts[0];
+    if (!cc->getSupportsDoublePrecision())
+        throw error("the device has no double precision");
+    functions.lookUp(cc);
+    cc->initializeContexts();
+    Current current(cc);
+    places = made(cc->getPaddedNumAtoms(), sizeof(mm_int4), "places");
+    box = made(9, sizeof(double), "box");
+    lastBox.clear();
+    cc->getReorderListeners().push_back(new Listener(*this));
+    changes = 7;
+    forcesStale = placesStale = true;
+    if (!program.empty())
+        build();
+}
+
+void ProgramIntegrator::cleanup() {
+    CustomIntegrator::cleanup();
+    if (hasProgram())
+        for (Array& a : arrays)
+            a.device->download(a.data.data());
+    release();
+    places.reset(), box.reset();
+    cc = NULL;
+}
+
+void ProgramIntegrator::release() {
+    for (Array& a : arrays)
+        a.device.reset(), a.kept.reset();
+    for (Kernel& k : kernels)
+        k.kernel.reset();
+    kept = Kept();
+}
+
+void ProgramIntegrator::build() {
+    Current current(cc);
+    for (Array& a : arrays) {
+        a.device = made(a.size, a.elementSize, a.name);
+        a.device->upload(a.data.data());
+    }
+    std::map<string, string> defines = {{"PADDED_NUM_ATOMS", std::to_string(cc->getPaddedNumAtoms())}};
+    vector<ComputeProgram> programs;
+    for (const string& source : sources)
+        programs.push_back(cc->compileProgram(source, defines));
+    for (Kernel& k : kernels) {
+        k.kernel = programs[k.source]->createKernel(k.function);
+        bind(k);
+    }
+}
+
+// Arguments: arrays of OpenMM and of the program by name, a scalar $name, the step size $h, the step count #step (long
+// long), or a whole number (int).
+void ProgramIntegrator::bind(Kernel& k) {
+    k.scalars.clear();
+    for (int i = 0; i < (int) k.arguments.size(); i++) {
+        const string& name = k.arguments[i];
+        if (name == "posq")
+            k.kernel->addArg(cc->getPosq());
+        else if (name == "posqCorrection")
+            k.kernel->addArg(cc->getUseMixedPrecision() ? cc->getPosqCorrection() : cc->getPosq());
+        else if (name == "velm")
+            k.kernel->addArg(cc->getVelm());
+        else if (name == "force")
+            k.kernel->addArg(cc->getLongForceBuffer());
+        else if (name == "places")
+            k.kernel->addArg(*places);
+        else if (name == "box")
+            k.kernel->addArg(*box);
+        else if (name == "#step") {
+            k.scalars.push_back({i, StepCount});
+            k.kernel->addArg((long long) 0);
+        }
+        else if (name[0] == '$') {
+            k.scalars.push_back({i, name == "$h" ? (int) StepSize : indexOf(scalars, name.substr(1), "scalar")});
+            k.kernel->addArg(0.0);
+        }
+        else if (name[0] == '-' || isdigit(name[0]))
+            k.kernel->addArg(std::stoi(name));
+        else
+            k.kernel->addArg(*arrays[indexOf(arrays, name, "array")].device);
+    }
+}
+
+void ProgramIntegrator::uploadPlaces() {
+    const vector<int>& atoms = cc->getAtomIndex();
+    const vector<mm_int4>& cells = cc->getPosCellOffsets();
+    vector<mm_int4> values(cc->getPaddedNumAtoms(), mm_int4(0, 0, 0, 0));
+    for (int i = 0; i < cc->getNumAtoms(); i++)
+        values[atoms[i]] = mm_int4(i, cells[i].x, cells[i].y, cells[i].z);
+    places->upload(values);
+    placesStale = false;
+}
+
+void ProgramIntegrator::uploadBox() {
+    vector<double> now(9, 0.0);
+    if (context->getSystem().usesPeriodicBoundaryConditions()) {
+        Vec3 a, b, c;
+        cc->getPeriodicBoxVectors(a, b, c);
+        now = {a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]};
+    }
+    if (now != lastBox)
+        box->upload(now);
+    lastBox = now;
+}
+
+void ProgramIntegrator::launch(Kernel& k) {
+    for (auto& scalar : k.scalars) {
+        if (scalar.second == StepCount)
+            k.kernel->setArg(scalar.first, cc->getStepCount());
+        else
+            k.kernel->setArg(scalar.first, scalar.second == StepSize ? getStepSize() : scalars[scalar.second].value);
+    }
+    k.kernel->execute(k.threads, k.block);
+    launches++;
+}
+
+// Evaluate the forces of some groups (bits) that act, unless the buffer has those of the present positions.
+void ProgramIntegrator::evaluate(int groups) {
+    context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
+    forceCount = cc->getComputeForceCount(), forceGroups = groups, forcesStale = false;
+    forceCalls++;
+}
+
+void ProgramIntegrator::carryOut(const string& name) {
+    auto found = sequences.find(name);
+    if (found == sequences.end())
+        return;
+    if (placesStale)
+        uploadPlaces();
+    for (Operation& o : found->second) {
+        switch (o.kind) {
+        case Operation::Run:
+            launch(kernels[o.which]);
+            break;
+        case Operation::Forces:
+            evaluate(o.which);
+            break;
+        case Operation::Sites:
+            functions.virtualSites(&cc->getIntegrationUtilities());
+            break;
+        case Operation::Reorder:
+            functions.reorderAtoms(cc);
+            if (placesStale)
+                uploadPlaces();
+            break;
+        case Operation::Clock:
+            cc->setTime(stepBegan + o.value * getStepSize());
+            break;
+        case Operation::Step:
+            cc->setTime(stepBegan += getStepSize());
+            cc->setStepCount(cc->getStepCount() + 1);
+            break;
+        case Operation::Add:
+            scalars[o.which].value += o.value;
+            break;
+        case Operation::Copy:
+            arrays[o.which].device->copyTo(*arrays[o.other].device);
+            break;
+        }
+    }
+}
+
+void ProgramIntegrator::step(int steps) {
+    if (program.empty())
+        CustomIntegrator::step(steps);
+    else
+        throw error("this integrator was read by OpenMM alone: step() is a method of the integrator of openmm_exactrb that wrote it");
+}
+
+// Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
+// its last forces, "close" ends it, and "between" is "close" and "open" in one. After every "interval" (a scalar, 0 for
+// never) of steps OpenMM updates the Context: then "leave" comes before, "pushed" after it, and "moved" too where
+// positions changed.
+void ProgramIntegrator::makeSteps(int steps) {
+    Current current(cc);
+    uploadBox();
+    stepBegan = cc->getTime();
+    const int interval = (int) scalar("interval");
+    double& waiting = scalar("waiting");
+    bool begins = true;
+    for (int i = 0; i < steps; i++) {
+        if (begins) {
+            if (forcesStale || cc->getComputeForceCount() != forceCount)
+                carryOut("forces");
+            carryOut("open");
+        }
+        carryOut("body");
+        const bool due = interval > 0 && ++waiting >= interval;
+        begins = due || i == steps - 1;
+        carryOut(begins ? "close" : "between");
+        if (due) {
+            update(interval);
+            waiting = 0;
+        }
+    }
+}
+
+// Carry out a sequence that is no part of a step.
+void ProgramIntegrator::runAlone(const string& name) {
+    Current current(cc);
+    uploadBox();
+    stepBegan = cc->getTime();
+    carryOut(name);
+}
+
+// Let barostats, thermostats and removers of the System act as in so many steps that end now.
+void ProgramIntegrator::update(int calls) {
+    carryOut("leave");
+    const long long count = cc->getStepCount();
+    bool moved = false;
+    updating = true;
+    for (int i = 1; i <= calls; i++) {
+        cc->setStepCount(count - calls + i);
+        moved |= context->updateContextState();
+    }
+    updating = false;
+    carryOut("pushed");
+    if (moved) {
+        uploadBox();
+        uploadPlaces();
+        carryOut("moved");
+        forcesStale = true;
+    }
+}
+
+// -- what is kept, saved and loaded -----------------------------------------------------------------------------------
+
+void copyInto(DeviceArray& copy, ArrayInterface& array, ComputeContext& cc) {
+    if (!copy) {
+        copy.reset(cc.createArray());
+        copy->initialize(cc, array.getSize(), array.getElementSize(), array.getName() + "Kept");
+    }
+    array.copyTo(*copy);
+}
+
+// Keep the state of the Context and of the program, for `restore`.
+void ProgramIntegrator::keep() {
+    Current current(cc);
+    kept.time = cc->getTime(), kept.steps = cc->getStepCount();
+    cc->getPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
+    kept.order = cc->getAtomIndex(), kept.cells = cc->getPosCellOffsets(), kept.scalars = scalars;
+    copyInto(kept.posq, cc->getPosq(), *cc);
+    copyInto(kept.velm, cc->getVelm(), *cc);
+    if (cc->getUseMixedPrecision())
+        copyInto(kept.correction, cc->getPosqCorrection(), *cc);
+    for (Array& a : arrays)
+        if (a.saved)
+            copyInto(a.kept, *a.device, *cc);
+}
+
+void ProgramIntegrator::restore() {
+    if (!kept.posq)
+        throw error("nothing was kept");
+    Current current(cc);
+    cc->setTime(kept.time), cc->setStepCount(kept.steps);
+    updating = true;
+    context->setPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
+    functions.setAtomIndex(cc, kept.order);
+    cc->setPosCellOffsets(kept.cells);
+    kept.posq->copyTo(cc->getPosq());
+    kept.velm->copyTo(cc->getVelm());
+    if (kept.correction)
+        kept.correction->copyTo(cc->getPosqCorrection());
+    vector<Vec3> x, v;  // through OpenMM, so that all that it has made of them is made again
+    context->getPositions(x), context->getVelocities(v);
+    context->setPositions(x), context->setVelocities(v);
+    updating = false;
+    for (Array& a : arrays)
+        if (a.saved)
+            a.kept->copyTo(*a.device);
+    scalars = kept.scalars;
+    placesStale = forcesStale = true;
+}
+
+void ProgramIntegrator::upload(const string& name, const void* data, size_t bytes) {
+    Array& a = arrays[indexOf(arrays, name, "array")];
+    if (bytes != a.bytes())
+        throw error("wrong size of " + name);
+    memcpy(a.data.data(), data, bytes);
+    if (a.device) {
+        Current current(cc);
+        a.device->upload(a.data.data());
+    }
+}
+
+void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
+    Array& a = arrays[indexOf(arrays, name, "array")];
+    if (bytes != a.bytes())
+        throw error("wrong size of " + name);
+    if (a.device) {
+        Current current(cc);
+        a.device->download(a.data.data());
+    }
+    memcpy(data, a.data.data(), bytes);
+}
+
+void ProgramIntegrator::createCheckpoint(std::ostream& stream) const {
+    CustomIntegrator::createCheckpoint(stream);
+    if (!hasProgram())
+        return;
+    stream.write(reinterpret_cast<const char*>(&changes), sizeof(changes));
+    for (const Scalar& s : scalars)
+        stream.write(reinterpret_cast<const char*>(&s.value), sizeof(double));
+    vector<char> data;
+    for (const Array& a : arrays)
+        if (a.saved) {
+            data.resize(a.bytes());
+            a.device->download(data.data());
+            stream.write(data.data(), data.size());
+        }
+}
+
+void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
+    CustomIntegrator::loadCheckpoint(stream);
+    forcesStale = placesStale = true;
+    if (!hasProgram())
+        return;
+    stream.read(reinterpret_cast<char*>(&changes), sizeof(changes));
+    for (Scalar& s : scalars)
+        stream.read(reinterpret_cast<char*>(&s.value), sizeof(double));
+    for (Array& a : arrays)
+        if (a.saved) {
+            stream.read(a.data.data(), a.bytes());
+            a.device->upload(a.data.data());
+        }
+    if (!stream)  // another engine wrote it
+        changes = 7;
+    changes |= 8;
+}
+
+string hex(const vector<char>& data) {
+    static const char* digits = "0123456789abcdef";
+    string text;
+    text.reserve(2 * data.size());
+    for (unsigned char c : data)
+        text += digits[c >> 4], text += digits[c & 15];
+    return text;
+}
+
+vector<char> unhex(const string& text) {
+    vector<char> data(text.size() / 2);
+    auto digit = [](char c) { return c <= '9' ? c - '0' : c - 'a' + 10; };
+    for (size_t i = 0; i < data.size(); i++)
+        data[i] = digit(text[2 * i]) << 4 | digit(text[2 * i + 1]);
+    return data;
+}
+
+void ProgramIntegrator::serializeParameters(SerializationNode& node) const {
+    CustomIntegrator::serializeParameters(node);
+    if (!hasProgram())
+        return;
+    SerializationNode& own = node.createChildNode("Program").setIntProperty("changes", changes);
+    for (const Scalar& s : scalars)
+        own.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
+    for (const Array& a : arrays)
+        if (a.saved) {
+            vector<char> data(a.bytes());
+            a.device->download(data.data());
+            own.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(data));
+        }
+}
+
+void ProgramIntegrator::deserializeParameters(const SerializationNode& node) {
+    CustomIntegrator::deserializeParameters(node);
+    if (!hasProgram())
+        return;
+    for (const SerializationNode& own : node.getChildren()) {
+        if (own.getName() != "Program")
+            continue;
+        for (const SerializationNode& child : own.getChildren()) {
+            const string& name = child.getStringProperty("name");
+            if (child.getName() == "Scalar")
+                scalar(name) = child.getDoubleProperty("value");
+            else {
+                vector<char> data = unhex(child.getStringProperty("data"));
+                upload(name, data.data(), data.size());
+            }
+        }
+        changes = own.getIntProperty("changes") | 8;
+    }
+    forcesStale = true;
+}
+
+class Proxy : public SerializationProxy {
+public:
+    Proxy() : SerializationProxy("ProgramIntegrator") {
+    }
+    void serialize(const void* object, SerializationNode& node) const override {
+        const ProgramIntegrator& integrator = *static_cast<const ProgramIntegrator*>(object);
+        node.setIntProperty("version", 1);
+        node.setDoubleProperty("stepSize", integrator.getStepSize());
+        node.setDoubleProperty("constraintTolerance", integrator.getConstraintTolerance());
+        node.setIntProperty("forceGroups", integrator.getIntegrationForceGroups());
+        node.setIntProperty("randomSeed", integrator.getRandomNumberSeed());
+        for (int i = 0; i < integrator.getNumGlobalVariables(); i++)
+            node.createChildNode("Global").setStringProperty("name", integrator.getGlobalVariableName(i)).setDoubleProperty("value", integrator.getGlobalVariable(i));
+        const string& text = integrator.program;
+        node.setStringProperty("program", hex(vector<char>(text.begin(), text.end())));
+        for (const Scalar& s : integrator.scalars)
+            node.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
+        for (const Array& a : integrator.arrays) {
+            vector<char> data = a.data;
+            if (a.device)
+                a.device->download(data.data());
+            node.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(data));
+        }
+    }
+    void* deserialize(const SerializationNode& node) const override {
+        std::unique_ptr<ProgramIntegrator> integrator(new ProgramIntegrator(node.getDoubleProperty("stepSize")));
+        integrator->setConstraintTolerance(node.getDoubleProperty("constraintTolerance", 1e-5));
+        integrator->setIntegrationForceGroups(node.getIntProperty("forceGroups", -1));
+        integrator->setRandomNumberSeed(node.getIntProperty("randomSeed", 0));
+        vector<char> text = unhex(node.getStringProperty("program", ""));
+        integrator->setProgram(string(text.begin(), text.end()));
+        for (const SerializationNode& child : node.getChildren()) {
+            const string& name = child.getStringProperty("name");
+            if (child.getName() == "Global")
+                integrator->addGlobalVariable(name, child.getDoubleProperty("value"));
+            else if (child.getName() == "Scalar")
+                integrator->scalar(name) = child.getDoubleProperty("value");
+            else {
+                vector<char> data = unhex(child.getStringProperty("data"));
+                integrator->upload(name, data.data(), data.size());
+            }
+        }
+        return integrator.release();
+    }
+};
+
+// -- for ctypes -------------------------------------------------------------------------------------------------------
+
+thread_local string lastError;
+
+template <class Action> int guarded(void* pointer, Action action) {
+    try {
+        ProgramIntegrator* integrator = dynamic_cast<ProgramIntegrator*>(static_cast<Integrator*>(pointer));
+        if (integrator == NULL)
+            throw error("this is another integrator");
+        action(*integrator);
+        return 0;
+    }
+    catch (std::exception& e) {
+        lastError = e.what();
+        return 1;
+    }
+}
+
+// "8.6" of "8.6.1" and of "8.6": the classes that are used have the same layout there.
+string minorVersion(const string& version) {
+    return version.substr(0, version.find('.', version.find('.') + 1));
+}
+
+} // namespace
+
+#pragma GCC visibility push(default)
+extern "C" {
+
+// Register the class for XmlSerializer; return the OpenMM that it was built for if that is another one, else NULL.
+const char* pi_register() {
+    static bool done = false;
+    if (minorVersion(Platform::getOpenMMVersion()) != minorVersion(BUILT_FOR))
+        return BUILT_FOR;
+    if (!done)
+        SerializationProxy::registerProxy(typeid(ProgramIntegrator), new Proxy());
+    done = true;
+    return NULL;
+}
+void registerPlatforms() {  // so that Platform.loadPluginLibrary can load it too
+}
+void registerKernelFactories() {
+    pi_register();
+}
+const char* pi_error() {
+    return lastError.c_str();
+}
+int pi_program(void* integrator, const char* text) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.setProgram(text); });
+}
+int pi_upload(void* integrator, const char* name, const void* data, size_t bytes) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.upload(name, data, bytes); });
+}
+int pi_download(void* integrator, const char* name, void* data, size_t bytes) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.download(name, data, bytes); });
+}
+int pi_set(void* integrator, const char* name, double value) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.scalar(name) = value; });
+}
+int pi_get(void* integrator, const char* name, double* value) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { *value = it.scalar(name); });
+}
+int pi_steps(void* integrator, int steps) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.makeSteps(steps); });
+}
+int pi_run(void* integrator, const char* sequence) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.runAlone(sequence); });
+}
+int pi_keep(void* integrator) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.keep(); });
+}
+int pi_restore(void* integrator) {
+    return guarded(integrator, [&](ProgramIntegrator& it) { it.restore(); });
+}
+// Which: 0 launches of the program, 1 evaluations of forces, 2 changes. Those of changes in `clear` are cleared.
+int pi_count(void* integrator, int which, int clear, long long* value) {
+    return guarded(integrator, [&](ProgramIntegrator& it) {
+        *value = which == 0 ? it.launches : which == 1 ? it.forceCalls : it.changes;
+        if (which == 2)
+            it.changes &= ~clear;
+    });
+}
+}
+#pragma GCC visibility pop

@@ -1,0 +1,255 @@
+"""Segments: a scheme divided at its force evaluations, and the sequences of a program that carries it out.
+
+What happens between two evaluations is a segment: a row of moves, which each part of a program (rigid bodies, flexible
+molecules) carries out for its own bodies in as few launches as it can. A step is
+
+    open | evaluate, body ... | evaluate, close
+
+where "open" is what comes before the first evaluation and "close" what comes after the last one. "between" is the end
+of a step and the begin of the next one in one segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.engines.device import program
+from openmm_exactrb.engines.device.program import Launch, Operation, Program
+from openmm_exactrb.moves import Exchange, Move, Op, of_substep
+
+Array = NDArray[np.float64]
+Rows = Iterable[tuple[object, float]]
+
+# Integers of a move in the table.
+_COLUMNS = 4
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Moves of all bodies between two force evaluations.
+
+    Attributes
+    ----------
+    moves : tuple of Move
+    groups : int or None
+        The force groups (bits) whose forces are evaluated before it; None if none are.
+    time : float
+        The time of the evaluation, as a part of the step.
+    reduces : bool
+        Whether the thermostat has to know the kinetic energy before it.
+    shows : bool
+        Whether the velocities are shown behind it, because a step ends that somebody may look at.
+    copied : bool
+        Whether it moves the copy of the bodies that is shown, and not those of a processed scheme's inner coordinates.
+    """
+
+    moves: tuple[Move, ...] = ()
+    groups: int | None = None
+    time: float = 0.0
+    reduces: bool = False
+    shows: bool = False
+    copied: bool = False
+
+    def has(self, *ops: Op) -> bool:
+        """Return whether one of the moves is of these."""
+        return any(move.op in ops for move in self.moves)
+
+
+def divided(
+    rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembers: bool = False
+) -> list[Segment]:
+    """Divide substeps with their parts of a step at the force evaluations.
+
+    Parameters
+    ----------
+    rows : iterable of (Substep, float)
+    known : int, optional
+        The groups of the forces that are known before.
+    splits_exchanges : bool, optional
+        Whether heat exchanges need the kinetic energy.
+    remembers : bool, optional
+        Whether forces of all groups are remembered.
+
+    Raises
+    ------
+    ValueError
+        If a device does not support a substep.
+    """
+    segments, time = [Segment()], 0.0
+    moves: list[Move] = []
+    remembered = differences = 0
+
+    def begin(**what: object) -> None:
+        segments[-1] = replace(segments[-1], moves=tuple(moves))
+        moves.clear()
+        segments.append(Segment(time=time, **what))  # type: ignore[arg-type]
+
+    for move in (move for substep, part in rows for move in of_substep(substep, part)):
+        if move.op == Op.DISPLACED_KICK or (move.groups and move.groups != known):
+            begin(groups=move.groups)
+            known = move.groups
+            if move.op == Op.DISPLACED_KICK:
+                move, differences = replace(move, number=differences), differences + 1
+            elif remembers and move.groups == -1:
+                moves.append(Move(Op.REMEMBER, number=remembered))
+                remembered += 1
+        if move.op == Op.EXCHANGE and splits_exchanges:
+            begin(reduces=True)
+        moves.append(move)
+        if move.op == Op.DRIFT and move.bodies != "inner":
+            time += move.part
+        if move.displaces or move.op == Op.DISPLACED_KICK:
+            known = None
+    segments[-1] = replace(segments[-1], moves=tuple(moves))
+    return segments
+
+
+def known_after(segments: Sequence[Segment], known: int | None = None) -> int | None:
+    """Return the groups of the forces that are known behind segments, at the positions there."""
+    for segment in segments:
+        known = segment.groups if segment.groups is not None else known
+        for move in segment.moves:
+            if move.displaces or move.op == Op.DISPLACED_KICK:
+                known = None
+    return known
+
+
+@dataclass(frozen=True)
+class Step:
+    """The segments of a step: the first needs forces that are known, the last ends it."""
+
+    segments: tuple[Segment, ...]
+    needs: int | None  # the groups whose forces the first one needs
+
+    @classmethod
+    def of(cls, rows: Rows, splits_exchanges: bool = False, remembers: bool = False) -> Step:
+        """Return those of a scheme's sequence."""
+        rows = tuple(rows)
+        known = known_after(divided(rows))
+        segments = divided(rows, known, splits_exchanges, remembers)
+        if len(segments) == 1:
+            segments.insert(0, Segment())
+        needs = next((move.groups for move in segments[0].moves if move.groups), None)
+        segments[-1] = replace(segments[-1], shows=True)
+        return cls(tuple(segments), needs)
+
+    @property
+    def between(self) -> Segment:
+        """The last segment of a step and the first one of the next in one."""
+        first, last = self.segments[0], self.segments[-1]
+        late = tuple(replace(move, late=True) for move in first.moves)
+        return replace(last, moves=last.moves + late, shows=False)
+
+    @property
+    def remembered(self) -> tuple[int, int]:
+        """How many forces a step remembers, and how many differences of displaced ones."""
+        ops = [move.op for segment in self.segments for move in segment.moves]
+        return ops.count(Op.REMEMBER), ops.count(Op.DISPLACED_KICK)
+
+
+class Table:
+    """The moves of all segments, as kernels read them: rows of integers, and numbers that depend on the settings.
+
+    A row has the op, the number of the move with 2^16 where it is late, the place of its first number, and how many.
+    """
+
+    #: The names of the arrays.
+    MOVES, NUMBERS = "moves", "numbers"
+
+    def __init__(self) -> None:
+        self._moves: list[Move] = []
+        self._places: dict[tuple[Move, ...], int] = {}
+
+    def rows(self, moves: tuple[Move, ...]) -> tuple[int, int]:
+        """Return the first row of some moves, and how many they are."""
+        if moves not in self._places:
+            self._places[moves] = len(self._moves)
+            self._moves += moves
+        return self._places[moves], len(moves)
+
+    def values(self, h: float, exchange: Exchange | None) -> tuple[NDArray[np.int32], Array]:
+        """Return the arrays for steps of h (ps), and what a heat exchange needs."""
+        numbers = [move.numbers(h, exchange) for move in self._moves]
+        starts = np.cumsum([0, *map(len, numbers)])
+        rows = [
+            (move.op, move.number + (move.late << 16), start, len(some))
+            for move, some, start in zip(self._moves, numbers, starts[:-1], strict=True)
+        ]
+        flat = [value for some in numbers for value in some]
+        return np.array(rows, dtype=np.int32).reshape(-1, _COLUMNS), np.array(flat, dtype=np.float64)
+
+    def declare(self, to: Program, exchange_numbers: int) -> None:
+        """Declare the arrays, when all segments have been asked for; a heat exchange has so many numbers and tau."""
+        _, numbers = self.values(1.0, lambda tau: (0.0,) * exchange_numbers)
+        to.array(self.MOVES, _COLUMNS * len(self._moves), element=4)
+        to.array(self.NUMBERS, len(numbers))
+
+
+class Part(Protocol):
+    """Some of the bodies of a program: their arrays, and the launches of a segment for them."""
+
+    def declare(self, to: Program) -> None:
+        """Declare arrays."""
+
+    def launches(self, segment: Segment, table: Table) -> list[Operation]:
+        """Return what carries a segment out: forces are in "force", and positions are placed in "posq" behind it."""
+
+    def reductions(self, copied: bool) -> list[Operation]:
+        """Return what adds the kinetic energies of its bodies to the array "kinetic"."""
+
+    def updates(self, moved: bool) -> list[Operation]:
+        """Return what reads how an update of OpenMM changed velocities, or positions where they `moved`."""
+
+
+@dataclass
+class Sequences:
+    """Writes the sequences of a program for its parts.
+
+    Attributes
+    ----------
+    sites : bool
+        Whether the System has virtual sites.
+    """
+
+    parts: Sequence[Part]
+    table: Table
+    sites: bool
+    factor: Launch | None = None  # what makes the factors of a heat exchange out of kinetic energies
+
+    def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
+        """Return the operations of segments, each behind the evaluation that it needs."""
+        return [operation for segment in segments for operation in (*self.before(segment), *self.moved(segment))]
+
+    def before(self, segment: Segment) -> list[Operation]:
+        """Return the evaluation before a segment."""
+        if segment.reduces:
+            assert self.factor is not None
+            return [*(o for part in self.parts for o in part.reductions(segment.copied)), self.factor]
+        return [] if segment.groups is None else self.evaluation(segment.groups, segment.time)
+
+    def evaluation(self, groups: int, time: float) -> list[Operation]:
+        """Return the evaluation of forces where the particles are."""
+        sites: list[Operation] = [program.SITES] if self.sites else []
+        return [*sites, program.REORDER, program.clock(time), program.forces(groups)]
+
+    def moved(self, segment: Segment) -> list[Operation]:
+        """Return the launches of a segment."""
+        if not segment.moves and not segment.shows:
+            return []
+        return [operation for part in self.parts for operation in part.launches(segment, self.table)]
+
+    def write_step(self, to: Program, step: Step) -> None:
+        """Write the sequences of steps: "forces", "open", "body", "between" and "close"."""
+        first, *middle, last = step.segments
+        ends: list[Operation] = [program.STEP, program.add("turn", 1.0)]
+        to.scalars.setdefault("turn", 0.0)
+        to.sequence("forces", [] if step.needs is None else self.evaluation(step.needs, 0.0))
+        to.sequence("open", self.moved(first))
+        to.sequence("body", [*self.carried_out(middle), *self.before(last)])
+        to.sequence("between", [*self.moved(step.between), *ends])
+        to.sequence("close", [*self.moved(last), *ends, *([program.SITES] if self.sites else [])])

@@ -1,0 +1,85 @@
+"""Moves: what a substep does to bodies, in a form that an engine carries out in segments, between force evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+#: exchange(tau) -> numbers that kernels need of a heat exchange over tau (ps).
+Exchange = Callable[[float], tuple[float, ...]]
+
+
+class Op(IntEnum):
+    """What a move does; the numbers are those of kernels/moves.cl."""
+
+    DRIFT = 0  # free motion
+    KICK = 1  # momenta by the forces here
+    EXCHANGE = 2  # heat exchange: numbers are those of the thermostat
+    LAST_KICK = 3  # momenta by a weighted sum of remembered forces
+    REMEMBER = 4  # the forces here, as those of the most recent place
+    DISPLACE = 5  # the particles by the forces here, the body stays; numbers are e
+    DISPLACED_KICK = 6  # momenta by the forces at displaced particles; numbers are tau and e
+    OWN = 16  # the first of those of users
+
+
+@dataclass(frozen=True)
+class Move:
+    """A move of all bodies.
+
+    Attributes
+    ----------
+    op : Op or int
+    part : float
+        Of the step; of its square for the number e of a displacement.
+    number : int
+        Of a heat exchange: its number in the step. Of what remembers: its place among those of a step. Of a kick by
+        last forces: how many of the weights are those of forces; the others are of differences.
+    groups : int
+        Bits of the force groups that it needs: -1 all, 0 none.
+    weights : tuple of float
+        Further numbers.
+    bodies : str
+        "all", "inner" or "others", as those of `openmm_exactrb.substeps.Drift`.
+    text : str
+        Of a user's: the function `DEVICE inline void NAME(Body* body, double tau)` of kernels in OpenMM's dialect.
+    late : bool
+        Whether it belongs to the step after the one that a segment ends.
+    """
+
+    op: int
+    part: float = 0.0
+    number: int = 0
+    groups: int = 0
+    weights: tuple[float, ...] = ()
+    bodies: str = "all"
+    text: str = ""
+    late: bool = False
+
+    @property
+    def displaces(self) -> bool:
+        """Whether positions are others behind it."""
+        return self.op in (Op.DRIFT, Op.DISPLACE) or self.op >= Op.OWN
+
+    def numbers(self, h: float, exchange: Exchange | None) -> tuple[float, ...]:
+        """Return what a kernel multiplies with, in steps of h (ps)."""
+        tau = self.part * h
+        if self.op == Op.EXCHANGE:
+            assert exchange is not None
+            return tau, *exchange(tau)
+        if self.op == Op.LAST_KICK:
+            return tuple(weight * tau for weight in self.weights)
+        if self.op == Op.DISPLACE:
+            return (self.part * h * h,)
+        if self.op == Op.DISPLACED_KICK:
+            return tau, self.weights[0] * h * h
+        return (tau,)
+
+
+def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
+    """Return the moves of a substep over a part of the step; ValueError if a device does not support it."""
+    moves: tuple[Move, ...] | None = substep.device_moves(part)
+    if moves is None:
+        raise ValueError(f"the substep {substep!r} has no part for a device: define its method device_moves()")
+    return moves
