@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 inertia = np.array([1.0, 1.88, 2.88])
 q0, m0 = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.3, 0.2, 0.1])

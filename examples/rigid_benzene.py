@@ -24,7 +24,7 @@ from openmm import app, unit
 from openmm.unit import femtoseconds, kelvin
 
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 evaluations = np.array([2, 4, 8, 16])
 epsilon, n, rng = 1e-3, 20, np.random.default_rng(2)

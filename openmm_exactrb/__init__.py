@@ -1,22 +1,21 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
-from openmm_exactrb.context.bonded import separate_bonded
 from openmm_exactrb.dielectric import dielectric_constant
-from openmm_exactrb.files import written_whole
-from openmm_exactrb.gay_berne import ellipsoids
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.mechanics.overheating import StepSizeWarning
+from openmm_exactrb.multiple_time_steps.bonded import separate_bonded
 from openmm_exactrb.potentials import Ewald, Open, ReactionField, dipole_strength, soft_dipole_force
 from openmm_exactrb.reporters import EnergyReporter, MomentReporter
 from openmm_exactrb.rotors import ROTORS, NotConvergedWarning, free_rotor
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
-from openmm_exactrb.systems import dipole_fluid, rigid_water
+from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.support.version import version
+from openmm_exactrb.systems import dipole_fluid, ellipsoids, heavy_hydrogens, rigid_water
 from openmm_exactrb.thermostats import (
     CanonicalMomenta,
     ExactRigidBodyHybridIntegrator,
@@ -25,7 +24,6 @@ from openmm_exactrb.thermostats import (
     ExactRigidBodyRescalingIntegrator,
 )
 from openmm_exactrb.tuning import tune
-from openmm_exactrb.version import version
 
 __version__ = version("0+unknown")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb import checks
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 

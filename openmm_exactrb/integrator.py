@@ -14,23 +14,22 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb import checks
-from openmm_exactrb.body_access import BodyAccess
-from openmm_exactrb.context import copies
-from openmm_exactrb.context.environment import Settings
-from openmm_exactrb.context.found import find_context
-from openmm_exactrb.context.multiple_time_steps import MultipleTimeSteps
-from openmm_exactrb.context.program import OwnProgram
-from openmm_exactrb.context.propagator import Propagator
+from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.units import picoseconds, refuse_temperature
-from openmm_exactrb.device.engine import DevicePropagator
-from openmm_exactrb.device.selection import Engine, Selection
+from openmm_exactrb.engines.custom_program.engine import DevicePropagator
+from openmm_exactrb.engines.custom_program.selection import Engine, Selection
+from openmm_exactrb.engines.host.environment import Settings
+from openmm_exactrb.engines.host.propagator import Propagator
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
+from openmm_exactrb.openmm_access.closed_program import OwnProgram
+from openmm_exactrb.openmm_access.find_context import find_context
+from openmm_exactrb.openmm_access.units import picoseconds, refuse_temperature
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.support import checks, copies
 from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 
 Array = NDArray[np.float64]

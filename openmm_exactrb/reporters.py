@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
-from openmm_exactrb import checks
-from openmm_exactrb.context.molecules import molecule_of
-from openmm_exactrb.context.units import stripped
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.images import joined
+from openmm_exactrb.openmm_access.molecules import molecule_of
+from openmm_exactrb.openmm_access.units import stripped
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 # Largest net charge of a molecule that force fields leave by rounding charges.

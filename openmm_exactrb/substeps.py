@@ -14,11 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
+from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.moves import Move, Op
-from openmm_exactrb.quaternions import exponential, matrix, multiply
 
 Array = NDArray[np.float64]
 #: Force (3, N) and body-frame torque (3, K).
@@ -61,7 +61,7 @@ class Substep:
 
         Parameters
         ----------
-        environment : openmm_exactrb.context.environment.ContextEnvironment
+        environment : openmm_exactrb.engines.host.environment.ContextEnvironment
         """
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
@@ -70,7 +70,7 @@ class Substep:
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
-        """Return its entries in the table of `openmm_exactrb.device.rows`, or None if a device does not support it."""
+        """Return its entries in the table of a device's program, or None if a device does not support it."""
         return None
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:

@@ -65,7 +65,7 @@ class Thermostat(ABC):
 
         Parameters
         ----------
-        environment : openmm_exactrb.context.propagator.ContextEnvironment
+        environment : openmm_exactrb.engines.host.propagator.ContextEnvironment
         """
 
     def flow(self, environment: Any, number: int) -> Flow[State]:

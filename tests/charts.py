@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 
 
 def state_at(q_ref, x):

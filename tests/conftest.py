@@ -7,7 +7,8 @@ from hypothesis import settings
 
 import compilation
 import openmm_exactrb as rb
-from openmm_exactrb import kernels, quaternions
+from openmm_exactrb import kernels
+from openmm_exactrb.mathematics import quaternions
 
 # The same examples every time: whether a change passes is no matter of luck.
 settings.register_profile("fast", max_examples=50, deadline=None, derandomize=True)

@@ -4,7 +4,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.context import arrays
+from openmm_exactrb.openmm_access import arrays
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 KT = 0.2 / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

@@ -7,7 +7,7 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_exactrb.context import arrays
+from openmm_exactrb.openmm_access import arrays
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 

@@ -8,7 +8,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from openmm_exactrb.context.bonded import interacting_exceptions, pairs_by_formula
+from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.compensated import add
 from openmm_exactrb.kernels.compiled.clusters import HALVINGS, ORDERS, SETTLED
 from openmm_exactrb.kernels.graph import Array, Graph, factor
+from openmm_exactrb.mathematics.compensated import add
+from openmm_exactrb.mathematics.quaternions import TO_GRID
 from openmm_exactrb.mechanics.clusters import Clusters
-from openmm_exactrb.quaternions import TO_GRID
 
 
 class ReferenceClusters(Clusters):

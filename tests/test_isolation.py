@@ -16,9 +16,9 @@ import pytest
 import openmm_exactrb as rb
 import three_masses
 from benchmarks.paper import problems
-from openmm_exactrb import quaternions
-from openmm_exactrb.context.found import find_context
-from openmm_exactrb.context.inner_drift import ExcerptContext
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.multiple_time_steps.inner_drift import ExcerptContext
+from openmm_exactrb.openmm_access.find_context import find_context
 from peptides import peptide
 
 REFERENCE = openmm.Platform.getPlatform("Reference")

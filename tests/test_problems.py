@@ -5,8 +5,8 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate, kinetic_energy
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 
 
 @pytest.fixture(params=["top", "satellite"])

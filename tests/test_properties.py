@@ -12,8 +12,8 @@ from scipy.special import ellipj, ellipkinc
 
 import openmm_exactrb as rb
 from benchmarks.paper import problems
-from openmm_exactrb import compensated, elliptic, quaternions
 from openmm_exactrb.kernels import load
+from openmm_exactrb.mathematics import compensated, elliptic, quaternions
 from openmm_exactrb.rotors import LARGEST_MOMENT, SMALLEST_MOMENT, WIDEST, rotor, rotor_of_sums
 
 TWINS = ["exact_numpy", "exact_compiled"]

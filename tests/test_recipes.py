@@ -16,10 +16,10 @@ from openmm import unit
 import openmm_exactrb as rb
 import three_masses
 from few_dipoles import REFERENCE
-from openmm_exactrb.context import inner_drift
-from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps import inner_drift
 from orders import slope
 
 ROOT = Path(__file__).parent.parent

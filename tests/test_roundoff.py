@@ -10,8 +10,8 @@ import openmm_exactrb as rb
 import oracle
 from benchmarks.paper import problems
 from benchmarks.schemes import roundoff
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import rotor_of_sums
 
 REFERENCE = openmm.Platform.getPlatform("Reference")

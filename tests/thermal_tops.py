@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from openmm_exactrb.compensated import add, exactly
+from openmm_exactrb.mathematics.compensated import add, exactly
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.rng import Instant
-from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.schemes import spelled
 from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK

@@ -16,8 +16,8 @@ from numba import njit
 
 import openmm_exactrb as rb
 from openmm_exactrb.kernels.compiled import exact
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 
 C, N, O, H = 12.011, 14.007, 15.999, 1.008

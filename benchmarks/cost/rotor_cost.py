@@ -14,7 +14,7 @@ from scipy.special import ellipj, elliprj
 
 import openmm_exactrb as rb
 from benchmarks.common.records import OUT
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.rotors import rotor
 
 

@@ -11,15 +11,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb import checks
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import GradientKick, Substep, kick
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 #: Attitudes (4, N) and body-frame angular momenta (3, N), or double-doubles of them.
@@ -63,7 +63,7 @@ def integrate(
     problem : Problem
     state : tuple
         (q, m), not changed: arrays (4, N) and (3, N), or double-doubles (2, 4, N) and (2, 3, N) of
-        `openmm_exactrb.compensated`, as they are within a call.
+        `openmm_exactrb.mathematics.compensated`, as they are within a call.
     h : float
         Step size.
     n : int

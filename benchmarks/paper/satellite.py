@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.paper import common
 from benchmarks.paper.claims import Claim, Criterion
 from benchmarks.paper.problems import Satellite, energy, integrate
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.schemes import scheme
 
 NAME = "satellite"

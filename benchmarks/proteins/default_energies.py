@@ -32,7 +32,7 @@ from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated_helix
 from benchmarks.common.records import DOCS
 from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, simulation_of, start_of, system_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "default_energies.csv"
 MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}

@@ -23,7 +23,7 @@ from benchmarks.common.group_temperatures import Groups
 from benchmarks.common.records import DOCS
 from benchmarks.cost.one_line import simulation_of
 from benchmarks.proteins import protein_steps
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "long_step_heating.csv"
 COLUMNS = ("solute", "freedom", "scheme", "fs", "start", "kJ/mol/ps")

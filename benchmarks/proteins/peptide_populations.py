@@ -33,8 +33,8 @@ from benchmarks.common.proteins import PEPTIDE
 from benchmarks.common.records import DOCS
 from benchmarks.proteins.protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals, regions
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "peptide_populations.csv"
 OUT = Path("out/peptide_populations")

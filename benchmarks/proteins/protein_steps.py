@@ -39,8 +39,8 @@ from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
 from benchmarks.common.records import DOCS
 from benchmarks.cost.one_line import simulation_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
 from openmm_exactrb.schemes import splitting
+from openmm_exactrb.support.files import written_whole
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

@@ -24,8 +24,8 @@ import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.common.records import DOCS
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "angular_momentum.csv"
 COLUMNS = ("scheme", "force_interval_ps", "picoseconds", "starts", "change")

@@ -29,7 +29,7 @@ import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.common.records import DOCS
 from openmm_exactrb import ensemble
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "outputs.csv"
 MOLECULES, MODEL = 64, "tip3p"

@@ -25,7 +25,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.paper import problems
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import Substep

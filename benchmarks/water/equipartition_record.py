@@ -13,7 +13,7 @@ from typing import NamedTuple, get_type_hints
 import numpy as np
 
 from benchmarks.common.records import DOCS
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 RECORD = DOCS / "equipartition.csv"
 LFM = "LangevinMiddle"

@@ -12,7 +12,7 @@ import openmm
 from PIL import Image
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt

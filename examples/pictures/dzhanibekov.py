@@ -10,7 +10,7 @@ import numpy as np
 from sphere import BLUE, RED
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 inertia = np.array([1.0, 1.88, 2.88])
 h, n = 1.6, 75

@@ -13,7 +13,7 @@ from sphere import BLUE, ORANGE, draw_sphere, eye
 
 import openmm_exactrb as rb
 from benchmarks.paper.problems import Satellite, energy, integrate
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix
 
 body = Satellite(np.array([[1.7e4], [3.7e4], [5.4e4]]))
 q, m = np.array([[1.0], [0.0], [0.0], [0.0]]), body.inertia * np.array([[15.0], [-15.0], [15.0]])

@@ -13,13 +13,13 @@ import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
 
-from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.context.multiple_time_steps import FastForces, MultipleTimeSteps, fast_forces
-from openmm_exactrb.context.resonance import Resonances
-from openmm_exactrb.context.stiffness import frequencies
 from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, MultipleTimeSteps, fast_forces
+from openmm_exactrb.multiple_time_steps.resonance import Resonances
+from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.floor import causes, of_water

@@ -12,11 +12,11 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.command.inputs import Box, begin_at
-from openmm_exactrb.context.platforms import mixed
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.openmm_access.platforms import mixed
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import read_xml
+from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 
 #: Files in the folder of a run: the start, and the tuned scheme and step.

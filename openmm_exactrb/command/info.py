@@ -15,7 +15,7 @@ import openmm_exactrb
 from openmm_exactrb import kernels
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
-from openmm_exactrb.context.platforms import platforms, refused_by_default
+from openmm_exactrb.openmm_access.platforms import platforms, refused_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml

@@ -16,9 +16,9 @@ import openmm
 from openmm import app, unit
 
 from openmm_exactrb.command import arguments
-from openmm_exactrb.masses import heavy_hydrogens
 from openmm_exactrb.states import loadState, read_xml
-from openmm_exactrb.systems import rigid_water
+from openmm_exactrb.systems.fluids import rigid_water
+from openmm_exactrb.systems.masses import heavy_hydrogens
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")

@@ -14,8 +14,8 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
-from openmm_exactrb.context.platforms import mixed, platform_of
 from openmm_exactrb.integrator import DEFAULT
+from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, splitting

@@ -12,8 +12,8 @@ from openmm import unit
 from openmm_exactrb import kernels
 from openmm_exactrb.command import arguments
 from openmm_exactrb.command.inputs import Box
-from openmm_exactrb.context.find import has_flexible_clusters
 from openmm_exactrb.context.updates import UPDATES
+from openmm_exactrb.detection.find import has_flexible_clusters
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator

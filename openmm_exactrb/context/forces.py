@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.mechanics.state import BodyState, Flow, State
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.substeps import Force, Remembered
 
 Array = NDArray[np.float64]

@@ -11,13 +11,14 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import add
-from openmm_exactrb.context import arrays, variables
-from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.context import variables
+from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import rejoined
 from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.substeps import Remembered
 
 Array = NDArray[np.float64]

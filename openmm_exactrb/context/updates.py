@@ -10,11 +10,11 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context import arrays
 from openmm_exactrb.context.synchronisation import Synchronisation
-from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import gas_constant_times
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from openmm_exactrb.checks import whole
 from openmm_exactrb.ensemble.jobs import Job, Result
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.checks import whole
+from openmm_exactrb.support.files import written_whole
 
 
 def run(jobs: Iterable[Job], folder: str | os.PathLike[str], **options: Any) -> list[Result]:

@@ -15,8 +15,8 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.stable_text import digest, qualified_name, stable_text
-from openmm_exactrb.version import version
+from openmm_exactrb.support.stable_text import digest, qualified_name, stable_text
+from openmm_exactrb.support.version import version
 
 
 class Job:

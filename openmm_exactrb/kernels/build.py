@@ -87,8 +87,7 @@ def _cached(dispatcher: Any) -> Any:
 @cache
 def sources() -> str:
     """Return a hash of all files from which functions are inlined into compiled code."""
-    shared = (_PACKAGE / f"{name}.py" for name in ("compensated", "elliptic", "quaternions"))
-    files = [*sorted(_PACKAGE.glob("kernels/**/*.py")), *shared]
+    files = [*sorted(_PACKAGE.glob("kernels/**/*.py")), *sorted(_PACKAGE.glob("mathematics/*.py"))]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.mathematics.quaternions import exponential, multiply
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import NonFiniteError
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.quaternions import exponential, multiply
 
 Array = NDArray[np.float64]
 

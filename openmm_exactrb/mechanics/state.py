@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import exactly, renewed
+from openmm_exactrb.mathematics.compensated import exactly, renewed
 
 Array = NDArray[np.float64]
 _S = TypeVar("_S")
@@ -37,7 +37,7 @@ class BodyState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The same as unevaluated sums of `openmm_exactrb.compensated`, so that no step rounds it: what flows act on.
+    """The same as sums of `openmm_exactrb.mathematics.compensated`, so that no step rounds it: what flows act on.
 
     Attributes
     ----------

@@ -16,10 +16,10 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from openmm import unit
 
-from openmm_exactrb import checks
 from openmm_exactrb.dielectric import reaction
 from openmm_exactrb.potentials import ewald
 from openmm_exactrb.potentials.switching import sharp_volume
+from openmm_exactrb.support import checks
 
 _log = logging.getLogger("openmm_exactrb")
 

@@ -11,10 +11,11 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb import checks, kernels
-from openmm_exactrb.context import arrays
+from openmm_exactrb import kernels
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-from openmm_exactrb.context import arrays
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import check_cutoff
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from typing import Any
 
 from openmm import unit
 
-from openmm_exactrb import checks
+from openmm_exactrb.support import checks
 
 #: Coulomb's constant in kJ/mol nm/e², CODATA 2018, as OpenMM has it.
 COULOMB = 138.93545764438198

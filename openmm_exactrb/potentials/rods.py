@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import openmm
 
-from openmm_exactrb import checks
 from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
 from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters
 from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
 from openmm_exactrb.potentials.moments import COULOMB
+from openmm_exactrb.support import checks
 
 #: The least tolerance: for less, OpenMM's mesh of order 5 needs more than ten points for each dipole along an edge.
 LEAST_TOLERANCE = 1e-4

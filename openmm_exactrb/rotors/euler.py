@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import keep_norm
-from openmm_exactrb.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.kernels.plain.exact import SAFE
-from openmm_exactrb.quaternions import multiply, renormalise
+from openmm_exactrb.mathematics.compensated import keep_norm
+from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
+from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.exact import rotor as exact_rotor
 from openmm_exactrb.rotors.flow import Array, Flow, ascending
 

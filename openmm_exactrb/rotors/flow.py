@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb import checks
+from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.quaternions import renormalise
+from openmm_exactrb.mathematics.quaternions import renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 
 # Axis and part of the time step.

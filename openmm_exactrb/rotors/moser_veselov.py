@@ -21,8 +21,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import keep_norm
-from openmm_exactrb.quaternions import multiply, renormalise
+from openmm_exactrb.mathematics.compensated import keep_norm
+from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
 
 #: Steps of the fixed point iteration after which a body counts as not converged.

@@ -17,7 +17,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from openmm_exactrb.quaternions import multiply
+from openmm_exactrb.mathematics.quaternions import multiply
 from openmm_exactrb.rotors import euler, rotation
 from openmm_exactrb.rotors.euler import Orbit, Phase, ThirdKind, carlson
 from openmm_exactrb.rotors.flow import Array, Flow

@@ -15,10 +15,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from openmm_exactrb import checks
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
 from openmm_exactrb.rotors.flow import Array, Flow, fitting
+from openmm_exactrb.support import checks
 
 #: Between them a moment and its reciprocal are normal numbers.
 SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307
@@ -43,7 +43,7 @@ class Rotor:
     largest_angle : float
         Largest h norm(m)/min(I) for which the flow works for every body; beyond it, the flow may fail.
     sums : bool
-        Whether the flow also accepts the double-doubles of `openmm_exactrb.compensated`.
+        Whether the flow also accepts the double-doubles of `openmm_exactrb.mathematics.compensated`.
     """
 
     name: str

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.quaternions import from_matrix
+from openmm_exactrb.mathematics.quaternions import from_matrix
 from openmm_exactrb.rotors import euler
 from openmm_exactrb.rotors.euler import Orbit, ThirdKind, carlson
 from openmm_exactrb.rotors.flow import Array, Flow

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from openmm_exactrb.files import written_whole
+from openmm_exactrb.support.files import written_whole
 
 #: Name of the file.
 CHECKPOINT = "checkpoint"

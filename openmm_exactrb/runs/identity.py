@@ -9,11 +9,11 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
-from openmm_exactrb.device.gather import without as without_sums
+from openmm_exactrb.engines.custom_program.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.stable_text import digest, stable_text
+from openmm_exactrb.support.stable_text import digest, stable_text
+from openmm_exactrb.support.version import version
 from openmm_exactrb.thermostats.momenta import CanonicalMomenta
-from openmm_exactrb.version import version
 
 _LONGEST = 100  # characters of a value in a message
 

@@ -12,9 +12,9 @@ from typing import Any
 
 from openmm import app
 
-from openmm_exactrb.files import sync, written_whole
 from openmm_exactrb.runs.identity import setting_text
 from openmm_exactrb.runs.trajectories import begin_with_the_start, refuse_lost_frames
+from openmm_exactrb.support.files import sync, written_whole
 
 #: Name of the file with topology and start, which does not grow.
 TOPOLOGY = "topology.pdb"

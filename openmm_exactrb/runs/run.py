@@ -16,7 +16,6 @@ from typing import Any, NoReturn
 
 from openmm import app
 
-from openmm_exactrb.checks import not_negative, whole
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.runs import checkpoint
@@ -25,6 +24,7 @@ from openmm_exactrb.runs.identity import identity_of, setting_text
 from openmm_exactrb.runs.lock import only_process
 from openmm_exactrb.runs.outputs import TOPOLOGY, Outputs
 from openmm_exactrb.runs.signals import Signals
+from openmm_exactrb.support.checks import not_negative, whole
 
 _OPTIONS = ("out", "overwrite", "resume", "checkpoint")
 _RESUME = "resume it (resume=True or --resume)"

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from openmm_exactrb import checks
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.substeps import Matrix
+from openmm_exactrb.support import checks
 
 # Between two steps, and the number of them whose traces are computed as one array.
 _RESOLUTION, _AT_ONCE = 1e-4, 10_000

@@ -9,8 +9,8 @@ from typing import Any, TypedDict, Unpack
 
 from openmm import unit
 
-from openmm_exactrb.device.engine import DevicePropagator
-from openmm_exactrb.device.selection import Engine
+from openmm_exactrb.engines.custom_program.engine import DevicePropagator
+from openmm_exactrb.engines.custom_program.selection import Engine
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme

@@ -13,15 +13,15 @@ from typing import Any, ClassVar, NamedTuple, Unpack
 
 from openmm import unit
 
-from openmm_exactrb.checks import positive, whole
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme, thermostatted
 from openmm_exactrb.substeps import Substep
+from openmm_exactrb.support.checks import positive, whole
 from openmm_exactrb.thermostats.face import Options
 from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator, Langevin
 

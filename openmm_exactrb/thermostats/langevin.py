@@ -1,7 +1,8 @@
 """Langevin dynamics: friction and noise by the exact Ornstein-Uhlenbeck flow of momenta.
 
-Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + low of `openmm_exactrb.compensated`, or
-(1, 3, N) and (1, 3, K) without the low part. The first K of N bodies rotate.
+Momenta are P (2, 3, N) in space and m (2, 3, K) in the body frame, sums high + low of
+`openmm_exactrb.mathematics.compensated`, or (1, 3, N) and (1, 3, K) without the low part. The first K of N bodies
+rotate.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.checks import not_negative
-from openmm_exactrb.compensated import add
-from openmm_exactrb.context.units import gas_constant_times, kelvin
-from openmm_exactrb.context.units import not_negative as not_negative_quantity
-from openmm_exactrb.device import names
+from openmm_exactrb.engines.custom_program import names
+from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.rng import Instant, Purpose
+from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin
+from openmm_exactrb.openmm_access.units import not_negative as not_negative_quantity
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.checks import not_negative
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from openmm import unit
 
-from openmm_exactrb.checks import whole
-from openmm_exactrb.context.units import kelvin
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.openmm_access.units import kelvin
+from openmm_exactrb.support.checks import whole
 from openmm_exactrb.thermostats.face import ThermostattedIntegrator
 
 

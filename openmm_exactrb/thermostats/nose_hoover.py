@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.checks import whole
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant
+from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.checks import whole
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, reciprocal, scaled

@@ -10,10 +10,10 @@ from typing import Any
 import openmm
 from openmm import app, unit
 
-from openmm_exactrb.checks import positive, whole
-from openmm_exactrb.context.units import stripped
 from openmm_exactrb.mechanics.overheating import StepSizeWarning
+from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.checks import positive, whole
 from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, Benchmark, Method, schemes_named
 from openmm_exactrb.tuning.floor import causes
 from openmm_exactrb.tuning.initial_state import initial_state, thermalised

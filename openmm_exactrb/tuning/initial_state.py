@@ -14,13 +14,13 @@ import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
 
-from openmm_exactrb import checks
-from openmm_exactrb.context.platforms import mixed, platform_of
-from openmm_exactrb.context.units import gas_constant_times, stripped
 from openmm_exactrb.context.updates import BAROSTATS, UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.openmm_access.platforms import mixed, platform_of
+from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
+from openmm_exactrb.support import checks
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 Array = NDArray[np.float64]

@@ -11,9 +11,9 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.checks import positive
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.checks import positive
 from openmm_exactrb.tuning.benchmark import NESTED, VERLET
 from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, stable_points, step_at
 

@@ -13,10 +13,10 @@ from scipy.integrate import solve_ivp
 import openmm_exactrb as rb
 from few_dipoles import REFERENCE, simulation_of
 from force_laws import context_of, evaluated
-from openmm_exactrb.context import arrays
 from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, KICK, Substep
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb import kernels, quaternions
+from openmm_exactrb import kernels
 from openmm_exactrb.kernels import build
+from openmm_exactrb.mathematics import quaternions
 
 PACKAGE = Path(rb.__file__).parent
 
@@ -98,7 +99,7 @@ def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path, mon
     copied = shutil.copytree(PACKAGE, tmp_path / PACKAGE.name, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(build, "_PACKAGE", copied)
     keys = []
-    for file in ("kernels/compiled/bodies.py", "kernels/compiled/bodies.py", "elliptic.py"):
+    for file in ("kernels/compiled/bodies.py", "kernels/compiled/bodies.py", "mathematics/elliptic.py"):
         keys.append(build.sources.__wrapped__())
         (copied / file).write_text((copied / file).read_text() + "\n")
     assert len(set(keys)) == 3

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from openmm_exactrb import kernels, quaternions
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb import kernels
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors.exact import constants
 
 N = 130

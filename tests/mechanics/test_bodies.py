@@ -5,8 +5,8 @@ import openmm
 import pytest
 from openmm import unit
 
-from openmm_exactrb import quaternions
-from openmm_exactrb.context.find import find_bodies
+from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mechanics.fit import REFUSED, RIGIDITY, ShapeWarning, fit
 from openmm_exactrb.mechanics.state import BodyState
 

@@ -9,8 +9,8 @@ import pytest
 import geodesics
 import openmm_exactrb as rb
 from benchmarks.constraints import clusters as constrained_clusters
+from openmm_exactrb.mathematics.quaternions import from_matrix, rotation_matrix
 from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
-from openmm_exactrb.quaternions import from_matrix, rotation_matrix
 from reference_clusters import ReferenceClusters
 
 KERNELS = {"compiled": Clusters, "reference": ReferenceClusters}

@@ -7,9 +7,9 @@ import pytest
 import charts
 import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate
-from openmm_exactrb import quaternions
-from openmm_exactrb.compensated import exactly
 from openmm_exactrb.context.forces import Memory
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import rigid
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.rotors import rotor_of_sums

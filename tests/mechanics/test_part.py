@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.context.excerpt import bonded_excerpt
-from openmm_exactrb.context.find import find_bodies
-from openmm_exactrb.context.inner_drift import inner_steps
+from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.bodies import Part
 from openmm_exactrb.mechanics.free_motion import of_bodies
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
+from openmm_exactrb.multiple_time_steps.inner_drift import inner_steps
 from openmm_exactrb.rotors import look_up, rotor_of_sums
 from openmm_exactrb.substeps import kick
 from peptides import in_water, moving

@@ -5,7 +5,7 @@ import pytest
 
 import openmm_exactrb as rb
 import oracle
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 
 # h*omega from 1e-8 to 0.3 and from 0.3 to 1e4.
 STEPS = {"short": (1e-8, 0.3), "long": (0.3, 1e4)}

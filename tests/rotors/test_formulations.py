@@ -8,7 +8,7 @@ import pytest
 
 import openmm_exactrb as rb
 import oracle
-from openmm_exactrb import elliptic, quaternions
+from openmm_exactrb.mathematics import elliptic, quaternions
 from openmm_exactrb.rotors import euler, rotation
 
 EXACT = ["rotation", "quaternion_a", "quaternion_b", "quaternion_c"]

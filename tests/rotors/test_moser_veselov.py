@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 DMV = ["dmv6", "dmv8", "dmv10"]
 

@@ -8,8 +8,8 @@ from openmm import unit
 from scipy.spatial.transform import Rotation
 
 import openmm_exactrb as rb
-from openmm_exactrb import quaternions
-from openmm_exactrb.quaternions import rotation_matrix
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mathematics.quaternions import rotation_matrix
 
 
 def spatial(q, m):

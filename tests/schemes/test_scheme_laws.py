@@ -6,7 +6,7 @@ import pytest
 import charts
 import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, energy, integrate
-from openmm_exactrb import quaternions
+from openmm_exactrb.mathematics import quaternions
 from orders import composes_verlet, slope
 
 

@@ -7,7 +7,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb.context.molecules import in_flexible_molecules
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 FRICTION, TURNING, FLEXIBLE, H = 2.0, 3.0, 7.0, 0.01

@@ -12,8 +12,8 @@ from scipy.integrate import solve_ivp
 
 import openmm_exactrb as rb
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.units import gas_constant_times
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.thermostats import Langevin, NoseHooverChain
 from openmm_exactrb.thermostats.nose_hoover import WEIGHTS
 from thermostatted import (

@@ -6,9 +6,9 @@ from scipy import stats
 from scipy.sparse import diags_array, identity, kron
 from scipy.sparse.linalg import expm_multiply
 
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
+from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.rng import Instant, Purpose
-from openmm_exactrb.quaternions import matrix
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
 from thermal_tops import KT, SEQUENCES, WATER, WATER_MASS, Mean, Tops, langevin_function
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_exactrb.compensated import exactly
+from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, rescaling
 from thermal_tops import KT, SEQUENCES, WATER, WATER_MASS, Tops

@@ -10,7 +10,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import schemes
-from openmm_exactrb.context import platforms
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
 from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised

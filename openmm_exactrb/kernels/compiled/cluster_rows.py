@@ -10,7 +10,7 @@ import math
 
 from openmm_exactrb.kernels.build import inner, inner_reordered
 from openmm_exactrb.kernels.compiled.formulas import two_difference, two_sum
-from openmm_exactrb.quaternions import TO_GRID
+from openmm_exactrb.mathematics.quaternions import TO_GRID
 
 
 @inner

@@ -1,4 +1,4 @@
-"""Jacobi's functions and the integral of the third kind of one body, compiled: `openmm_exactrb.elliptic`."""
+"""Jacobi's functions and the third integral of one body, compiled: `openmm_exactrb.mathematics.elliptic`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from openmm_exactrb.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 from openmm_exactrb.kernels.build import inlined, inner
 from openmm_exactrb.kernels.plain.exact import VANISHING
+from openmm_exactrb.mathematics.elliptic import RULES, SEPARATRIX_LIMIT, TINY_PHASE
 
 #: Largest number of steps of Landen's transformation.
 LANDEN = 24

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from numba.extending import register_jitable
 
-from openmm_exactrb import compensated, elliptic, quaternions
 from openmm_exactrb.kernels.build import inlined
 from openmm_exactrb.kernels.plain import exact
+from openmm_exactrb.mathematics import compensated, elliptic, quaternions
 
 two_sum = inlined(compensated.two_sum)
 two_difference = inlined(compensated.two_difference)

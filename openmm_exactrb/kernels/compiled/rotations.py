@@ -6,7 +6,7 @@ import math
 
 from openmm_exactrb.kernels.build import inlined
 from openmm_exactrb.kernels.compiled.formulas import product
-from openmm_exactrb.quaternions import TO_GRID
+from openmm_exactrb.mathematics.quaternions import TO_GRID
 
 # pi/2 in three parts, the first two of 33 bits.
 _P1, _P2, _P3 = 1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21

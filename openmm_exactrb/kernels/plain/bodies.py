@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import add
-from openmm_exactrb.quaternions import matrix
+from openmm_exactrb.mathematics.compensated import add
+from openmm_exactrb.mathematics.quaternions import matrix
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

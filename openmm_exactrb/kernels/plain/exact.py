@@ -16,7 +16,7 @@ axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwi
 Exchanging two axes mirrors the body, so angles change sign where j = 1.
 
 A short step computes changes, with an error in proportion to them. Orientations and momenta may be double-doubles
-(`openmm_exactrb.compensated`), to which the changes are added: then a run has no other roundoff.
+(`openmm_exactrb.mathematics.compensated`), to which the changes are added: then a run has no other roundoff.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.compensated import add, exactly, keep_norm, times, times_squared, two_difference
-from openmm_exactrb.elliptic import jacobi, sine_short, third_kind, third_kind_short
-from openmm_exactrb.quaternions import Numbers, multiply, norm_defect, renormalise
+from openmm_exactrb.mathematics.compensated import add, exactly, keep_norm, times, times_squared, two_difference
+from openmm_exactrb.mathematics.elliptic import jacobi, sine_short, third_kind, third_kind_short
+from openmm_exactrb.mathematics.quaternions import Numbers, multiply, norm_defect, renormalise
 
 Array = NDArray[np.float64]
 

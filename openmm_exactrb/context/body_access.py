@@ -1,0 +1,176 @@
+"""Access to the bodies of an integrator: energies, temperatures, states."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_exactrb.context.forces import ContextForces, Positions
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.minimise import minimised
+from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.openmm_access.units import FORCE, gas_constant_times, plain
+from openmm_exactrb.support import checks
+
+
+class BodyAccess:
+    """The bodies of an integrator's Context: energies, temperatures, states."""
+
+    timings: Timings
+
+    @abstractmethod
+    def getIntegrationForceGroups(self) -> int:
+        """Return the bits of the force groups that act."""
+
+    @abstractmethod
+    def getNamedBodies(self) -> list[list[int]] | None:
+        """Return the particles of the bodies in addition to those that constraints define."""
+
+    @abstractmethod
+    def _up_to_date(self) -> Any:
+        """Return the propagator of the present Context, which knows what was set there."""
+
+    def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
+        """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
+        sync = self._up_to_date().sync
+        translational, rotational = sync.bodies.kinetic_energies(sync.state.rounded)
+        return translational * unit.kilojoule_per_mole, rotational * unit.kilojoule_per_mole
+
+    def totalEnergy(self) -> unit.Quantity:
+        """Return the total energy, in kJ/mol: kinetic, and potential of the integration force groups.
+
+        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities.
+        """
+        context = self._up_to_date().sync.context
+        state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
+        return sum(self.kineticEnergies(), state.getPotentialEnergy())
+
+    def degreesOfFreedom(self) -> tuple[int, int]:
+        """Return the numbers of translational and of rotational degrees of freedom.
+
+        A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover three
+        translational ones are subtracted, whatever its interval: between two removals, only a thermostat or external
+        forces move the centre of mass.
+        """
+        propagator = self._up_to_date()
+        bodies = propagator.sync.bodies
+        return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
+
+    def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
+        """Return the translational and the rotational temperature of the bodies; nan without degrees of freedom."""
+        pairs, R = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True), unit.MOLAR_GAS_CONSTANT_R
+        one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
+        return one, other
+
+    def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
+        """Draw the momenta of the bodies from the canonical distribution.
+
+        Unlike the method of the Context, it is correct for linear bodies and for bodies without constraints.
+
+        Parameters
+        ----------
+        temperature : float or Quantity
+            In K if it has no unit.
+        randomSeed : int, optional
+
+        Raises
+        ------
+        ValueError
+            If the temperature is negative, not finite or has another unit, or the seed is not a whole number.
+        """
+        seed = None if randomSeed is None else checks.whole(randomSeed, "randomSeed", least=0)
+        propagator, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(seed)
+        sync, at_rest = propagator.sync, propagator.updates.removes_motion
+        sync.replace(sync.state.renewed(sync.bodies.canonical_momenta(sync.state.rounded, kT, rng, at_rest)))
+
+    def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
+        """Minimise the potential energy.
+
+        Bodies stay rigid, including those named by hand, which OpenMM's own minimiser would deform. If molecules are
+        constrained but not rigid, OpenMM's minimiser is used.
+
+        Parameters
+        ----------
+        tolerance : float or Quantity
+            Largest component of a force at the minimum, in kJ/mol/nm if it has no unit; for OpenMM's minimiser, the
+            root mean square of all components.
+        maxIterations : int, optional
+            0 for no limit.
+
+        Raises
+        ------
+        ValueError
+            If the tolerance is not a positive force, the number of iterations is not whole, or bodies are named by hand
+            and molecules are constrained but not rigid.
+        NonFiniteError
+            If the energy or a force at the start is not finite.
+        ArithmeticError
+            If OpenMM's minimiser loses the constraints.
+
+        Warns
+        -----
+        MinimisationWarning
+            If the energy stops falling before the tolerance is reached.
+        """
+        force = checks.positive(plain(tolerance, FORCE, "a tolerance"), "a tolerance", FORCE.get_symbol())
+        iterations = checks.whole(maxIterations, "maxIterations", least=0)
+        sync = self._up_to_date().sync
+        bodies = sync.bodies
+        if len(bodies.clusters):
+            if self.getNamedBodies():
+                raise ValueError(
+                    "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
+                    "call simulation.minimizeEnergy() before you name bodies"
+                )
+            start = sync.context.getState(positions=True).getPositions()
+            try:
+                openmm.LocalEnergyMinimizer.minimize(sync.context, force, iterations)
+                sync.pull()
+            except (ValueError, openmm.OpenMMException) as error:
+                sync.context.setPositions(start)
+                raise ArithmeticError(
+                    "OpenMM's minimiser lost the constraints, for which its solver does not converge; positions are "
+                    "unchanged: remove overlaps by short steps with high friction and checkDivergence=False"
+                ) from error
+            sync.push()
+            return
+        positions = Positions(sync.context, bodies, sync.particles)
+        landscape = ContextForces(positions, self.getIntegrationForceGroups(), self.timings).landscape
+        found = minimised(bodies, sync.state.rounded, landscape, force, iterations, sync.box())
+        sync.replace(sync.state.renewed(found))
+
+    def bodyState(self) -> tuple[RigidBodies, BodyState]:
+        """Return the bodies and copies of their positions, orientations and momenta in float64."""
+        sync = self._up_to_date().sync
+        return sync.bodies, BodyState(*(a.copy() for a in sync.bodies.tangent(sync.state.rounded)))
+
+    def fullState(self) -> tuple[RigidBodies, State]:
+        """Return the bodies and their state as sums high + low of `openmm_exactrb.mathematics.compensated`."""
+        sync = self._up_to_date().sync
+        return sync.bodies, State(*(a.copy() for a in sync.state))
+
+    def setBodyState(self, state: BodyState | State) -> None:
+        """Set the state of the bodies: positions, orientations and momenta, as returned by `bodyState` or `fullState`.
+
+        Raises
+        ------
+        ValueError
+            If numbers are missing or not finite, or quaternions are not of unit length within 1e-9.
+        """
+        sync = self._up_to_date().sync
+        if not isinstance(state, BodyState | State):
+            raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
+        full = state if isinstance(state, State) else State.of(state)
+        if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
+            raise ValueError(
+                "a state of bodies must have finite numbers for all of them: use one returned by bodyState()"
+            )
+        if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
+            raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
+        sync.replace(State(*map(np.ascontiguousarray, full)))

@@ -1,0 +1,1 @@
+"""Detection of the rigid bodies and constrained clusters of a System, and their shapes."""

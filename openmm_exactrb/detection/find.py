@@ -1,0 +1,206 @@
+"""The rigid bodies and constrained clusters of an OpenMM System: which particles belong together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.detection.shapes import (
+    RESIDUAL,
+    held_rigid,
+    kinds_from_distances,
+    kinds_from_positions,
+    on_constraints,
+)
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
+from openmm_exactrb.mechanics.images import joined
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def find_bodies(
+    system: openmm.System,
+    positions: Array,
+    bodies: Sequence[Sequence[int]] | None = None,
+    box: Array | None = None,
+    pairs: bool = False,
+) -> RigidBodies:
+    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
+
+    Those are free, or of clusters whose constraints leave them a motion of their own.
+
+    Parameters
+    ----------
+    system : openmm.System
+    positions : (n_particles, 3) array
+        In nm. They distinguish a body from its mirror image, and define the shape where constraints do not.
+    bodies : sequence of sequences of int, optional
+        Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
+    box : (3, 3) array, optional
+        Vectors of the periodic box in nm, which may have split bodies.
+    pairs : bool, optional
+        Whether two particles with a constraint between them are a cluster, and not a linear body.
+
+    Raises
+    ------
+    ValueError
+        If nothing can move, constraints follow from each other or lead out of a body, a body is named wrongly, or the
+        System has Drude particles.
+    """
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    _refuse_drude_particles(system)
+    given = _named_bodies(system, masses, bodies or [])
+    groups: dict[tuple[bytes, bytes], list[Indices]] = {}
+    for particles, distances in _clusters(system, masses, given):
+        groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
+    shapes: list[Kind] = []
+    flexible: list[ClusterKind] = []
+    for (mass_bytes, distance_bytes), members in groups.items():
+        body_masses = np.frombuffer(mass_bytes)
+        distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
+        particles = np.stack(members)
+        pair = pairs and len(distances) == 2 and not np.isnan(distances).any()
+        if pair or not held_rigid(distances, positions[members[0]]):
+            flexible.append(_flexible(particles, body_masses, distances, positions, box))
+            continue
+        whole = positions if box is None else joined(positions, particles, box, distances[None])
+        if not np.isnan(distances).any():
+            shapes += kinds_from_distances(particles, body_masses, distances, whole)
+        else:
+            shapes += kinds_from_positions(
+                particles, body_masses, on_constraints(particles, body_masses, distances, whole)
+            )
+    clusters = sorted_into_kinds(flexible)
+    turning, single = ([shape for shape in shapes if shape.turns is turns] for turns in (True, False))
+    kinds, start = [], 0
+    for shape in (*turning, *_atoms_of(clusters), *single):
+        stop = start + len(shape.particles)
+        kinds.append(replace(shape, bodies=slice(start, stop)))
+        start = stop
+    if not kinds:
+        raise ValueError("the System has no particle with mass: there is nothing to move")
+    return RigidBodies(kinds, len(masses), clusters)
+
+
+def has_flexible_clusters(system: openmm.System, positions: Array) -> bool:
+    """Return whether constraints of a System leave a cluster a motion of its own, as `find_bodies` sees it."""
+    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    clusters = _clusters(system, masses, [])
+    return not all(held_rigid(distances, positions[particles]) for particles, distances in clusters)
+
+
+def _flexible(
+    particles: Indices, masses: Array, distances: Array, positions: Array, box: Array | None = None
+) -> ClusterKind:
+    """Return clusters from those of their distances that are constrained; the others are nan.
+
+    Constraints that follow from others are implied: all lengths then are those of the best fit to all of them.
+    """
+    pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
+    kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
+    kept = kind.independent()
+    if kept.all():
+        return kind
+    whole = positions if box is None else joined(positions, particles, box, distances[None])
+    without = distances.copy()
+    without[tuple(pairs[~kept].T)] = without[tuple(pairs[~kept, ::-1].T)] = np.nan
+    x = on_constraints(particles, masses, without, whole)[particles]
+    missed = kind.missed(x).max(axis=0)
+    if missed.max() > RESIDUAL * kind.lengths.max():
+        worst = int(np.argmax(missed))
+        i, j = particles[0, pairs[worst]]
+        raise ValueError(
+            f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
+            f"{kind.name(0)}, which miss it by {missed[worst]:.2g} nm: correct it or remove it"
+        )
+    x = on_constraints(particles[:1], masses, distances, whole)[particles[:1]]
+    lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
+    return ClusterKind(particles, masses, pairs[kept], lengths[kept], pairs[~kept], lengths[~kept])
+
+
+def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
+    """Yield the particles of clusters as single ones, in the order of the clusters; neighbours of one mass together."""
+    starts = np.flatnonzero(np.diff(clusters.mass, prepend=np.nan) != 0.0)
+    for particles, mass in zip(np.split(clusters.particles, starts[1:]), clusters.mass[starts], strict=False):
+        yield Kind(particles[:, None], slice(0), np.array([mass]), np.zeros((1, 1, 3)), float(mass), np.zeros((1, 3)))
+
+
+def _refuse_drude_particles(system: openmm.System) -> None:
+    for force in system.getForces():
+        if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
+            names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
+            raise ValueError(
+                f"the System has Drude particles ({names}, ...), which need an integrator of their own: use a force "
+                "field without them"
+            )
+
+
+def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
+    """Return the particles with mass of the bodies that a user named."""
+    seen: dict[int, int] = {}
+    named = []
+    for number, body in enumerate(bodies):
+        particles = np.array(sorted(body), dtype=np.intp)
+        for particle in map(int, particles):
+            if not 0 <= particle < len(masses):
+                raise ValueError(f"body {number} names particle {particle}, but the System has {len(masses)} particles")
+            if particle in seen:
+                raise ValueError(f"particle {particle} is named twice, in bodies {seen[particle]} and {number}")
+            if masses[particle] == 0.0 and not system.isVirtualSite(particle):
+                raise ValueError(f"particle {particle} of body {number} has no mass: a rigid body needs masses")
+            seen[particle] = number
+        massive = particles[masses[particles] > 0.0]
+        if not len(massive):
+            raise ValueError(f"body {number} has no particle with mass")
+        named.append(massive)
+    return named
+
+
+def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
+    from scipy.sparse import coo_array  # here, for a short import of the package
+    from scipy.sparse.csgraph import connected_components
+
+    n, count = len(masses), system.getNumConstraints()
+    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
+    for i in range(count):
+        p, q, length = system.getConstraintParameters(i)
+        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
+    owner = np.full(n, -1)
+    for number, particles in enumerate(given):
+        owner[particles] = number
+    leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
+    if leading_out.any():
+        p, q = pairs[np.argmax(leading_out)]
+        raise ValueError(f"the constraint between particles {p} and {q} leads out of a rigid body: remove it")
+    links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
+    rows, columns = np.concatenate(links).T
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    order = np.argsort(label, kind="stable")
+    place = np.empty(n, dtype=np.intp)
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
+    for start, stop in itertools.pairwise(bounds):
+        place[order[start:stop]] = np.arange(stop - start)
+    of_cluster = np.argsort(label[pairs[:, 0]], kind="stable")
+    limits = np.searchsorted(label[pairs[of_cluster, 0]], np.arange(len(bounds)))
+    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
+        particles = order[start:stop]
+        if not masses[particles].any():  # frozen, or a virtual site
+            continue
+        distances = np.full((len(particles), len(particles)), np.nan)
+        np.fill_diagonal(distances, 0.0)
+        constraints = of_cluster[limits[cluster] : limits[cluster + 1]]
+        i, j = place[pairs[constraints]].T
+        distances[i, j] = distances[j, i] = lengths[constraints]
+        if owner[particles[0]] >= 0:
+            distances[~np.eye(len(particles), dtype=bool)] = np.nan
+        yield particles, distances

@@ -1,0 +1,182 @@
+"""The shapes of rigid bodies: their particles in principal axes, from distances or from positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.kernels.plain.bodies import turned
+from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.mechanics.bodies import Kind
+from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+# A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
+_FLAT = 1e-10
+#: How much the distances of a body may be missed by, as a part of the largest: files round them.
+RESIDUAL = 1e-5
+# Particles of a flat body some of whose distances are not constrained, and the least stress that keeps one flat.
+_LARGEST_FLAT, _RESISTING = 64, 1e-3
+# Iterations for positions on constraints, and the move at which they end, as a part of the longest constraint.
+_NEWTON, _AT_REST = 50, 1e-15
+
+
+def kinds_from_distances(particles: Indices, masses: Array, distances: Array, positions: Array) -> list[Kind]:
+    """Return the kind of bodies all of whose distances are known, or it and its mirror image."""
+    kind = _kind(particles, masses, distances)
+    if not kind.sites[0].any(axis=0).all():
+        return [kind]
+    X = positions[particles]
+    relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+    mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", masses, relative, kind.sites[0])) < 0.0
+    image = replace(kind, sites=kind.sites * (-1.0, 1.0, 1.0))
+    return [
+        replace(k, particles=particles[chosen]) for k, chosen in ((kind, ~mirrored), (image, mirrored)) if chosen.any()
+    ]
+
+
+def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
+    """Return positions (n_particles, 3) that are moved as little as constraints want, in the metric of the masses.
+
+    Newton's method from the positions that are given; those of bodies without constraints stay. Where constraints
+    follow from each other but for their rounding, they are missed by as little as can be, as least squares. ValueError
+    if positions are not finite, or the constraints cannot be reached from them.
+    """
+    X = positions[particles]
+    if not np.isfinite(X).all():
+        raise ValueError("positions are not finite: set them before the first step")
+    first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
+    if not len(first):  # named by hand: the shape is that of the positions
+        return positions
+    number, lengths = np.arange(len(first)), distances[first, second]
+    gradients = np.zeros((len(X), len(first), len(masses), 3))
+    for _ in range(_NEWTON):
+        apart = X[:, first] - X[:, second]
+        gradients[:, number, first], gradients[:, number, second] = apart, -apart
+        pushes = gradients / masses[:, None]
+        inverse = np.linalg.pinv(np.einsum("ncki,ndki->ncd", gradients, pushes), hermitian=True, rcond=1e-12)
+        excess = 0.5 * ((apart**2).sum(axis=2) - lengths**2)
+        move = np.einsum("ncd,nd,ncki->nki", inverse, excess, pushes)
+        X = X - move
+        if np.abs(move).max() <= _AT_REST * lengths.max():
+            break
+    missed = np.abs(np.linalg.norm(X[:, first] - X[:, second], axis=2) - lengths).max(axis=1)
+    bad = ~(missed <= RESIDUAL * lengths.max())
+    if bad.any():
+        names = ", ".join(map(str, particles[np.argmax(bad)]))
+        raise ValueError(
+            f"the constraints between particles {names} cannot be reached from these positions: set some whose "
+            "distances are about those of the constraints"
+        )
+    whole = positions.copy()
+    whole[particles] = X
+    return whole
+
+
+def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
+    """Return the kinds of bodies of these masses whose shape is that of their positions.
+
+    Where all agree with the first one within `RIGIDITY` they have its shape, else each has its own.
+    """
+    X = positions[particles]
+    kind = _with_shape_of(particles[:1], masses, X[:1], positions)
+    relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
+    attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)
+    residual = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
+    if residual[1:].max(initial=0.0) <= RIGIDITY:
+        return [replace(kind, particles=particles)]
+    each = [_with_shape_of(row[None], masses, x[None], positions) for row, x in zip(particles, X, strict=True)]
+    together = [[one for one in each if one.linear == linear] for linear in (False, True)]
+    return [_joined(some) for some in together if some]
+
+
+def _with_shape_of(particles: Indices, masses: Array, X: Array, positions: Array) -> Kind:
+    """Return the kind of one body (1, k) with the shape of its positions."""
+    apart = np.linalg.norm(X[0][:, None] - X[0][None], axis=2)
+    (kind,) = kinds_from_distances(particles, masses, apart, positions)
+    return kind
+
+
+def _joined(kinds: list[Kind]) -> Kind:
+    """Return bodies of the same masses as one kind with a shape for each."""
+    particles, sites, inertia = (
+        np.concatenate([getattr(kind, name) for kind in kinds]) for name in ("particles", "sites", "inertia")
+    )
+    return replace(kinds[0], particles=particles, sites=sites, inertia=inertia)
+
+
+def held_rigid(distances: Array, x: Array) -> bool:
+    """Return whether constraints leave a cluster at positions x (k, 3) only the motions of a rigid body.
+
+    Of the distances (k, k) those that are constrained are numbers, the others nan: all are if a user named the body.
+    """
+    i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
+    every = len(i) == len(x) * (len(x) - 1) // 2
+    if not len(i) or every or not np.isfinite(x).all():
+        return not len(i) or every
+    U, extents, axes = np.linalg.svd(x - x.mean(axis=0))
+    dimensions = int((extents > np.sqrt(_FLAT) * extents[0]).sum())
+    freedom = dimensions * len(x) - dimensions * (dimensions + 1) // 2
+    if len(i) < freedom:
+        return False
+    rows = np.zeros((len(i), len(x), dimensions))
+    direction = (x[i] - x[j]) @ axes[:dimensions].T
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), np.finfo(float).tiny)
+    rows[np.arange(len(i)), i], rows[np.arange(len(i)), j] = direction, -direction
+    rank: int = np.linalg.matrix_rank(rows.reshape(len(i), -1), tol=1e-6)
+    return bool(rank >= freedom) and (dimensions == 3 or _kept_flat(distances, U[:, :dimensions]))
+
+
+def _kept_flat(distances: Array, places: Array) -> bool:
+    """Return whether constraints keep a body flat or straight, as its coordinates (k, 1 or 2) along its axes are.
+
+    They do if some stress on them, which balances at each particle, resists all motions out of the plane: a positive
+    definite matrix whose entries vanish where no distance is constrained. R. Connelly, Invent. Math. 66 (1982) 11. The
+    one closest to that of all distances is tried, for bodies of at most `_LARGEST_FLAT` particles.
+    """
+    k = len(places)
+    if k > _LARGEST_FLAT:
+        return False
+    affine = np.linalg.qr(np.column_stack([np.ones(k), places]), mode="complete")[0]
+    out = affine[:, 1 + places.shape[1] :]
+    i, j = np.nonzero(np.triu(np.isnan(distances), 1))
+    entries = np.einsum("ca,cb->cab", out[i], out[j])
+    entries = 0.5 * (entries + entries.transpose(0, 2, 1)).reshape(len(i), -1)
+    identity = np.eye(out.shape[1]).ravel()
+    stress = identity - np.linalg.lstsq(entries, entries @ identity, rcond=1e-10)[0]
+    balanced = np.abs(entries @ stress).max() < 1e-9
+    return bool(balanced and np.linalg.eigvalsh(stress.reshape(2 * out.shape[1:])).min() > _RESISTING)
+
+
+def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
+    """Place the particles of a body in its principal axes, from all their distances."""
+    mass = float(masses.sum())
+    if len(masses) == 1:
+        return Kind(particles, slice(0), masses, np.zeros((1, 1, 3)), mass, np.zeros((1, 3)))
+    # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
+    # eigenvalues and the places as its eigenvectors.
+    weights = masses / mass
+    square = distances**2
+    to_centre = square @ weights
+    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
+    root = np.sqrt(masses)
+    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
+    spread = np.zeros(3)
+    axes = np.zeros((len(masses), 3))
+    found = min(3, len(masses))
+    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
+    axes[:, :found] = vectors[:, ::-1][:, :found]
+    spread[spread < _FLAT * spread[0]] = 0.0
+    sites = axes * np.sqrt(spread) / root[:, None]
+    residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
+    if residual > RESIDUAL * distances.max() or not spread[0] > 0.0:
+        raise ValueError(
+            f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
+            f"a distance is missed by {residual:.2g} nm"
+        )
+    # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
+    return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

@@ -1,0 +1,144 @@
+"""What the substeps of a scheme are bound to in a Context."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.context.variables import Numbers
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.free_motion import Kinetic
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.openmm_access.molecules import Named, in_flexible_molecules
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import Sequence
+from openmm_exactrb.substeps import Substep
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the steps of an integrator are: a scheme with all substeps, their size in ps, and force groups (bits).
+
+    Attributes
+    ----------
+    splitting : Scheme
+        The drifts and kicks of a step: those of the scheme, or of the proposal of a hybrid one.
+    splits : int
+        Steps of the splitting in a step.
+    check : bool
+        Whether a jump of the total energy is an error.
+    """
+
+    scheme: Scheme
+    h: float
+    groups: int
+    splitting: Scheme
+    splits: int = 1
+    thermostat: Any = None
+    check: bool = True
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """The persistent numbers that substeps change."""
+        return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
+
+
+@dataclass
+class ContextEnvironment:
+    """What substeps are bound to in a Context.
+
+    Attributes
+    ----------
+    inertia : (3, K) array
+        Principal moments, infinite about the axis of a linear body.
+    kinetic : Kinetic
+        Free motion, including fast forces.
+    slow, all_forces : Forces
+        Those of kicks, and those of all force groups that act.
+    numbers : Numbers
+        Persistent numbers that substeps change.
+    named : sequence of sequences of int, or None
+        Bodies that the user named, in addition to those of constraints.
+    key : int
+        Of the random numbers of a call.
+    around : (State, State) or None
+        The states before and after the last heat exchange.
+    """
+
+    bodies: RigidBodies
+    inertia: Array
+    kinetic: Kinetic
+    slow: Forces
+    all_forces: ContextForces
+    divergence: DivergenceCheck
+    clock: Any
+    updates: ContextUpdates
+    numbers: Numbers
+    settings: Settings
+    positions: Positions
+    memory: Memory
+    named: Named
+    key: int = 0
+    around: tuple[State, State] | None = None
+
+    def forces(self, group: int | None = None) -> Forces:
+        """Return the forces of a group, or of all kicks."""
+        return self.slow if group is None else self.all_forces.of(1 << group)
+
+    @property
+    def check(self) -> Callable[[State], Any]:
+        """check(state) raises NonFiniteError if a state is not finite."""
+        return self.divergence.finite
+
+    @property
+    def check_momenta(self) -> Callable[[State], Any]:
+        """check_momenta(state) raises NonFiniteError if its momenta are not finite."""
+        return self.divergence.finite_momenta
+
+    def exchange_of(self, number: int) -> Flow[State]:
+        """Return the flow of the thermostat at its n-th place in a step."""
+        if self.settings.thermostat is None:
+            raise ValueError(
+                f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
+                "thermostat="
+            )
+        flow: Flow[State] = self.settings.thermostat.flow(self, number)
+        return flow
+
+    def flexible(self) -> NDArray[np.bool_]:
+        """Return which bodies (N,) are in molecules of more than one body."""
+        return in_flexible_molecules(self.positions.context, self.bodies, self.named)
+
+    @property
+    def degrees_of_freedom(self) -> tuple[int, int]:
+        """The numbers of translational and of rotational degrees of freedom."""
+        bodies = self.bodies
+        return bodies.translational_freedom - 3 * self.updates.removes_motion, bodies.rotational_freedom
+
+    def bound(self, sequence: Sequence, h: float) -> Bound:
+        """Return the flows of a sequence in steps of h."""
+        flows: dict[Substep, Flow[State]] = {}
+        for substep, _ in sequence:
+            if substep not in flows:
+                flows[substep] = substep.bind(self)
+        return [(flows[substep], part * h, substep.moves) for substep, part in sequence]
+
+    def flow_of(self, sequence: Sequence) -> Flow[State]:
+        """Return the flow of a sequence: flow(state, h) -> state."""
+        known: dict[float, Bound] = {}
+
+        def flow(state: State, h: float) -> State:
+            if h not in known:
+                known[h] = self.bound(sequence, h)
+            return self.positions.through(known[h], state)
+
+        return flow

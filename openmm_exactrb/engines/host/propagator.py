@@ -1,0 +1,343 @@
+"""The propagator: makes the steps of an integrator in its Context, with forces from OpenMM.
+
+It is built once for a Context and bound to the settings of the integrator, and bound again when these have changed. It
+owns the state. That of a processed scheme stays in inner coordinates from call to call: the Context shows a copy that
+went through the post-processor.
+"""
+
+from __future__ import annotations
+
+import time
+import weakref
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
+from openmm_exactrb.context.variables import Numbers
+from openmm_exactrb.engines.host.environment import ContextEnvironment, Settings
+from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.free_motion import Kinetic
+from openmm_exactrb.mechanics.overheating import Overheating
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
+from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift, free_motion
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
+
+Array = NDArray[np.float64]
+
+
+class Clock:
+    """The number of steps and the time (ps) of a Context within a call: some forces depend on them.
+
+    Time passes with the drifts. A force that depends on it keeps a scheme's order, as if time were a coordinate.
+    """
+
+    def __init__(self, context: openmm.Context) -> None:
+        self._context = weakref.ref(context)
+        self.begin()
+
+    def begin(self) -> None:
+        """Read them from the Context."""
+        context: Any = self._context()
+        self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
+        self._drifted = 0.0
+        self.keep()
+
+    def drift(self, tau: float) -> None:
+        """Let time pass within a step."""
+        self._drifted += tau
+        context: Any = self._context()
+        context.setTime(self.time + self._drifted)
+
+    def next(self, h: float) -> None:
+        """Complete a step."""
+        self._set(self.number + 1, self.time + h)
+
+    def keep(self) -> None:
+        """Keep the present number and time."""
+        self._kept = self.number, self.time
+
+    def restore(self) -> None:
+        """Return to the number and time that were kept."""
+        self._set(*self._kept)
+
+    def update(self, integrator: openmm.CustomIntegrator, n: int) -> None:
+        """Have OpenMM make n steps of its own that end now."""
+        openmm.Context.setStepCount(self._context(), self.number - n)
+        variables.step_openmm(integrator, n)
+        self._set(self.number, self.time)  # OpenMM's clock ignores a new step size where no computation uses dt
+
+    def _set(self, number: int, time: float) -> None:
+        self.number, self.time, self._drifted = number, time, 0.0
+        context: Any = self._context()
+        openmm.Context.setStepCount(context, number)  # not the method that is watched
+        context.setTime(time)
+
+
+class Propagator:
+    """Makes the steps of an integrator in a Context; `named` are bodies in addition to those of constraints."""
+
+    def __init__(
+        self,
+        context: openmm.Context,
+        integrator: openmm.CustomIntegrator,
+        rotor: Rotor,
+        named: list[list[int]] | None,
+        timings: Timings,
+        fast: MultipleTimeSteps | None = None,
+    ) -> None:
+        self.sync = Synchronisation(context, integrator, named)
+        self.updates = ContextUpdates(context, named or [])
+        self._updates_act = self.updates.act
+        self._conserves = conserve_energy(context.getSystem())
+        self._timings, self._integrator, self._named = timings, weakref.ref(integrator), named
+        self._positions = Positions(context, self.sync.bodies, self.sync.particles)
+        self._kinetic = free_motion(self.sync.bodies, rotor)
+        found = fast_forces(context.getSystem(), self.sync.bodies, fast)
+        self._inner_drift = None if found is None else InnerDrift(found, self.sync, self._positions, rotor, timings)
+        self._clock = Clock(context)
+        self._version: object = None
+        self._processed, self._coordinates, self._h = False, 0.0, 0.0
+        self._surroundings: object = None  # box and parameters at the end of the last call
+        self.environment: ContextEnvironment
+        self._memory: Memory
+        self._overheating: Overheating | None = None
+
+    def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
+        """Make n steps. Whatever happens, the Context is left at the last valid state.
+
+        Substeps are bound to settings() again if the `version` of the settings differs from that of the last call;
+        `key` is that of the random numbers. IntegrationError if a step diverges: a processed scheme leaves the state
+        before the call.
+        """
+        changed = self.sync.pull()
+        if self._processed and self._surroundings != self._present_surroundings():
+            self.sync.keep(None)  # inner coordinates are those of other forces
+        self._clock.begin()
+        self._positions.moved()  # what else forces depend on may have changed, and cannot be seen
+        if version != self._version:
+            self._bind(settings())
+            self._version, changed = version, True
+        environment, integrator = self.environment, self._integrator()
+        environment.key = key
+        environment.numbers.load(integrator)
+        if changed:
+            environment.divergence.begin(self.sync.state)
+            if self._overheating is not None:
+                self._overheating.begin(self._clock.time)
+        try:
+            with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
+                self._make(n)
+        finally:
+            self._clock.restore()
+            environment.numbers.store(integrator)
+            self.sync.push()
+            if self._processed:
+                self._surroundings = self._present_surroundings()
+        if self._overheating is not None:
+            self._overheating.see(self._clock.time, self.sync.state)
+
+    def _present_surroundings(self) -> object:
+        return arrays.surroundings(self.sync.context.getState(parameters=True))
+
+    def _make(self, n: int) -> None:
+        """Make n steps from the present state."""
+        check, clock = self.environment.divergence, self._clock
+        check.enter(clock.number + 1, clock.time, self.sync.state)
+        state = self._entered()
+        check.keep_from(state)
+        for _ in range(n):
+            check.enter(clock.number + 1, clock.time, state)
+            state = self._positions.through(self._step, state)
+            check.leave(state)
+            clock.next(self._h)
+            state = self._updated(state)
+            if not self._processed:
+                self._keep(state)
+        if self._processed and n:
+            self._keep(self._shown(state))
+            self.sync.keep(state, self._coordinates, self._memory.copy())
+
+    def _keep(self, state: State) -> None:
+        """Take a state, and what belongs to it, for valid."""
+        self.sync.state = state
+        self._clock.keep()
+        self.environment.numbers.keep()
+
+    # -- processed schemes: the inner state continues, what is shown is a copy ---------------------------------------
+
+    def _entered(self) -> State:
+        """Return the state from which steps continue."""
+        if not self._processed:
+            return self.sync.state
+        inner = self.sync.inner_in(self._coordinates)
+        if inner is None:
+            return self._processed_from(self.sync.state)
+        self._memory.restore(self.sync.memory)
+        return inner
+
+    def _processed_from(self, state: State) -> State:
+        """Return the inner state of a true one, whose positions are the present ones."""
+        check = self.environment.divergence
+        check.keep_from(state)
+        inner = self._positions.through(self._processor, state)
+        check.leave(inner)  # its kicks are of the size of the steps, which may be far too long
+        self._memory.clear()
+        return inner
+
+    def _true(self, inner: State) -> State:
+        """Return the true state of an inner one, whose positions are the present ones, by the inverse processor."""
+        return self._copied(self._postprocessor, inner)
+
+    def _shown(self, inner: State) -> State:
+        """Return what is shown of an inner state: a copy, so that the error of the output does not accumulate."""
+        cheap = self._output and self._memory.full
+        return self._copied(self._output if cheap else self._postprocessor, inner)
+
+    def _copied(self, substeps: Bound, inner: State) -> State:
+        """Return a copy of the inner state behind substeps, whose forces are not remembered."""
+        self._memory.closed = True
+        try:
+            return self._positions.through(substeps, inner)
+        finally:
+            self._memory.closed = False
+
+    # -- what OpenMM does between steps --------------------------------------------------------------------------------
+
+    def _updated(self, state: State) -> State:
+        """Return a state after the updates that follow a step."""
+        if not self._updates_act:
+            return state
+        state = self.updates.remove_motion(self.sync.bodies.mass, state, self._clock.number)
+        n = self.updates.due()
+        if not n:
+            return state
+        true = self._true(state) if self._processed else state
+        self._positions.write(true)
+        if self.updates.pushes:
+            self.sync.write_velocities(true)
+        box = arrays.box(self.sync.context.getState())
+        self._clock.update(self._integrator(), n)
+        self._timings.evaluations += self.updates.trial_energies(n)
+        after = self.updates.changed(self.sync, true, box)
+        if after is not true or self.updates.pushes:
+            self._positions.moved()
+        if not self._processed:
+            state = after
+        elif after is not true:
+            state = self._processed_from(after)
+        else:
+            self._positions.version += 1  # those of the inner state
+        self.environment.divergence.keep_from(state)
+        return state
+
+    # -- binding substeps ----------------------------------------------------------------------------------------------
+
+    def _bind(self, settings: Settings) -> None:
+        """Bind the substeps of the settings."""
+        sync, h = self.sync, settings.h
+        if self._version is not None and self._processed:
+            self._leave_coordinates(settings)
+        forces = ContextForces(self._positions, settings.groups, self._timings)
+        divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves and settings.check)
+        kinetic, slow = self._split(settings, forces, divergence)
+        scheme, bodies = settings.scheme, sync.bodies
+        self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
+        slow.memory = self._memory = Memory(*scheme.memory)
+        self._overheating = self._watch(settings)
+        self.environment = environment = ContextEnvironment(
+            bodies,
+            np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),
+            kinetic,
+            slow,
+            forces,
+            divergence,
+            self._clock,
+            self.updates,
+            Numbers(settings.numbers),
+            settings,
+            self._positions,
+            self._memory,
+            self._named,
+        )
+        step = canonical_momenta(scheme.sequence) if kinetic.partial else scheme.sequence
+        self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
+        self._processor, self._postprocessor = (
+            environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
+        )
+
+    def _watch(self, settings: Settings) -> Overheating | None:
+        """Return what watches the temperature, where a thermostat with friction should hold it."""
+        thermostat = settings.thermostat
+        if thermostat is None or thermostat.relaxation is None or not (self._conserves and settings.check):
+            return None
+        kT = gas_constant_times(thermostat.temperature)
+        return Overheating(self.sync.bodies, kT, thermostat.relaxation)
+
+    def _leave_coordinates(self, settings: Settings) -> None:
+        """Bring the state out of inner coordinates that are not those of the settings."""
+        inner = self.sync.inner_in(self._coordinates)
+        if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
+            self.sync.state = self._true(inner)
+            self.sync.keep(None)
+
+    def _split(self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck) -> tuple[Kinetic, Forces]:
+        """Return free motion, with the fast forces within it where there are some, and the forces of kicks."""
+        kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
+        displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
+        inner, scheme = self._inner_drift, settings.splitting
+        drift, slow = self._timed(kinetic.drift), cast(Forces, forces)
+        partial: Mapping[str, Flow[State]] = {}
+        if inner is not None and inner.fast.acts(scheme, settings.h):
+            h = settings.h / settings.splits
+            drift, partial, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
+            if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
+                inner.warn_of_resonances(scheme, h)
+        if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
+            drift, partial = _checked(drift, check), {name: _checked(some, check) for name, some in partial.items()}
+        return Kinetic(drift, displaced, kinetic.tangent, kinetic.order, partial), slow
+
+    def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
+        """Return a drift that moves the positions of the Context, and its time where it `passes`."""
+        positions, clock, timings = self._positions, self._clock, self._timings
+
+        def flow(state: State, tau: float) -> State:
+            start, nested = time.perf_counter(), timings.forces
+            state = drift(state, tau)
+            timings.rotor += time.perf_counter() - start - (timings.forces - nested)
+            positions.version += 1
+            if passes:
+                clock.drift(tau)
+            return state
+
+        return flow
+
+
+def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any]) -> Callable[[State, Any], State]:
+    """Return a flow that raises NonFiniteError before OpenMM is asked for forces at such positions."""
+
+    def checked(state: State, argument: Any) -> State:
+        after = flow(state, argument)
+        check(after)
+        return after
+
+    return checked
+
+
+def inner_mark(scheme: Scheme, h: float) -> float:
+    """Return a number that marks the inner coordinates of a scheme at a step size; 0 if there are none."""
+    return 1.0 + zlib.crc32(repr((scheme.processor, h)).encode()) if scheme.processor else 0.0

@@ -1,0 +1,1 @@
+"""Mathematics that needs numpy only: elliptic functions, compensated sums, quaternions."""

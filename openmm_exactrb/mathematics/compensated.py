@@ -1,0 +1,85 @@
+"""Against roundoff: double-double numbers, and norms that do not drift.
+
+A million small steps of double-doubles round no more than one large one. An array of them is (2, ...): ``x[0]`` is the
+number rounded to float64, ``x[1]`` the rounding error.
+
+From `two_sum` on are error-free transformations, for arrays, and for scalars in compiled code.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.mathematics.quaternions import Numbers
+
+Array = NDArray[np.float64]
+
+
+def exactly(x: Array) -> Array:
+    """Return an array as double-doubles (2, ...)."""
+    return np.array([x, np.zeros(x.shape)])
+
+
+def add(x: Array, step: Array) -> Array:
+    """Return x + step for double-doubles x (2, ...), or for a plain array as x (1, ...)."""
+    return x + step if len(x) == 1 else np.array(two_sum(x[0], step + x[1]))
+
+
+def renewed(x: Array, high: Array) -> Array:
+    """Return double-doubles with a new high part; the low part stays where the high part is unchanged."""
+    return np.array([high, np.where(high == x[0], x[1], 0.0)])
+
+
+def keep_norm(m1: Array, m: Array, square: Array) -> Array:
+    """Give momenta m1 (3, N) the norm of m, which they have up to roundoff, in place; `square` is m.m.
+
+    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - m1.m1/m.m
+    leaves has one, because floating-point numbers below one are denser than above, and the norm drifts.
+    """
+    m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
+    return m1
+
+
+def two_sum(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+    """Return a + b, and its rounding error (D. E. Knuth, The Art of Computer Programming 2, 4.2.2, theorem B)."""
+    total = a + b
+    shadow = total - a
+    return total, (a - (total - shadow)) + (b - shadow)
+
+
+def two_difference(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+    """Return a - b, and its rounding error."""
+    d = a - b
+    shadow = d - a
+    return d, (a - (d - shadow)) - (b + shadow)
+
+
+def two_product(a: Numbers, b: Numbers) -> tuple[Numbers, Numbers]:
+    """Return a b, and its rounding error (T. J. Dekker, Numer. Math. 18, 224 (1971), doi:10.1007/BF01397083)."""
+    p = a * b
+    a_high, a_low = halves(a)
+    b_high, b_low = halves(b)
+    return p, ((a_high * b_high - p) + a_high * b_low + a_low * b_high) + a_low * b_low
+
+
+def halves(a: Numbers) -> tuple[Numbers, Numbers]:
+    """Split 53 bits into 26 and 27."""
+    t = 134217729.0 * a
+    high = t - (t - a)
+    return high, a - high
+
+
+def times(a: Numbers, b: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+    """Return a times a double-double b."""
+    leading, error = two_product(a, b[0])
+    error = error + a * b[1]
+    total = leading + error  # Dekker's FastTwoSum
+    return total, error - (total - leading)
+
+
+def times_squared(factor: tuple[Numbers, Numbers], x: Numbers) -> tuple[Numbers, Numbers]:
+    """Return factor x² in double-double."""
+    square, square_error = two_product(x, x)
+    leading, error = two_product(factor[0], square)
+    return leading, error + (factor[0] * square_error + factor[1] * square)

@@ -1,0 +1,226 @@
+"""Multiple time steps: fast forces within the drifts of a scheme, as a user asks for them and in a System."""
+
+from __future__ import annotations
+
+import math
+import operator
+import reprlib
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.multiple_time_steps.bonded import acting, groups_of, others
+from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
+from openmm_exactrb.multiple_time_steps.stiffness import fastest
+from openmm_exactrb.schemes.catalogue import scheme as look_up
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
+from openmm_exactrb.support.checks import whole
+
+# Inner schemes, and the longest time between two kicks of the fast forces over the period of the fastest bond or angle:
+# for outer schemes of order 2, and for those of higher order or with force gradients. High-order outer schemes need a
+# finer inner scheme: with S2_2, or with SRKN4_6b at 20 kicks per period, the inner error dominated at 2000 outer force
+# evaluations per ps (docs: Any molecule). Schemes with a thermostat within are for averages, to which the energy error
+# matters less: by 0.08 the mean energy of the fastest bond is half a percent too low, that of others less.
+_SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b", 0.0125), ("S2_2", 0.08)
+# A force evaluation each such part of the period or more often, and every scheme shows its order and little error with
+# bonded forces among the others: 1.5 fs where bonds to hydrogen are held, 0.6 fs where they are not.
+_LONGEST_PLAIN = 1.0 / 16.0
+
+_NO_PERIOD = (
+    "the fast forces have no bonds, and no harmonic angles between bonds of known length, from which the fastest "
+    "period follows: set the number of inner steps per step with innerSteps="
+)
+_NO_INNER_STEPS = "there are no inner steps: "
+#: What `fast` may be beside force groups: bonded forces where that helps; wherever there are some.
+AUTO, BONDED = "auto", "bonded"
+
+
+@dataclass(frozen=True)
+class MultipleTimeSteps:
+    """The fast forces that a user asks for.
+
+    Attributes
+    ----------
+    fast : "auto", "bonded" or tuple of int
+        Bonded forces and pairs, where that helps or always, or force groups.
+    scheme : Scheme or None
+        Of the inner steps; None for one that suits the outer scheme.
+    steps : int or None
+        Inner steps a step; None for as many as the fastest bonds need.
+    """
+
+    fast: str | tuple[int, ...]
+    scheme: Scheme | None = None
+    steps: int | None = None
+
+    @classmethod
+    def of(
+        cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None
+    ) -> MultipleTimeSteps | None:
+        """Return the settings of an integrator's arguments, None for no fast forces; ValueError if they do not fit."""
+        scheme = None if inner is None else look_up(inner)
+        if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
+            raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
+        if steps is not None:
+            steps = whole(steps, "innerSteps")
+        if fast is None:
+            if scheme or steps:
+                raise ValueError('inner and innerSteps are for fast forces: name these with fast="bonded", for example')
+            return None
+        if isinstance(fast, str) and fast == AUTO and (scheme or steps):
+            fast = BONDED  # somebody who gives a number of inner steps wants them
+        return cls(fast if isinstance(fast, str) and fast in (AUTO, BONDED) else _groups(fast), scheme, steps)
+
+    @property
+    def asked_for(self) -> bool:
+        """Whether there are inner steps whatever the System is."""
+        return self.fast != AUTO
+
+    @staticmethod
+    def arguments(settings: MultipleTimeSteps | None) -> dict[str, Any]:
+        """Return the arguments of an integrator with these settings."""
+        if settings is None:
+            return {"fast": None}
+        return {"fast": settings.fast, "inner": settings.scheme, "innerSteps": settings.steps}
+
+
+def _groups(fast: Any) -> tuple[int, ...]:
+    """Return the force groups of the argument, each once."""
+    try:
+        groups = {operator.index(group) for group in fast}
+    except TypeError:  # a number, a force, or names
+        groups = set()
+    if not groups or not groups <= set(range(32)):
+        raise ValueError(
+            f'fast is "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
+            "force.getForceGroup() returns that of a force"
+        )
+    return tuple(sorted(groups))
+
+
+@dataclass(frozen=True)
+class FastForces:
+    """The same in a System.
+
+    Attributes
+    ----------
+    settings : MultipleTimeSteps
+    frequency : float
+        The highest one of the fast forces, in 1/ps.
+    excerpt : Excerpt or None
+        The bonded forces, if it is they; else the fast forces are those of some groups.
+    """
+
+    settings: MultipleTimeSteps
+    frequency: float
+    excerpt: Excerpt | None = None
+
+    @property
+    def groups(self) -> int:
+        """The force groups of the fast forces (bits), where they are named."""
+        return 0 if isinstance(self.settings.fast, str) else sum(1 << group for group in self.settings.fast)
+
+    def inner(self, outer: Scheme) -> Scheme:
+        """Return the inner scheme of an outer one."""
+        return self.settings.scheme or look_up(_usual(outer)[0])
+
+    def repetitions(self, outer: Scheme, h: float) -> Callable[[float], int]:
+        """Return a function of the time of a drift (ps): its inner steps, in steps of h (ps) of the outer scheme."""
+        if self.settings.steps:
+            rate = self.settings.steps / abs(h) if h else 0.0
+            return lambda tau: max(1, round(rate * abs(tau)))
+        rate = self.frequency / (2.0 * math.pi * _usual(outer)[1] * self.inner(outer).stages)
+        return lambda tau: max(1, math.ceil(rate * abs(tau)))
+
+    def acts(self, outer: Scheme, h: float) -> bool:
+        """Return whether there are inner steps in steps of h (ps).
+
+        There are if they were asked for, or if the outer scheme evaluates forces too rarely and has substeps of this
+        package alone. ValueError if a kick applies a force group that is fast, or one that may have bonded forces where
+        these are.
+        """
+        groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
+        if self.settings.fast == BONDED and groups:
+            raise ValueError(
+                f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may have "
+                "bonded forces in them: name the fast forces by a group that no kick has, such as fast=(7,)"
+            )
+        twice = [group for group in groups if self.groups >> group & 1]
+        if twice:
+            raise ValueError(
+                f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: "
+                "remove it from fast= or from the scheme"
+            )
+        if self.settings.asked_for or not outer.stages:
+            return self.settings.asked_for
+        known = all(isinstance(s, (Drift, GradientKick, HeatExchange)) or s == KICK for s, _ in outer.sequence)
+        return known and abs(h) / outer.stages * self.frequency / (2.0 * math.pi) > _LONGEST_PLAIN
+
+
+def _usual(outer: Scheme) -> tuple[str, float]:
+    if outer.order > 2 or outer.has_gradients:
+        return _HIGHER_ORDER
+    within = any(isinstance(substep, HeatExchange) for substep, _ in outer.sequence)
+    return _WITH_HEAT_EXCHANGE if within else _SECOND_ORDER
+
+
+def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps | None) -> FastForces | None:
+    """Find the fast forces of a System.
+
+    Raises
+    ------
+    ValueError
+        If all forces are in the groups, or the number of inner steps has to be given.
+
+    Warns
+    -----
+    UserWarning
+        If the groups have no bonded forces, and so no inner steps unless the number of these is given.
+    """
+    if settings is None:
+        return None
+    return _bonded(system, bodies, settings) if isinstance(settings.fast, str) else _of_groups(system, settings)
+
+
+def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps) -> FastForces | None:
+    excerpt = bonded_excerpt(system, bodies)
+    frequency = 0.0 if excerpt is None else fastest(excerpt.system)
+    if not settings.asked_for:
+        return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
+    if excerpt is None:
+        raise ValueError(
+            "the System has no bonded forces that move anything, so there is nothing to integrate with inner steps: "
+            "omit fast=, inner= and innerSteps="
+        )
+    if not others(system):
+        raise ValueError(
+            "all forces of the System are bonded, so there is nothing left for longer steps: omit fast=, inner= and "
+            "innerSteps="
+        )
+    if settings.steps is None and not frequency:
+        raise ValueError(_NO_PERIOD)
+    return FastForces(settings, frequency, excerpt)
+
+
+def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces | None:
+    present = {group for force in acting(system) for group in groups_of(force)}
+    groups = tuple(group for group in map(int, settings.fast) if group in present)
+    if not groups:
+        warnings.warn(
+            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}), the "
+            f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}",
+            stacklevel=2,
+        )
+        return None
+    if present <= set(groups):
+        raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
+    frequency = fastest(system, groups)
+    if not frequency and settings.steps is None:
+        warnings.warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}", stacklevel=2)
+        return None
+    return FastForces(settings, frequency)

@@ -1,0 +1,199 @@
+"""Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
+
+M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
+outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies that this
+potential does not move have no part in it: their drift is one.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import DivergenceCheck
+from openmm_exactrb.mechanics.free_motion import Kinetic, of_bodies, rigid
+from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces, terms_of
+from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInnerSteps
+from openmm_exactrb.multiple_time_steps.excerpt import Excerpt
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
+from openmm_exactrb.multiple_time_steps.resonance import Resonances
+from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import repeated
+from openmm_exactrb.substeps import KICK, kick
+
+_COUNTER = "fast_evaluations"
+
+
+class InnerDrift:
+    """Drifts of the bodies of a Context with fast forces in them."""
+
+    def __init__(
+        self, fast: FastForces, sync: Synchronisation, positions: Positions, rotor: Rotor, timings: Timings
+    ) -> None:
+        self.fast, self._bodies, self._timings = fast, sync.bodies, timings
+        self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync, positions)
+        self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
+        self._rotor, self._free = rotor, free_motion(self._part, rotor)
+        groups = [group for group in range(32) if fast.groups >> group & 1]
+        if fast.excerpt is None:
+            self._resonances = Resonances(sync.context.getSystem(), groups)
+        else:
+            self._resonances = Resonances(fast.excerpt.system, names=fast.excerpt.particles.tolist())
+        self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False), rotor.order)
+
+    def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
+        """Warn once if in steps of h (ps) the slow forces drive what is integrated within the drifts."""
+        self._resonances.warn(scheme, abs(h))
+
+    def split(
+        self,
+        forces: ContextForces,
+        kinetic: Kinetic,
+        timed: Callable[..., Flow[State]],
+        divergence: DivergenceCheck,
+        scheme: Scheme,
+        h: float,
+    ) -> tuple[Flow[State], Mapping[str, Flow[State]], Forces]:
+        """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
+
+        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.partial``.
+        timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it passes; h
+        (ps) is the step of the scheme.
+        """
+        inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
+        repetitions = self.fast.repetitions(scheme, h)
+        if self._own is None:
+            fast = forces.of(self.fast.groups, _COUNTER)
+            drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
+            return drift, {}, SlowGroups(forces, fast, self._timings)
+        own, part = self._own, self._own.excerpt.part
+        terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
+        fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
+        alone: Flow[State]
+        if isinstance(fast, BondedForces) and self._rotor in COMPILED:
+            alone = CompiledInnerSteps(fast, inner, repetitions, divergence)
+        else:
+            alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
+        outside = len(part.bodies.clusters) < len(self._bodies.clusters)
+        others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
+
+        def both(state: State, tau: float) -> State:
+            return part.into(others(state, tau), alone(part.of(state), tau))
+
+        def of_part(state: State, tau: float) -> State:
+            return part.into(state, alone(part.of(state), tau))
+
+        def of_others(state: State, tau: float) -> State:
+            return part.into(others(state, tau), part.of(state))
+
+        seen = own.taking_all_as_seen
+        partial = {"inner": seen(timed(of_part, passes=False)), "others": seen(timed(of_others))}
+        return seen(timed(both)), partial, Remainder(forces, fast, part)
+
+
+def inner_steps(
+    drift: Flow[State], fast_kick: Flow[State], sequence: Any, repetitions: Callable[[float], int]
+) -> Flow[State]:
+    """Return a drift made of inner steps, whose scheme is a sequence of drifts and kicks by the fast forces.
+
+    repetitions(tau) is the number of inner steps in a drift of this time.
+    """
+    known: dict[int, list[tuple[Flow[State], float]]] = {}
+
+    def flow(state: State, tau: float) -> State:
+        n = repetitions(tau)
+        if n not in known:
+            known[n] = [(fast_kick if s == KICK else drift, part) for s, part in repeated(sequence, n)]
+        for substep, part in known[n]:
+            state = substep(state, part * (tau / n))
+        return state
+
+    return flow
+
+
+class ExcerptContext:
+    """The Context of an excerpt, which follows box, parameters and particles without mass of another one."""
+
+    def __init__(self, excerpt: Excerpt, sync: Synchronisation, positions: Positions) -> None:
+        self.excerpt, self._sync = excerpt, sync
+        platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
+        self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
+        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
+        self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
+        self._x = sync.particles[excerpt.particles]
+        self._all = positions
+        follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected
+        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, follow)
+
+    def counting_moves(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift of the bodies of the excerpt that changes its positions."""
+
+        def flow(state: State, tau: float) -> State:
+            state = drift(state, tau)
+            self.positions.version += 1
+            return state
+
+        return flow
+
+    def taking_all_as_seen(self, drift: Flow[State]) -> Flow[State]:
+        """Return a drift of all bodies after which the positions of the excerpt are those of all."""
+
+        def flow(state: State, tau: float) -> State:
+            state = drift(state, tau)
+            self.positions.keep_up()
+            return state
+
+        return flow
+
+    def _follow(self) -> None:
+        self._x[self._massless] = self._sync.particles[self.excerpt.particles[self._massless]]
+        if not self._changes:
+            return
+        state = self._all.context.getState(parameters=True)
+        self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+        theirs = state.getParameters()
+        for name in self._context.getParameters():
+            if name in theirs:  # not that of a force which joined the System after its Context was made
+                self._context.setParameter(name, theirs[name])
+
+
+class FollowingPositions(Positions):
+    """Positions of an excerpt: new ones whenever those of the whole have changed, but by the excerpt's own drift."""
+
+    def __init__(
+        self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], Any]
+    ) -> None:
+        self._followed, self._follow, self._seen, self._count = followed, follow, -1, 0
+        super().__init__(context, bodies, x)
+
+    @property
+    def version(self) -> int:
+        """The version, which follows that of the positions of the whole."""
+        if self._seen != self._followed.version:
+            self.keep_up()
+            self._count += 1
+            self._follow()()
+        return self._count
+
+    @version.setter
+    def version(self, count: int) -> None:
+        self._count = count
+
+    def keep_up(self) -> None:
+        """Take the present positions for those of the whole."""
+        self._seen = self._followed.version
+
+
+def free_motion(bodies: RigidBodies, rotor: Rotor) -> Kinetic:
+    """Return how bodies move without forces."""
+    return of_bodies(bodies, rotor_of_sums(rotor, bodies.inertia, checked=False), rotor.order)

@@ -1,0 +1,125 @@
+"""Resonances of multiple time steps: the slow forces of a step drive fast motion whose half period fits into it.
+
+J. J. Biesiadecki and R. D. Skeel, J. Comput. Phys. 109, 318 (1993), doi:10.1006/jcph.1993.1220.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from openmm import unit
+
+from openmm_exactrb.mechanics.overheating import StepSizeWarning
+from openmm_exactrb.multiple_time_steps.stiffness import frequencies
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.substeps import DRIFT
+
+# Stiffness of slow forces in kJ/mol/nm²: that of a hydrogen in water, whose librations have 112/ps.
+_SLOW = 112.0**2
+# Growth of amplitudes in 1/ps that matters: friction of 5/ps takes as much away.
+_GROWTH = 2.5
+# Fastest normal modes of alanine dipeptide over the fastest bond or angle by itself, in periods; a bond to an atom as
+# light as hydrogen, or hydrogen made heavier, is a mode by itself.
+_COUPLED, _LIGHT = 0.8, 4.0
+_HEAVY = 2.5  # amu: hydrogen, or deuterium, that could be heavier
+_HARMONICS = 6
+
+
+class Resonance(NamedTuple):
+    """The least step (ps) at which slow forces drive a mode, its period (ps), and particles of the bond or angle."""
+
+    step: float
+    period: float
+    particles: tuple[int, ...]
+
+    def below(self, scheme: Scheme) -> float:
+        """Return an interval of the forces below it: whole tenths of a femtosecond, in ps."""
+        return math.floor(1e4 * self.step / scheme.forces) * 1e-4
+
+
+def growth(scheme: Scheme, k: int) -> float:
+    """Return the growth rate of an oscillator of the frequency w at w h = k pi, for a slow force of unit strength.
+
+    Kicks b_j at the times c_j h of a step make a spring s of a slow force one that is modulated in time, whose k-th
+    harmonic is s times the modulus of sum_j b_j exp(2 pi i k c_j). It drives an oscillator of the mass m and the
+    frequency w at twice that frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2
+    of its sum.
+    """
+    places, kicks = [], []
+    behind = accumulate((part if substep == DRIFT else 0.0 for substep, part in scheme.sequence), initial=0.0)
+    for (substep, part), place in zip(scheme.sequence, behind, strict=False):
+        if substep.kicks:
+            places.append(place)
+            kicks.append(part)
+    return 0.5 * float(abs(np.exp(2j * math.pi * k * np.array(places)) @ np.array(kicks)))
+
+
+class Resonances:
+    """The resonances of the bonds and angles in some force groups of a System, or all.
+
+    Parameters
+    ----------
+    system : openmm.System
+    groups : sequence of int
+    names : sequence of int, optional
+        What its particles are called in a warning; their numbers unless given.
+    """
+
+    def __init__(
+        self, system: openmm.System, groups: Sequence[int] = range(32), names: Sequence[int] | None = None
+    ) -> None:
+        self._names = range(system.getNumParticles()) if names is None else names
+        self._mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
+        self._modes, self._told = [*frequencies(system, groups)], False
+
+    def first(self, scheme: Scheme) -> Resonance | None:
+        """Return the resonance of the shortest step of a scheme; None without any that matters.
+
+        A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven within the
+        growth rate of k pi/h on either side. Both are a part of s/m, so that a bond that is softer than the slow forces
+        does not matter before these do.
+        """
+        rates, found = [growth(scheme, k) for k in range(1, _HARMONICS + 1)], []
+        for frequency, particles in self._modes:
+            mass = self._lightest(particles)
+            w = frequency if len(particles) == 2 and mass <= _LIGHT else frequency / _COUPLED
+            strong = [k for k, rate in enumerate(rates, 1) if rate * _SLOW > _GROWTH * mass * w > 0.0]
+            if strong:
+                k = strong[0]
+                highest = math.sqrt(w * w + (1.0 + 2.0 * rates[k - 1]) * _SLOW / mass)
+                found.append(Resonance(k * math.pi / highest, 2.0 * math.pi / w, particles))
+        return min(found, default=None)
+
+    def warn(self, scheme: Scheme, step: float) -> None:
+        """Warn once of steps (ps) beyond the first resonance."""
+        found = None if self._told else self.first(scheme)
+        if found is None or step <= found.step:
+            return
+        self._told = True
+        what = "bond" if len(found.particles) == 2 else "angle"
+        particles = ", ".join(str(self._names[i]) for i in found.particles)
+        warnings.warn(
+            f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
+            f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
+            f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
+            f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "
+            "temperature of the solute",
+            StepSizeWarning,
+            stacklevel=7,  # the call of the integrator's step
+        )
+
+    def _lightest(self, particles: tuple[int, ...]) -> float:
+        return min(self._mass[i] or math.inf for i in particles)
+
+    def _remedy(self, particles: tuple[int, ...]) -> str:
+        """Return what makes a bond or angle slower, or holds it; nothing for one without hydrogen."""
+        mass = self._lightest(particles)
+        if len(particles) == 2 and mass <= _LIGHT:
+            return "constrain bonds to hydrogen (constraints=HBonds), "
+        return "make hydrogens heavier (openmm_exactrb.heavy_hydrogens), " if mass < _HEAVY else ""

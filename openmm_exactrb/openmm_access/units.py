@@ -1,0 +1,68 @@
+"""Quantities and plain numbers of a user as plain numbers of the package."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from openmm import unit
+
+from openmm_exactrb.support import checks
+
+#: OpenMM's unit of a force.
+FORCE = unit.kilojoule_per_mole / unit.nanometer
+
+
+def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
+    """Return a finite number in a unit; one without a unit already is.
+
+    Raises
+    ------
+    ValueError
+        If it is no finite number, or of another kind of unit.
+    """
+    quantity: Any = value
+    if unit.is_quantity(value):
+        if not quantity.unit.is_compatible(in_unit):
+            raise ValueError(f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity of its kind")
+        quantity = quantity.value_in_unit(in_unit)
+    return checks.number(quantity, what, in_unit.get_symbol())
+
+
+def stripped(value: Any, in_unit: unit.Unit) -> Any:
+    """Return a Quantity of this kind as a number in the unit, and everything else as it is, for a check to look at."""
+    fits = unit.is_quantity(value) and value.unit.is_compatible(in_unit)
+    return value.value_in_unit(in_unit) if fits else value
+
+
+def picoseconds(size: float | unit.Quantity | None) -> float:
+    """Return a time step in ps, which must not be negative: OpenMM has no steps back."""
+    return not_negative(size, unit.picosecond, "a time step")
+
+
+def not_negative(value: Any, in_unit: unit.Unit, what: str) -> float:
+    """Return a finite number of at least 0 in a unit; see `plain`."""
+    number = plain(value, in_unit, what)
+    if number < 0.0:
+        raise ValueError(f"{what} must not be negative, not {value}")
+    return number
+
+
+def kelvin(temperature: float | unit.Quantity) -> float:
+    """Return a temperature in K, which must not be negative."""
+    return not_negative(temperature, unit.kelvin, "a temperature")
+
+
+def gas_constant_times(temperature: float | unit.Quantity) -> float:
+    """Return RT in kJ/mol of a temperature in K."""
+    return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
+
+
+def refuse_temperature(step: Any, scheme: Any) -> None:
+    """Raise ValueError for the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
+    if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
+        raise ValueError(
+            "ExactRigidBodyIntegrator takes a step size and the name of a scheme, such as "
+            "ExactRigidBodyIntegrator(0.004*picoseconds, 'S2_2'), and no temperature or friction: "
+            "ExactRigidBodyLangevinIntegrator takes those"
+        )

@@ -1,0 +1,7 @@
+"""Systems ready to run, and changes of the masses of a System."""
+
+from openmm_exactrb.systems.ellipsoid_fluid import ellipsoids
+from openmm_exactrb.systems.fluids import dipole_fluid, rigid_water
+from openmm_exactrb.systems.masses import heavy_hydrogens
+
+__all__ = ["dipole_fluid", "ellipsoids", "heavy_hydrogens", "rigid_water"]

@@ -1,0 +1,164 @@
+"""Liquids of uniaxial ellipsoids with the potential of Gay and Berne."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import app, unit
+
+from openmm_exactrb import kernels
+from openmm_exactrb.openmm_access.units import stripped
+from openmm_exactrb.potentials import GayBerne, gay_berne_force
+from openmm_exactrb.support import checks
+from openmm_exactrb.systems.fluids import add_molecule, rigid_sites
+
+Array = NDArray[np.float64]
+
+# Of the distance at which neighbours on the lattice touch: closer ones start with the energy of an overlap.
+_CLOSEST = 0.9
+# Distance of the point that gives the axis from the centre, in diameters.
+_ARROW = 0.25
+# Sites of the close-packed cubic cell, in its edges.
+_CELL = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
+
+
+def ellipsoids(
+    n: int = 288,
+    seed: int = 0,
+    *,
+    kappa: float = 3.0,
+    kappa_prime: float = 5.0,
+    mass: float | unit.Quantity = 1.0,
+    sigma: float | unit.Quantity = 1.0,
+    epsilon: float | unit.Quantity = 1.0,
+    density: float | unit.Quantity | None = None,
+    cutoff: float | unit.Quantity | None = None,
+    switch: float | unit.Quantity | None = None,
+) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Build uniaxial ellipsoids in a cubic box, with the potential GB(kappa, kappa_prime, 2, 1) of Gay and Berne.
+
+    See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies are those of OpenMM's
+    GayBerneForce, whose torques are not consistent with its energies if well depths depend on the direction (OpenMM
+    8.6). Numbers are in the units stated below, or are Quantities.
+
+    Parameters
+    ----------
+    n : int
+        Number of ellipsoids, on a close-packed lattice stretched along z, all parallel to z. 4 k² l ellipsoids, with k
+        about kappa times l, fill the lattice: 36, 288 or 972 for kappa = 3.
+    seed : int
+        Seed of the positions of vacancies in the lattice, and of the angles about the axes.
+    kappa : float
+        Length along the axis as a multiple of the diameter; below 1 for a disc.
+    kappa_prime : float
+        Well depth side by side as a multiple of that end to end; below 1 for a disc.
+    mass : float
+        In amu. The moments of inertia are those of a uniform ellipsoid, mass sigma² (1 + kappa²)/20 across the axis
+        and mass sigma²/10 about it.
+    sigma, epsilon : float
+        Diameter across the axis (nm), and well depth of two crossed ellipsoids (kJ/mol). The potential is shifted by
+        sigma, or by the thickness kappa sigma of a disc.
+    density : float, optional
+        Ellipsoids per nm³; by default 0.9/(kappa sigma³).
+    cutoff, switch : float, optional
+        Distances of the centres at which the energy of a pair ends and its switch begins, in nm. By default sigma more
+        than the longest diameter, and 0.9 of the cutoff.
+
+    Returns
+    -------
+    topology : openmm.app.Topology
+        One residue ELL per ellipsoid: its sites with mass, and the virtual sites C (centre) and D, a quarter of sigma
+        from C along the axis, with a bond between them.
+    system : openmm.System
+        Constraints hold the sites together. There are four sites with mass, since three would have the moments of a
+        flat body.
+    positions : Quantity
+        (n_particles, 3) in nm.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, a unit does not fit, the cutoff is more than half the box, or the ellipsoids do
+        not fit on the lattice.
+    ModuleNotFoundError
+        If numba is not installed, which compiles the potential.
+
+    Notes
+    -----
+    If ellipsoids overlap deeply, the formula would be attractive again. The energy is then nan, and a run ends with a
+    `NonFiniteError`.
+    """
+    n, kappa = checks.whole(n, "n"), checks.positive(kappa, "kappa")
+    kappa_prime = checks.positive(kappa_prime, "kappa_prime")
+    mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
+    sigma = checks.positive(stripped(sigma, unit.nanometer), "sigma", "nm")
+    epsilon = checks.positive(stripped(epsilon, unit.kilojoule_per_mole), "epsilon", "kJ/mol")
+    density = 0.9 / (kappa * sigma**3) if density is None else stripped(density, unit.nanometer**-3)
+    box = float((n / checks.positive(density, "density", "ellipsoids a nm³")) ** (1.0 / 3.0))
+    cutoff, switch = _truncation(stripped(cutoff, unit.nanometer), stripped(switch, unit.nanometer), kappa, sigma)
+    kernels.require("ellipsoids")
+    if cutoff > 0.5 * box:
+        raise ValueError(
+            f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: use more ellipsoids, or a "
+            "shorter cutoff"
+        )
+    centres = box * _lattice(n, np.random.default_rng(checks.whole(seed, "the seed", 0)), box / sigma, kappa)
+
+    across, along = mass * sigma**2 * (1.0 + kappa**2) / 20.0, mass * sigma**2 / 10.0
+    sites = rigid_sites(mass, (across, across, along))
+    system, topology = openmm.System(), app.Topology()
+    chain, places = topology.addChain(), {"C": np.zeros(3), "D": np.array([0.0, 0.0, _ARROW * sigma])}
+    added = [add_molecule(system, topology, chain, "ELL", mass, sites, places) for _ in range(n)]
+    potential = GayBerne(kappa, kappa_prime, sigma, epsilon, cutoff, switch)
+    system.addForce(gay_berne_force([(centre, point) for centre, point in added], potential))
+    vectors = box * np.eye(3)
+    system.setDefaultPeriodicBoxVectors(*vectors)
+    topology.setPeriodicBoxVectors(vectors * unit.nanometer)
+    turned = np.einsum("nij,sj->nsi", _about_z(n, np.random.default_rng([seed, 1])), [*sites, *places.values()])
+    return topology, system, unit.Quantity((centres[:, None] + turned).reshape(-1, 3), unit.nanometer)
+
+
+def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma: float) -> tuple[float, float]:
+    """Return cutoff and begin of the switch (nm)."""
+    cutoff = (max(1.0, kappa) + 1.0) * sigma if cutoff is None else checks.positive(cutoff, "cutoff", "nm")
+    switch = 0.9 * cutoff if switch is None else checks.not_negative(switch, "switch")
+    if switch >= cutoff:
+        raise ValueError(f"switch={switch:g} nm must be below the cutoff of {cutoff:g} nm")
+    return cutoff, switch
+
+
+def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Array:
+    """Return n places (n, 3) in a cube of edge 1 on the close-packed lattice with most room, holes chosen at random.
+
+    Distances are measured in diameters, along z in lengths: ellipsoids that touch are then at a distance of 1.
+    """
+    layers = [(k, -(-n // (4 * k * k))) for k in range(1, n + 1)]
+    room = [_closest(box / k, box / (kappa * m)) for k, m in layers]
+    k, m = layers[int(np.argmax(room))]
+    if max(room) < _CLOSEST:
+        raise ValueError(
+            f"{n} parallel ellipsoids do not fit on a lattice at this density: neighbours come within "
+            f"{max(room):.2f} of their contact; use a lower density, or another n"
+        )
+    cells = np.array(list(itertools.product(range(k), range(k), range(m))), dtype=np.float64)
+    places = ((cells[:, None] + _CELL) / (k, k, m)).reshape(-1, 3)
+    return np.asarray(places[np.sort(rng.choice(len(places), n, replace=False))])
+
+
+def _closest(x: float, z: float) -> float:
+    """Return the shortest distance of a close-packed lattice with the edges x, x and z of its cell."""
+    return float(min(x / 2.0**0.5, np.hypot(x, z) / 2.0, x, z))
+
+
+def _about_z(n: int, rng: np.random.Generator) -> Array:
+    """Return rotations (n, 3, 3) about z by random angles."""
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    Q = np.zeros((n, 3, 3))
+    Q[:, 0, 0] = Q[:, 1, 1] = np.cos(angle)
+    Q[:, 1, 0] = np.sin(angle)
+    Q[:, 0, 1] = -Q[:, 1, 0]
+    Q[:, 2, 2] = 1.0
+    return Q

@@ -1,0 +1,376 @@
+"""Systems ready to run: (topology, system, positions)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import ArrayLike, NDArray
+from openmm import app, unit
+
+from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.openmm_access.units import stripped
+from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength, rod_length, soft_dipole_force
+from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
+from openmm_exactrb.support import checks
+
+Array = NDArray[np.float64]
+
+_MOMENT = unit.dalton * unit.nanometer**2
+_STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2
+# Of the smallest to the largest moment: of thinner bodies the distances between sites hold too few digits.
+_THINNEST = 1e-6
+#: Distance in nm at which two head-to-tail dipoles of the paper bind: r^9 = 4.
+BINDING_DISTANCE = 4.0 ** (1.0 / 9.0)
+
+_TRIANGLE = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]]) * 2.0**0.5
+_TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+
+
+def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity) -> Array:
+    """Place equal masses so that they have exactly these principal moments of inertia.
+
+    Parameters
+    ----------
+    mass : float or Quantity
+        Total mass; in amu without a unit.
+    inertia : (3,) array_like or Quantity
+        Principal moments, each at most the sum of the others; in amu nm² without a unit.
+
+    Returns
+    -------
+    (3, 3) or (4, 3) array
+        A triangle for a planar body, whose largest moment is the sum of the others, else a tetrahedron; equal masses
+        mass/3 or mass/4, the centre of mass in the origin, the principal axes along the coordinates.
+
+    Raises
+    ------
+    ValueError
+        If no body has these moments, or it is linear or nearly so.
+    """
+    each = stripped(inertia, _MOMENT)
+    each = [stripped(moment, _MOMENT) for moment in each] if np.iterable(each) else each
+    moments = checks.array(each, "inertia", "three positive moments in amu nm²")
+    if moments.shape != (3,) or not (np.isfinite(moments).all() and (moments > 0.0).all()):
+        raise ValueError(
+            f"inertia must be three positive moments, not {inertia!r}: a linear body cannot carry this dipole"
+        )
+    mass = checks.positive(stripped(mass, unit.dalton), "mass", "amu")
+    if moments.min() < _THINNEST * moments.max():
+        raise ValueError(
+            f"a body with the moments of inertia {moments.tolist()} is nearly linear: the smallest must be at least "
+            f"{_THINNEST:g} of the largest"
+        )
+    spread = 0.5 * moments.sum() - moments
+    flat = np.abs(spread) < 1e-12 * moments.max()
+    if (spread[~flat] < 0.0).any():
+        raise ValueError(
+            f"no body has the moments of inertia {moments.tolist()}: none may be larger than the sum of the others"
+        )
+    if not flat.any():
+        return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))
+    sites = np.zeros((3, 3))
+    sites[:, ~flat] = _TRIANGLE * np.sqrt(spread[~flat] / mass)
+    return sites
+
+
+def dipole_fluid(
+    n: int = 125,
+    seed: int = 0,
+    *,
+    mass: float | unit.Quantity = 1.0,
+    inertia: ArrayLike | unit.Quantity = (1.0, 1.88, 2.88),
+    dipole: ArrayLike = (0.0, 1.0, 1.0),
+    sigma: float | unit.Quantity = 1.0,
+    epsilon: float | unit.Quantity = 1.0,
+    attraction: float = 0.0,
+    wca: bool = False,
+    spacing: float | unit.Quantity = BINDING_DISTANCE,
+    perturbation: float = 0.01,
+    trap: float | unit.Quantity = 0.0,
+    boundary: Boundary = OPEN,
+    density: float | unit.Quantity | None = None,
+    kernel: str = "auto",
+) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
+
+    Numbers are in the units stated below, or are Quantities.
+
+    Parameters
+    ----------
+    n : int
+        Number of spheres, on the innermost sites of a cubic lattice about the origin, with random orientations.
+    seed : int
+    mass : float
+        In amu.
+    inertia : (3,) array_like
+        Principal moments in amu nm², the smallest at least 1e-6 of the largest.
+    dipole : (3,) array_like or Quantity
+        Dipole moment in the principal axes, in sqrt(kJ/mol nm³), or with a unit (e nm, debye).
+    sigma, epsilon : float
+        Size (nm) and strength (kJ/mol) of the soft sphere.
+    attraction : float
+        0 for soft spheres, 1 for the attraction of the Lennard-Jones potential: the Stockmayer fluid.
+    wca : bool
+        With an attraction, whether the spheres only repel, by the Lennard-Jones potential up to its minimum. No scheme
+        then keeps an order above 2.
+    spacing : float
+        Lattice constant in nm.
+    perturbation : float
+        Standard deviation of the positions about the lattice, relative to its constant.
+    trap : float
+        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap a
+        droplet does not stay together: soft dipoles form chains, which drift apart.
+    boundary : Open, ReactionField or Ewald
+        With one of the last two the spheres fill a cubic box, on a lattice given by `density` instead of `spacing`.
+    density : float, optional
+        Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
+    kernel : {"auto", "openmm", "bonds", "compiled"}
+        Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" takes the two forces of
+        `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
+
+    Returns
+    -------
+    topology : openmm.app.Topology
+        One residue per sphere: its sites with mass, and the virtual sites C (centre) and D (tip of the dipole) with a
+        bond between them. With `Ewald` and kernel="openmm", the charged ends of a rod, P and N, precede C.
+    system : openmm.System
+        Constraints hold the sites together, and the potential acts on the virtual sites.
+    positions : Quantity
+        (n_particles, 3) in nm.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, a unit does not fit, or an option does not apply to the boundary.
+    ModuleNotFoundError
+        If the compiled kernel is asked for and numba is not installed.
+    """
+    sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
+    mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
+    trap, density = stripped(trap, _STIFFNESS), stripped(density, unit.nanometer**-3)
+    vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
+    n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
+    checks.positive(epsilon, "epsilon", "kJ/mol")
+    spacing = checks.positive(spacing, "spacing", "nm")
+    perturbation = checks.not_negative(perturbation, "perturbation")
+    trap = checks.not_negative(trap, "trap")
+    box = _box(n, sigma, density, trap, boundary)
+    sites = rigid_sites(mass, inertia)
+    strength = float(np.linalg.norm(vector))
+    arrow = 0.5 * sigma * (vector / strength)
+
+    system, topology = openmm.System(), app.Topology()
+    chain = topology.addChain()
+    spheres: dict[str, Any] = {"strength": strength, "sigma": sigma, "epsilon": epsilon, "boundary": boundary}
+    spheres |= {"attraction": attraction, "wca": wca, "box": None if box is None else (box, box, box)}
+    places = {"C": np.zeros(3), "D": arrow}
+    if isinstance(boundary, Ewald) and kernel == "openmm":
+        rod = rod_length(n, spheres["box"], boundary)
+        places = {"P": 0.5 * rod * (vector / strength), "N": -0.5 * rod * (vector / strength)} | places
+        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
+        ends = [(plus, minus) for plus, minus, *_ in added]
+        for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, **spheres):
+            system.addForce(part)
+    else:
+        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
+        arrows = [(centre, tip) for centre, tip in added]
+        system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
+    if box is not None:
+        spacing = box / _places_a_side(n)
+        vectors = box * np.eye(3)
+        system.setDefaultPeriodicBoxVectors(*vectors)
+        topology.setPeriodicBoxVectors(vectors * unit.nanometer)
+    if trap > 0.0:
+        system.addForce(_harmonic_trap([centre for *_, centre, _ in added], trap))
+
+    rng = np.random.default_rng(checks.whole(seed, "the seed", 0))
+    lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
+    centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
+    return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
+
+
+def _places_a_side(n: int) -> int:
+    """Return how many lattice sites an edge of the smallest cube with n sites has."""
+    return next(k for k in range(1, n + 1) if k**3 >= n)
+
+
+def _lattice(n: int) -> Array:
+    """Return the first n places (n, 3) of a cubic lattice of constant 1."""
+    return np.argwhere(np.ones(3 * (_places_a_side(n),)))[:n].astype(np.float64)
+
+
+def _filling(n: int) -> tuple[Array, float]:
+    """Return n places (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
+
+    They are a cubic lattice where n is a cube; else the multiples of a vector (1, a, b)/n of the edge, the first ones
+    found that are as far apart as in a cubic lattice, or the farthest. With many places b = a² is taken (N. M. Korobov;
+    I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
+    """
+    k = _places_a_side(n)
+    if k**3 == n:
+        return _lattice(n), float(k)
+    edge, half = float(np.cbrt(n)), np.arange(1, n // 2 + 1)[:, None]
+    farthest, best = -1.0, (1, 1)
+    for a in range(1 if n < _MANY else k, n // 2 + 1):
+        for b in range(a, n // 2 + 1) if n < _MANY else [a * a % n]:
+            away = half * (1, a, b) % n
+            apart = edge / n * float(np.sqrt((np.minimum(away, n - away) ** 2).sum(axis=1).min()))
+            if apart > farthest:
+                farthest, best = apart, (a, b)
+        if farthest >= 1.0:
+            break
+    multiples: Array = np.arange(n)[:, None] * np.array([1, *best]) % n * (edge / n)
+    return multiples, edge
+
+
+def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
+    """Return the positions of molecules with this shape (k, 3) at these centres, each turned at random."""
+    Q = quaternions.rotation_matrix(quaternions.random(rng, len(centres)))
+    positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
+    return unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
+
+
+def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Boundary) -> float | None:
+    """Return the edge of the cubic box of a liquid (nm), or None for a droplet."""
+    if not checked(boundary).periodic:
+        if density is not None:
+            raise ValueError("density is for a periodic box: add boundary=ReactionField() or boundary=Ewald()")
+        return None
+    density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
+    if trap > 0.0:
+        raise ValueError("a trap holds a droplet: a periodic liquid needs none")
+    return float((n / density) ** (1.0 / 3.0))
+
+
+def _harmonic_trap(centres: list[int], strength: float) -> openmm.CustomExternalForce:
+    force = openmm.CustomExternalForce("0.5*trap*(x*x + y*y + z*z)")
+    force.setName("HarmonicTrap")
+    force.addGlobalParameter("trap", strength)
+    for centre in centres:
+        force.addParticle(centre, [])
+    return force
+
+
+def add_molecule(
+    system: openmm.System,
+    topology: app.Topology,
+    chain: app.topology.Chain,
+    name: str,
+    mass: float,
+    sites: Array,
+    places: Mapping[str, Array],
+) -> tuple[int, ...]:
+    """Add a rigid molecule with virtual sites at places; return their particles. The last two are bound."""
+    first, k = system.getNumParticles(), len(sites)
+    particles = list(range(first, first + k))
+    residue = topology.addResidue(name, chain)
+    for i, particle in enumerate(particles):
+        system.addParticle(mass / k)
+        topology.addAtom(f"M{i + 1}", None, residue)
+        for j in range(i):
+            system.addConstraint(first + j, particle, float(np.linalg.norm(sites[i] - sites[j])))
+    for label, place in places.items():
+        site = system.addParticle(0.0)
+        system.setVirtualSite(site, _body_fixed_site(particles, sites, place))
+        topology.addAtom(label, None, residue)
+    topology.addBond(*list(residue.atoms())[-2:])
+    return tuple(range(first + k, first + k + len(places)))
+
+
+def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
+    """Return a virtual site at a position in the principal axes of the body.
+
+    It costs OpenMM a third of the time of a LocalCoordinatesSite.
+    """
+    to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
+    normal, place = np.cross(to_second, to_third), place - sites[0]
+    # Cramer's rule, whose bits are those of any machine: LAPACK's are not, and runs are known by the text of a System.
+    columns = np.cross(place, to_third), np.cross(to_second, place), place
+    weights = (np.array(columns) * normal).sum(axis=1) / (normal * normal).sum() + _OFF_FRACTIONS
+    return openmm.OutOfPlaneSite(*particles[:3], *map(float, weights))
+
+
+# Products with a weight of exactly 1/3 are rounded with a bias, so that the forces which OpenMM shares out have a
+# torque of 1e-14 whose mean is not zero. Other digits average out.
+_OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
+
+
+# Number of places from which on a lattice is looked for among fewer vectors.
+_MANY = 100
+
+# Force field file, O-H distance in nm and H-O-H angle in degrees.
+_WATER_MODELS: dict[str, tuple[str, float, float]] = {
+    "tip3p": ("tip3p.xml", 0.09572, 104.52),
+    "spce": ("spce.xml", 0.1, 109.47),
+    "tip4pew": ("tip4pew.xml", 0.09572, 104.52),
+    "tip5p": ("tip5p.xml", 0.09572, 104.52),
+    "tip4p2005": (str(Path(__file__).with_name("tip4p2005.xml")), 0.09572, 104.52),
+}
+
+
+def rigid_water(
+    n: int = 64, seed: int = 0, *, model: str = "tip3p", spacing: float | unit.Quantity = 0.3104, **options: Any
+) -> tuple[app.Topology, openmm.System, unit.Quantity]:
+    """Build rigid water on a lattice with random orientations.
+
+    Parameters
+    ----------
+    n : int
+        Number of molecules, in a droplet on the innermost sites of a cubic lattice, or in a periodic cube that they
+        fill without vacancies.
+    seed : int
+    model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
+        Water model, from a force field file of OpenMM or of this package (TIP4P/2005, doi:10.1063/1.2121687).
+    spacing : float or Quantity
+        Lattice constant in nm, the cube root of the volume per molecule. By default the density is that of water, 1.000
+        g/cm³, in a periodic box of any number of molecules.
+    **options
+        For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
+        periodic nonbondedMethod makes a periodic cube.
+
+    Returns
+    -------
+    topology : openmm.app.Topology
+    system : openmm.System
+    positions : Quantity
+        (n_particles, 3) in nm. Minimise their energy before a run.
+
+    Raises
+    ------
+    ValueError
+        If the model is unknown, a number is out of its range, or TIP4P/2005 is requested with ``rigidWater=False``,
+        since it has no force constants of bonds and angles.
+    """
+    if model not in _WATER_MODELS:
+        raise ValueError(f"unknown water model {model!r}: choose one of {', '.join(_WATER_MODELS)}")
+    n, spacing = checks.whole(n, "n"), checks.positive(stripped(spacing, unit.nanometer), "spacing", "nm")
+    file, distance, angle = _WATER_MODELS[model]
+    topology = app.Topology()
+    chain = topology.addChain()
+    for _ in range(n):
+        residue = topology.addResidue("HOH", chain)
+        oxygen = topology.addAtom("O", app.element.oxygen, residue)
+        for name in ("H1", "H2"):
+            topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
+    places = _lattice(n)
+    if options.get("nonbondedMethod", app.NoCutoff) not in (app.NoCutoff, app.CutoffNonPeriodic):
+        places, edge = _filling(n)
+        topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
+    half = np.radians(angle) / 2.0
+    x, z = distance * np.sin(half), distance * np.cos(half)
+    shape = np.array([[0.0, 0.0, 0.0], [x, 0.0, z], [-x, 0.0, z]])
+    positions = _turned(np.random.default_rng(checks.whole(seed, "the seed", 0)), spacing * (places + 0.5), shape)
+    force_field = app.ForceField(file)
+    modeller = app.Modeller(topology, positions)
+    modeller.addExtraParticles(force_field)
+    system = force_field.createSystem(modeller.topology, **({"rigidWater": True, "removeCMMotion": False} | options))
+    if model == "tip4p2005" and system.getNumConstraints() < 3 * n:
+        raise ValueError("tip4p2005 has no force constants of bonds and angles: omit rigidWater=False, or use tip4pew")
+    placed = np.array(modeller.positions.value_in_unit(unit.nanometer))
+    return modeller.topology, system, unit.Quantity(placed, unit.nanometer)

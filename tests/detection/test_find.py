@@ -1,0 +1,154 @@
+"""Which particles of a System are a rigid body, and what cannot be one."""
+
+import numpy as np
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from openmm_exactrb.detection.find import find_bodies
+
+
+def test_a_cluster_that_is_not_rigid_is_one_of_single_particles():
+    system = openmm.System()
+    for _ in range(4):
+        system.addParticle(1.0)
+    for i in range(3):
+        system.addConstraint(i, i + 1, 0.1)
+    bodies = find_bodies(system, np.random.default_rng(1).random((4, 3)))
+    assert (len(bodies), bodies.n_turning, len(bodies.clusters)) == (4, 0, 1)
+    assert bodies.translational_freedom == 12 - 3
+
+
+def test_impossible_distances_are_refused():
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(1.0)
+    for i, j, d in ((0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.3)):
+        system.addConstraint(i, j, d)
+    with pytest.raises(ValueError, match="fit no body in space"):
+        find_bodies(system, np.zeros((3, 3)))
+
+
+def test_a_system_without_anything_to_move_is_refused():
+    system = openmm.System()
+    system.addParticle(0.0)
+    with pytest.raises(ValueError, match="no particle with mass: there is nothing to move"):
+        find_bodies(system, np.zeros((1, 3)))
+
+
+def test_particles_alone_are_bodies_that_do_not_turn():
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(2.0)
+    bodies = find_bodies(system, np.zeros((3, 3)))
+    assert (len(bodies), bodies.n_turning) == (3, 0)
+
+
+def test_bodies_of_the_dipole_fluid_are_one_kind():
+    _, system, positions = rb.dipole_fluid(8)
+    bodies = find_bodies(system, positions._value)
+    assert len(bodies.kinds) == 1
+    np.testing.assert_allclose(bodies.kinds[0].inertia[0], [1.0, 1.88, 2.88], rtol=1e-13)
+
+
+def rings(n=4):
+    """Return a System of rings of six particles without constraints, and positions."""
+    system, x = openmm.System(), []
+    for particle in range(6 * n):
+        system.addParticle(13.0)
+        angle = np.pi / 3 * (particle % 6)
+        x.append([0.14 * np.cos(angle), 0.14 * np.sin(angle), 0.42 * (particle // 6)])
+    return system, np.array(x)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        ([[0, 1, 99]], "body 0 names particle 99, but the System has 24"),
+        ([[0, 1, 2], [2, 3]], "particle 2 is named twice, in bodies 0 and 1"),
+        ([[]], "no particle with mass"),
+    ],
+)
+def test_wrong_bodies_are_refused(bodies, message):
+    system, x = rings()
+    with pytest.raises(ValueError, match=message):
+        find_bodies(system, x, bodies)
+
+
+def test_a_constraint_that_leads_out_of_a_body_is_refused_by_name():
+    system, x = rings()
+    system.addConstraint(5, 6, 0.5)
+    with pytest.raises(ValueError, match="constraint between particles 5 and 6 leads out"):
+        find_bodies(system, x, [range(6)])
+
+
+def test_drude_particles_are_refused_by_name():
+    _, system, positions = rb.rigid_water(2)
+    drude = openmm.DrudeForce()
+    drude.addParticle(4, 3, -1, -1, -1, -1.0, 0.001, 1.0, 1.0)
+    system.addForce(drude)
+    with pytest.raises(ValueError, match=r"Drude particles \(4"):
+        find_bodies(system, positions._value)
+
+
+OCTAHEDRON = 0.2 / np.sqrt(2.0) * np.concatenate([np.eye(3), -np.eye(3)])
+
+
+def octahedron(scale, integrator):
+    """Return a Context of six particles, whose twelve edges of 0.2 nm are constrained: rigid, but not all distances."""
+    system = openmm.System()
+    for _ in range(6):
+        system.addParticle(10.0)
+    for i in range(6):
+        for j in range(i):
+            if i - j != 3:
+                system.addConstraint(i, j, 0.2)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(scale * OCTAHEDRON)
+    return context
+
+
+def edges(context):
+    x = context.getState(positions=True).getPositions(asNumpy=True)._value
+    return [np.linalg.norm(x[i] - x[j]) for i in range(6) for j in range(i) if i - j != 3]
+
+
+def test_constraints_that_do_not_name_every_pair_give_the_shape():
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
+    context = octahedron(1.1, integrator)
+    with pytest.warns(rb.ShapeWarning, match="were corrected"):
+        integrator.step(2)
+    np.testing.assert_allclose(edges(context), 0.2, rtol=0.0, atol=1e-14)
+    context.setPositions(OCTAHEDRON)  # those of the constraints: nothing is warned of
+    integrator.step(2)
+    np.testing.assert_allclose(edges(context), 0.2, rtol=0.0, atol=1e-14)
+
+
+def test_positions_far_from_constraints_that_do_not_name_every_pair_are_refused():
+    integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
+    context = octahedron(1.5, integrator)
+    with pytest.raises(ValueError, match=r"nm away from its shape, more than 0\.02 nm"):
+        integrator.step(2)
+    assert context.getStepCount() == 0
+
+
+@pytest.mark.parametrize("digits", [7, 9, 17])
+def test_redundant_constraints_may_be_rounded(digits):
+    """A distorted cube held by 24 of its 28 distances, four of which follow from the others but for rounding."""
+    x = 0.2 * np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
+    x += 0.01 * np.random.default_rng(3).normal(size=x.shape)
+    system = openmm.System()
+    for _ in range(8):
+        system.addParticle(12.0)
+    for i in range(8):
+        for j in range(i):
+            if i + j != 7:
+                system.addConstraint(i, j, round(float(np.linalg.norm(x[i] - x[j])), digits))
+    bodies = find_bodies(system, x)
+    assert (len(bodies), bodies.n_turning) == (1, 1)
+    sites = bodies.kinds[0].sites[0]
+    for i in range(8):
+        for j in range(i):
+            assert np.linalg.norm(sites[i] - sites[j]) == pytest.approx(
+                np.linalg.norm(x[i] - x[j]), abs=10.0**-digits + 1e-13
+            )

@@ -1,0 +1,236 @@
+"""More constraints than a molecule needs: rigid ones of few atoms, flat and straight ones, and parts of others."""
+
+import itertools
+
+import numpy as np
+import openmm
+import pytest
+from openmm import unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.detection.find import find_bodies
+
+KB = 0.00831446261815324
+
+
+def ring(radius, n=6):
+    turns = 2.0 * np.pi / n * np.arange(n)
+    return radius * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(n)])
+
+
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
+#: Masses, places in nm, and the principal moments by hand: of methane 8/3 m r², of SF6 4 m r², and so on.
+MOLECULES = {
+    "methane": ([12.011, *4 * [1.008]], np.vstack([np.zeros(3), 0.109 * TETRAHEDRON]), 3 * [8 / 3 * 1.008 * 0.109**2]),
+    "SF6": ([32.06, *6 * [18.998]], np.vstack([np.zeros(3), 0.1561 * OCTAHEDRON]), 3 * [4 * 18.998 * 0.1561**2]),
+    "benzene": (
+        [*6 * [12.011], *6 * [1.008]],
+        np.vstack([ring(0.1391), ring(0.2471)]),
+        [k * (12.011 * 0.1391**2 + 1.008 * 0.2471**2) for k in (3, 3, 6)],
+    ),
+    "CO2": (
+        [12.011, 15.999, 15.999],
+        0.116 * np.array([[0, 0, 0], [0, 0, 1], [0, 0, -1]]),
+        [0, *2 * [2 * 15.999 * 0.116**2]],
+    ),
+    "formate": (
+        [12.011, 15.999, 15.999, 1.008],
+        np.array([[0, 0, 0], [0.1125, 0.055, 0], [-0.1125, 0.055, 0], [0, -0.11, 0]]),
+        None,
+    ),
+    "five points": ([1.0, 2.0, 3.0, 4.0, 5.0], 0.3 * np.random.default_rng(1).random((5, 3)), None),
+}
+
+
+def every_pair(n):
+    return list(itertools.combinations(range(n), 2))
+
+
+def system_of(masses, x, pairs, copies=1, longer=None):
+    """Return a System of copies with these distances constrained; `longer` adds to some of them."""
+    system, n = openmm.System(), len(masses)
+    for copy in range(copies):
+        for mass in masses:
+            system.addParticle(mass)
+        for i, j in pairs:
+            length = np.linalg.norm(x[i] - x[j]) + (longer or {}).get((i, j), 0.0)
+            system.addConstraint(n * copy + i, n * copy + j, length)
+    return system
+
+
+def moving(system, x, integrator):
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(x)
+    return context
+
+
+def moments_of(masses, x):
+    """Return principal moments by the textbook's inertia tensor."""
+    masses = np.array(masses)
+    apart = x - masses @ x / masses.sum()
+    tensor = np.einsum("a,aij->ij", masses, [(r @ r) * np.eye(3) - np.outer(r, r) for r in apart])
+    return np.linalg.eigvalsh(tensor)
+
+
+@pytest.fixture(params=list(MOLECULES))
+def molecule(request):
+    return MOLECULES[request.param]
+
+
+def test_all_distances_of_a_small_molecule_make_it_rigid_with_its_moments(molecule):
+    masses, x, moments = molecule
+    bodies = find_bodies(system_of(masses, x, every_pair(len(x))), x)
+    expected = moments_of(masses, x) if moments is None else moments
+    np.testing.assert_allclose(bodies.kinds[0].inertia[0], expected, rtol=1e-12, atol=1e-14)
+    assert (len(bodies), bodies.n_turning) == (1, 1)
+
+
+def test_its_temperature_is_that_of_its_degrees_of_freedom(molecule):
+    masses, x, _ = molecule
+    copies, draws = 4, 200
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    positions = np.concatenate([x + np.array([2.0 * k, 0.0, 0.0]) for k in range(copies)])
+    context = moving(system_of(masses, x, every_pair(len(x)), copies), positions, integrator)
+    freedom = copies * (5 if np.linalg.matrix_rank(x - x[0], tol=1e-9) == 1 else 6)
+    measured = []
+    for seed in range(1, draws + 1):
+        integrator.setVelocitiesToTemperature(300 * unit.kelvin, seed)
+        v = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+        measured.append((np.tile(masses, copies)[:, None] * v**2).sum() / freedom / KB)
+    assert sum(integrator.degreesOfFreedom()) == freedom
+    assert abs(np.mean(measured) - 300.0) < 4.0 * 300.0 * np.sqrt(2.0 / (freedom * draws))
+    translation, rotation = (mine._value for mine in integrator.temperatures())
+    assert (3 * copies * translation + (freedom - 3 * copies) * rotation) / freedom == pytest.approx(measured[-1])
+
+
+def test_it_moves_as_the_same_body_named_by_hand(molecule):
+    masses, x, _ = molecule
+    ends = []
+    for pairs, bodies in ((every_pair(len(x)), None), ([], [range(len(x))])):
+        integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2", bodies=bodies)
+        context = moving(system_of(masses, x, pairs), x, integrator)
+        if bodies is None:
+            integrator.setVelocitiesToTemperature(300, 1)
+            v = context.getState(velocities=True).getVelocities()
+        context.setVelocities(v)
+        integrator.step(100)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+    assert np.abs(ends[0] - x).max() > 0.02
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=2e-13)
+
+
+@pytest.mark.parametrize(
+    ("name", "without", "freedom"),
+    [
+        ("methane", [], 6),
+        ("methane", [(1, 2)], 6),
+        ("formate", [], 6),
+        ("formate", [(1, 2)], 7),  # a hinge about the line of C and H
+        ("CO2", [], 5),
+    ],
+)
+def test_the_molecules_of_openmms_issue_move_as_the_how_to_says(name, without, freedom):
+    masses, x, _ = MOLECULES[name]
+    pairs = [pair for pair in every_pair(len(x)) if pair not in without]
+    integrator = rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2")
+    context = moving(system_of(masses, x, pairs), x, integrator)
+    integrator.setVelocitiesToTemperature(300, 1)
+    integrator.step(200)
+    assert sum(integrator.degreesOfFreedom()) == freedom
+    moved = context.getState(positions=True).getPositions(asNumpy=True)._value
+    missed = [abs(np.linalg.norm(moved[i] - moved[j]) - np.linalg.norm(x[i] - x[j])) for i, j in every_pair(len(x))]
+    for pair, error in zip(every_pair(len(x)), missed, strict=True):
+        assert bool(error < 1e-13) is (freedom < 7 or pair not in without)
+
+
+# -- flat and straight ones, of which some distances are not constrained -----------------------------------------------
+
+SQUARE = 0.3 * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+SIDES = [(0, 1), (1, 2), (2, 3), (0, 3)]
+STRAIGHT = np.array([[0, 0, 0.06], [0, 0, -0.06], [0, 0, 0.166], [0, 0, -0.166]])
+
+
+@pytest.mark.parametrize(
+    ("x", "pairs", "rigid"),
+    [
+        (MOLECULES["benzene"][1], every_pair(12)[1:], True),
+        (ring(0.14), [(k, (k + apart) % 6) for k in range(6) for apart in (1, 2)], True),  # six angles of 120 degrees
+        (ring(0.14, 5), [(k, (k + 1) % 5) for k in range(5)], False),
+        (SQUARE, every_pair(4), True),
+        (SQUARE, [*SIDES, (0, 2)], False),  # a hinge
+        (SQUARE, SIDES, False),
+        (STRAIGHT, [(0, 1), (0, 2), (1, 3), (2, 3)], True),  # both ends as far apart as the rest allows
+        (STRAIGHT, [(0, 1), (0, 2), (1, 3)], False),
+    ],
+)
+def test_a_flat_or_straight_molecule_is_rigid_if_its_constraints_keep_it_so(x, pairs, rigid):
+    system = system_of(len(x) * [12.0], x, pairs)
+    bodies = find_bodies(system, x)
+    assert (len(bodies) == 1) is rigid
+    if rigid:
+        np.testing.assert_allclose(bodies.kinds[0].inertia[0], moments_of(len(x) * [12.0], x), rtol=1e-12, atol=1e-14)
+
+
+# -- clusters that bend ------------------------------------------------------------------------------------------------
+
+#: Five points in space with all ten distances, one too many, and a chain of two hanging on them.
+PAIRS = [*every_pair(5), (2, 5), (5, 6)]
+MASSES = [12.0, 14.0, 16.0, 12.0, 1.0, 12.0, 14.0]
+HUNG = MOLECULES["five points"][1][2] + np.array([[0.1, 0.1, 0.05], [0.2, 0.1, 0.15]])
+BENDING = np.vstack([MOLECULES["five points"][1], HUNG])
+
+
+def test_a_constraint_too_many_changes_nothing():
+    ends = []
+    for pairs in (PAIRS, [pair for pair in PAIRS if pair != (3, 4)]):
+        integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
+        context = moving(system_of(MASSES, BENDING, pairs), BENDING, integrator)
+        integrator.setVelocitiesToTemperature(300, 1)
+        assert integrator.bodyState()[0].clusters.degrees_of_freedom == 6 + 4
+        before = integrator.totalEnergy()._value
+        integrator.step(200)
+        assert abs(integrator.totalEnergy()._value / before - 1.0) < 1e-14
+        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        for i, j in PAIRS:
+            assert abs(np.linalg.norm(x[i] - x[j]) - np.linalg.norm(BENDING[i] - BENDING[j])) < 1e-15
+        ends.append(x)
+    assert np.abs(ends[0] - BENDING).max() > 0.05
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-12)
+
+
+def test_rounded_redundant_constraints_are_met_as_well_as_can_be():
+    """Off by 1e-7 nm: no place has all ten distances, the best misses each by less."""
+    system = system_of(MASSES, BENDING, PAIRS, longer={(0, 1): 1e-7})
+    (kind,) = find_bodies(system, BENDING).clusters.kinds
+    assert (len(kind.pairs), len(kind.implied)) == (11, 1)
+    lengths = {tuple(p): d for p, d in zip(kind.pairs.tolist(), kind.lengths, strict=True)}
+    missed = lengths[0, 1] - np.linalg.norm(BENDING[0] - BENDING[1]) - 1e-7
+    assert 1e-9 < abs(missed) < 0.9e-7
+
+
+def test_redundant_constraints_that_disagree_are_named():
+    system = system_of(MASSES, BENDING, PAIRS, longer={(0, 1): 1e-3})
+    with pytest.raises(ValueError, match=r"particles 3 and 4 to 0\.115306 nm follows from the others .* miss it by"):
+        find_bodies(system, BENDING)
+
+
+def test_another_shape_with_the_same_other_distances_is_refused():
+    """The last of the five mirrored at three of them: nine distances are the same, the tenth is not."""
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    context = moving(system_of(MASSES, BENDING, PAIRS), BENDING, integrator)
+    integrator.step(1)
+    x = BENDING.copy()
+    normal = np.cross(x[1] - x[0], x[2] - x[0])
+    x[4] -= 2.0 * normal * ((x[4] - x[0]) @ normal) / (normal @ normal)
+    context.setPositions(x)
+    with pytest.raises(ValueError, match=r"is 0\.087 nm away from its shape"):
+        integrator.step(1)
+
+
+def test_a_flat_part_of_a_cluster_is_refused_with_what_to_do():
+    x = np.vstack([ring(0.14), [0.25, 0.1, 0.1]])
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    _context = moving(system_of(7 * [12.0], x, [*every_pair(6), (0, 6)]), x, integrator)
+    with pytest.raises(ValueError, match="a flat or straight part must be rigid as a whole"):
+        integrator.step(1)
