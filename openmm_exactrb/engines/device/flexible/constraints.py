@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import resources
-
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.engines.device.flexible.blocks import Blocks
+from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
 
 #: Other atoms of a star that the kernel has in private memory; atoms of a cluster of any graph.
 RAYS, LARGEST = 4, 32
@@ -17,7 +15,7 @@ ORDERS, SETTLED, SHORTEST = 20, 1e-16, 0.5**12
 _VECTORS = 4 * ORDERS + 6 + 10
 
 
-def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, int | float]]:
+def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, object]]:
     """Return the kernel's arrays of clusters, and its constants."""
     n, graphs, constraints = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
@@ -42,24 +40,18 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, int | float]]:
         "ends": np.concatenate(ends).astype(np.int32),
         "room": np.zeros(room),
     }
-    return made, constants | {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
+    constants |= {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
+    cases = (f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in range(2, max(sizes, default=1) + 1))
+    return made, constants | {"MOVE_STARS": " ".join(cases)}
 
 
-def is_star(group) -> bool:
+def is_star(group: Group) -> bool:
     """Return whether the kernel has a cluster in private memory."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 
-def text(blocks: Blocks) -> str:
-    """Return the functions by which clusters move."""
-    sizes = sorted({group.particles.shape[1] for group, _ in blocks.groups if is_star(group)} - {1})
-    parts = [f"#define SIZE {size}\n{read('star')}{read('constraints')}#undef SIZE\n" for size in sizes]
-    if not all(is_star(group) for group, _ in blocks.groups):
-        parts.append(read("graph") + read("constraints"))
-    cases = " ".join(f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in sizes)
-    return "".join(parts) + f"#define MOVE_STARS {cases}\n"
-
-
-def read(name: str) -> str:
-    """Return the text of a kernel file."""
-    return resources.files("openmm_exactrb.engines.device.kernels").joinpath(f"{name}.cl").read_text()
+def files(blocks: Blocks) -> tuple[str, ...]:
+    """Return the files of the functions by which clusters move."""
+    stars = max((group.particles.shape[1] for group, _ in blocks.groups if is_star(group)), default=1)
+    any_graph = not all(is_star(group) for group, _ in blocks.groups)
+    return ("star.cl", "constraints.cl") * (stars - 1) + ("graph.cl", "constraints.cl") * any_graph

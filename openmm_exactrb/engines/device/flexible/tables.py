@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context.bonded_terms import Terms
+from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
 from openmm_exactrb.engines.device.flexible.blocks import Blocks
 
 Array = NDArray[np.float64]
@@ -49,13 +49,18 @@ def kinds_of(terms: Terms, precision: type[np.floating]) -> dict[str, Kind]:
     rows = {
         "bonds": (terms.bonds, np.stack([length, near, square - near, strength])),
         "angles": (terms.angles, terms.of_angles),
-        "torsions": (terms.torsions, terms.of_torsions.reshape(-1, len(terms.torsions))),
+        "torsions": (terms.torsions, terms.of_torsions.reshape(2 * terms.of_torsions.shape[1], -1)),
         "pairs": (terms.pairs, terms.of_pairs),
         "impropers": (terms.impropers, terms.of_impropers),
         "maps": (terms.maps[:, :8], none(terms.maps)),
     }
     others = {"maps": terms.maps[:, 8:].T}
     return {name: Kind(rows[name][0], others.get(name, none(rows[name][0]).astype(int)), rows[name][1]) for name in KINDS}
+
+
+def particles(terms: Terms) -> list[Indices]:
+    """Return the particles of terms of each kind."""
+    return [terms.bonds, terms.angles, terms.torsions, terms.pairs, terms.impropers, terms.maps[:, :8]]
 
 
 def copies(particles: Indices, blocks: Blocks) -> Copies:
@@ -97,7 +102,7 @@ def arrays(terms: Terms, blocks: Blocks, precision: type[np.floating]) -> tuple[
     kinds = kinds_of(terms, precision)
     found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
     room = local(blocks, list(found.values()))
-    constants = {"BLOCKS": len(blocks), "HARMONICS": terms.of_torsions.shape[1]}
+    constants = {"BLOCKS": len(blocks), "PLACES_IN_ALL": len(room.atoms), "HARMONICS": terms.of_torsions.shape[1]}
     constants["PLACES_OF_BLOCK"] = int(np.diff(room.first).max(initial=1))
     constants["OWN_OF_BLOCK"] = int(np.diff(blocks.first_atom).max(initial=1))
     members, numbers = [np.zeros(0, int)], [np.zeros(0)]
@@ -116,9 +121,9 @@ def arrays(terms: Terms, blocks: Blocks, precision: type[np.floating]) -> tuple[
         table += [first[:-1], first[1:]]
     made = {
         "blocks": np.stack(table, axis=1).astype(np.int32),
-        "places": room.atoms.astype(np.int32),
+        "block_atoms": room.atoms.astype(np.int32),
         "members": np.concatenate(members).astype(np.int32),
-        "numbers": np.concatenate(numbers).astype(precision),
+        "constants": np.concatenate(numbers).astype(precision),
         "patches": terms.patches.astype(precision),
     }
     return made, constants

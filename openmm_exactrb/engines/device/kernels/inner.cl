@@ -110,7 +110,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         const int own = row[OWN], first_atom = block_atoms[row[FIRST_PLACE]], end = first_move+count;
         for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)
             xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
-        for (int begin = first_move, stop = begin; begin < end; begin = stop+1) {
+        for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
             bool kicks = false;
             for (stop = begin; stop < end && OF_MOVE(stop, OP) != DRIFT; stop++)
                 kicks = kicks || OF_MOVE(stop, OP) == FAST_KICK || OF_MOVE(stop, OP) == KICK || OF_MOVE(stop, OP) == REMEMBER;
@@ -136,8 +136,8 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                     step, (mm_long) turns, memory, v);
             }
             SYNC_THREADS
-            // Behind the last drift momenta have to be along the constraints only where they are shown.
-            if (stop < end || what & SHOWS_VELOCITIES) {
+            // Behind the last drift velocities have to be along the constraints only where somebody wants to know them.
+            if (stop < end || what & PROJECTS) {
                 const double t = stop < end ? TAU(stop) : 0.0;
                 for (int c = LOCAL_ID; c < row[CLUSTERS]; c += LOCAL_SIZE) {
                     GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+c);
@@ -157,8 +157,9 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 write_position(posq, posqCorrection, place, box, xs[3*i], xs[3*i+1], xs[3*i+2]);
             if (what & SHOWS_VELOCITIES)
                 velm[place.x] = make_mixed4((mixed) v[3*atom], (mixed) v[3*atom+1], (mixed) v[3*atom+2], velm[place.x].w);
-            for (int e = 0; e < 3; e++)
-                y[3*atom+e] = xs[3*i+e];
+            if (what & MOVES_ATOMS)
+                for (int e = 0; e < 3; e++)
+                    y[3*atom+e] = xs[3*i+e];
         }
         SYNC_THREADS
     }

@@ -11,7 +11,7 @@ enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
 // Of a heat exchange: friction and noise of bodies in flexible molecules.
 enum { FADE = 5, SPREAD = 6 };
 // What a launch does besides, as bits.
-enum { PLACES_ATOMS = 2, SHOWS_VELOCITIES = 4 };
+enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
 
 enum { FIRST_CLUSTER, CLUSTERS, FIRST_PLACE, PLACES, OWN, FIRST_TERMS, BLOCK_ROW = FIRST_TERMS+12 };
 enum { FIRST_ATOM, ATOMS_OF_CLUSTER, GRAPH, FIRST_CONSTRAINT, CONSTRAINTS_OF_CLUSTER, CLUSTER_ROW };

@@ -1,4 +1,17 @@
-// A star of SIZE atoms, the first of which is held to all others, in private memory.
+// A star of SIZE atoms, the first of which is held to all others, in private memory. Each time that this is read it is
+// about stars of one more.
+#if !defined(SIZE)
+#define SIZE 2
+#elif SIZE == 2
+#undef SIZE
+#define SIZE 3
+#elif SIZE == 3
+#undef SIZE
+#define SIZE 4
+#else
+#undef SIZE
+#define SIZE 5
+#endif
 #define PASTED(name, n) name##n
 #define NAMED(name, n) PASTED(name, n)
 #define MOVE NAMED(move_star_, SIZE)
