@@ -1,7 +1,7 @@
 # Two commands for a fresh clone: `make run` and `make test`. Both make their own virtual environment.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 # The oldest versions that pyproject.toml allows, in an environment of their own.
 LOWEST ?= .venv-lowest
 ARGS ?=
@@ -19,8 +19,10 @@ lowest: $(LOWEST)/.test
 
 lint: $(VENV)/.lint
 	$(BIN)/ruff check
+	$(BIN)/ruff check --preview --select PLW1514
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/mypy --platform win32 --cache-dir .mypy_cache/win32
 	$(BIN)/lint-imports
 	$(BIN)/python docs/_ext/words.py
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import joblib
 from docutils import nodes
 from numpydoc.numpydoc import mangle_signature
 from sphinx import addnodes
@@ -85,7 +86,7 @@ sphinx_gallery_conf = {
     "gallery_dirs": "examples",
     "filename_pattern": "",  # executes all of them
     "ignore_pattern": r"(^|[\\/])(sphere|dipole_runs)\.py",  # which others import
-    "parallel": len(os.sched_getaffinity(0)),
+    "parallel": joblib.cpu_count(),
     "run_stale_examples": True,  # the package may have changed since
     "reset_argv": "gallery.arguments",
     "reset_modules": ("matplotlib",),

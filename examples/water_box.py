@@ -108,7 +108,7 @@ def run(args: argparse.Namespace) -> None:
 def read_box(file: Path) -> app.PDBFile:
     """Read a PDB file that is whole."""
     try:
-        if not any(line.startswith("END") for line in file.read_text().splitlines()):
+        if not any(line.startswith("END") for line in file.read_text(encoding="utf-8").splitlines()):
             raise ValueError("there is no line END")
         return app.PDBFile(str(file))
     except OSError:
@@ -130,7 +130,7 @@ def start_of(
     file = job.folder / "start.xml"
     if resume and file.exists():
         try:
-            return openmm.XmlSerializer.deserialize(file.read_text())
+            return openmm.XmlSerializer.deserialize(file.read_text(encoding="utf-8"))
         except openmm.OpenMMException as error:
             raise ValueError(f"{file} is damaged: {' '.join(str(error).split())}") from error
     job.path(file.name)

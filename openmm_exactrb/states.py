@@ -75,7 +75,7 @@ def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openm
         If it cannot be read.
     """
     try:
-        content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text())
+        content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))
     except (openmm.OpenMMException, ValueError) as error:
         raise ValueError(f"{file} was not written by {writer}: {' '.join(str(error).split())}") from None
     if not isinstance(content, kind):

@@ -4,7 +4,7 @@ import ast
 import re
 import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -15,10 +15,9 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 RULES = re.findall(r"^([^\s#:]+): (.*)\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
-LOCAL = {
-    path.stem: path
-    for folder in ("benchmarks", "docs/_ext", "examples", "tests")
-    for path in (ROOT / folder).rglob("*.py")
+#: Our modules by the names by which they are imported.
+LOCAL = {path.stem: path for folder in ("docs/_ext", "examples", "tests") for path in (ROOT / folder).rglob("*.py")} | {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in (ROOT / "benchmarks").rglob("*.py")
 }
 #: Modules that another name brings, or which a requirement has among its own.
 COMES_WITH = {
@@ -42,10 +41,15 @@ def imported(script: Path) -> set[str]:
         path = todo.pop()
         tree = tree_of(path)
         seen.add(path)
-        new = set(names(tree, at_once=path != script)) - {name.split(".")[0] for name in skipped_without(tree)}
-        found |= new - set(LOCAL)
+        new = set(names(tree, at_once=path != script))
+        found |= top(new) - top(skipped_without(tree))
         todo += [LOCAL[name] for name in new & set(LOCAL) if LOCAL[name] not in seen]
     return found
+
+
+def top(modules: Iterable[str]) -> set[str]:
+    """Return the packages of modules that are not ours."""
+    return {name.split(".")[0] for name in modules} - set(LOCAL) - {"benchmarks"}
 
 
 @cache
@@ -64,9 +68,10 @@ def skipped_without(tree: ast.AST) -> Iterator[str]:
 def names(node: ast.AST, at_once: bool = False) -> Iterator[str]:
     """Yield the modules that a piece of code imports: all that it cannot do without, or those of its top level."""
     if isinstance(node, ast.Import):
-        yield from (alias.name.split(".")[0] for alias in node.names)
+        yield from (alias.name for alias in node.names)
     elif isinstance(node, ast.ImportFrom) and not node.level:
-        yield node.module.split(".")[0]
+        yield node.module
+        yield from (f"{node.module}.{alias.name}" for alias in node.names)
     for child in ast.iter_child_nodes(node):
         tried = isinstance(node, ast.Try) and child in node.body
         if not tried and not (at_once and isinstance(child, ast.FunctionDef)):
@@ -132,7 +137,7 @@ def test_a_command_installs_what_its_scripts_import(target):
 def test_pages_import_what_the_documentation_installs():
     pieces = [piece["code"] for page in PAGES for piece in PIECE.finditer(page.read_text(encoding="utf-8"))]
     found = {name for piece in pieces for name in names(ast.parse(re.sub(r"^:\w+:$", "", piece, flags=re.M)))}
-    needed = distributions(found - set(LOCAL))
+    needed = distributions(top(found))
     assert "numpy" in needed
     assert needed - installed(["openmm-exactrb[docs]"]) == set()
 

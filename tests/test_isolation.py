@@ -2,8 +2,8 @@
 
 import copy
 import gc
+import mmap
 import pickle
-import resource
 import sys
 import threading
 import weakref
@@ -133,7 +133,7 @@ def test_one_flow_serves_several_threads(method, switching_often):
 
 def megabytes():
     """Return the memory that the process holds now."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 2**20
+    return int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1]) * mmap.PAGESIZE / 2**20
 
 
 def context_of_a_three_masses():

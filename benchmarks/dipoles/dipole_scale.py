@@ -143,7 +143,7 @@ def evaluation(boundary, R, u, box, threads, repulsion):
 def peak(n):
     """Return the most memory (MB) of a process that evaluates n dipoles with a tolerance of 1e-4."""
     evaluation(rb.Ewald(), *liquid(n), 1, 4.0)
-    lines = Path("/proc/self/status").read_text().splitlines()  # getrusage has the parent's peak too
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()  # getrusage has the parent's peak too
     return round(int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024)
 
 

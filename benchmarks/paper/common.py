@@ -19,6 +19,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from dask.system import CPU_COUNT
 from PIL import Image
 from tqdm import tqdm
 
@@ -59,7 +60,7 @@ def in_pieces(name, function, pieces):
             results[k] = json.loads(file_of(piece).read_text(encoding="utf-8"))["result"]
         else:
             todo.append(k)
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=_one_thread) as pool:
+    with ProcessPoolExecutor(CPU_COUNT, initializer=_one_thread) as pool:
         running = {pool.submit(function, **pieces[k]): k for k in todo}
         for done in tqdm(as_completed(running), total=len(todo), desc=name, disable=not todo):
             k = running[done]

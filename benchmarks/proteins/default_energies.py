@@ -103,7 +103,7 @@ def row_of(job: ensemble.Job, value: dict) -> dict:
 
 def merge(rows: list[dict], file: Path) -> None:
     """Add lines to the table in the place of those of the same runs."""
-    old = list(csv.DictReader(file.read_text().splitlines())) if file.exists() else []
+    old = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines())) if file.exists() else []
     by_run = {tuple(row[name] for name in COLUMNS[:7]): row for row in (*old, *rows)}
     with written_whole(file) as out:
         table = csv.DictWriter(out, COLUMNS, lineterminator="\n")

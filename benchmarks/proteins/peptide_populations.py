@@ -176,7 +176,7 @@ def read(file: Path) -> list[Row]:
     """Return the rows of the record."""
     if not file.exists():
         return []
-    with file.open(newline="") as lines:
+    with file.open(encoding="utf-8", newline="") as lines:
         return list(csv.DictReader(lines))
 
 

@@ -343,7 +343,7 @@ def read(file: Path) -> dict[tuple[str, ...], Row]:
     """Return the rows of the record by point and seed."""
     if not file.exists():
         return {}
-    with file.open(newline="") as lines:
+    with file.open(encoding="utf-8", newline="") as lines:
         return {key_of(row): row for row in csv.DictReader(lines)}
 
 

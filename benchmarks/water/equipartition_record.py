@@ -89,7 +89,7 @@ def read(file: Path) -> Record:
     """Return what runs gave, by what they were."""
     if not file.exists():
         return {}
-    with file.open(newline="") as text:
+    with file.open(encoding="utf-8", newline="") as text:
         return {
             Run(*(kind(row[name]) for name, kind in COLUMNS.items())): {name: float(row[name]) for name in MEASURED}
             for row in csv.DictReader(text)

@@ -117,7 +117,7 @@ def main() -> None:
 def write(rows: list[list], file: Path) -> None:
     """Write the table, and print it with how many times each lies below Verlet's."""
     names = [f"{what}_{window:g}_ps" for window in WINDOWS for what in ("std", "error")]
-    with file.open("w", newline="") as out:
+    with file.open("w", encoding="utf-8", newline="") as out:
         table = csv.writer(out)
         table.writerow(["model", "forces_per_ps", "method", "starts", "failed", *names])
         table.writerows([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows)

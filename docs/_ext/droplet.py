@@ -30,7 +30,7 @@ def frames() -> Iterator[tuple[list[str], np.ndarray]]:
 
 def write(file: Path) -> None:
     """Write them as XYZ, in ångström."""
-    with file.open("w") as out:
+    with file.open("w", encoding="utf-8") as out:
         for number, (elements, x) in enumerate(frames()):
             print(len(elements), f"{10 * number} fs", sep="\n", file=out)
             for element, place in zip(elements, 10.0 * x, strict=True):

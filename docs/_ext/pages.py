@@ -12,6 +12,7 @@ import gc
 import io
 import os
 import re
+import shutil
 import sys
 import tempfile
 import traceback
@@ -46,7 +47,7 @@ def run(page: Path) -> None:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name in ("examples", "benchmarks"):
-            (folder / name).symlink_to(ROOT / name)
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "out"))
         stack.enter_context(contextlib.chdir(folder))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("error")
@@ -74,12 +75,13 @@ def failure(page: Path) -> str:
 
 def main() -> None:
     """Run all pages of the documentation, several at once."""
+    import joblib  # the tests, which read the pages, do without
+
     # Without a screen, on whatever device a machine has: some drivers fail.
     os.environ |= {"MPLBACKEND": "agg", "OPENMM_DEFAULT_PLATFORM": "CPU"}
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     os.environ.setdefault("OPENMM_CPU_THREADS", "1")
     failed = 0
-    with ProcessPoolExecutor(cores, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(joblib.cpu_count(), mp_context=get_context("spawn")) as pool:
         runs = {pool.submit(failure, page): page for page in PAGES if DOCS in page.parents and any(pieces(page))}
         for done in as_completed(runs):
             if told := done.result():

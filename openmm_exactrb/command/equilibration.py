@@ -66,7 +66,7 @@ def step_of(
     if args.step is not None:
         return {} if args.scheme is None else {"scheme": args.scheme}, args.step
     if job.resuming:
-        stored = json.loads((job.folder / STEP).read_text())
+        stored = json.loads((job.folder / STEP).read_text(encoding="utf-8"))
         return stored, stored.pop("step")
     report = None if args.quiet else progress
     result = tune(box.system, start, target=args.target, schemes=candidates(args), platform=platform, report=report)

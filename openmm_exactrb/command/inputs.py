@@ -152,7 +152,7 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     """Return the molecules in the file, with water around them if requested."""
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
-    if reader is app.PDBFile and "\nEND" not in file.read_text(errors="replace"):
+    if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
         raise ValueError(f"{file} was not understood: there is no line END, so it is truncated or not a PDB file")
     content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)

@@ -17,6 +17,7 @@ from openmm_exactrb.command.arguments import Parser
 
 # Errors in the files and options of a user.
 _ERRORS = (ValueError, ArithmeticError, OSError, ModuleNotFoundError, openmm.OpenMMException)
+_NOBODY_READS = 141  # the status of what SIGPIPE ends, which Windows does not have
 _COMMANDS = {"run": run, "tune": tune, "info": info}
 
 
@@ -46,7 +47,7 @@ def _status(args: argparse.Namespace) -> int:
         return int(_COMMANDS[args.command].carry_out(args))
     except BrokenPipeError:  # who reads the output, such as head, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 128 + signal.SIGPIPE
+        return _NOBODY_READS
     except _ERRORS as error:
         print(f"exactrb {args.command}: {_told(error)}", file=sys.stderr)
         return 2

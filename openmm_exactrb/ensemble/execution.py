@@ -102,7 +102,7 @@ def _results(jobs: list[Job], folder: Path, scheduler: str | None, workers: int 
 def stored_result(job: Job, folder: Path) -> Result | None:
     """Return the result of a job that a folder stores; None if it is missing, or its file is damaged."""
     try:
-        record = json.loads((folder / f"{job.key}.json").read_text("utf-8"))
+        record = json.loads((folder / f"{job.key}.json").read_text(encoding="utf-8"))
         return Result(job, record["value"], seconds=record["seconds"], cached=True)
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         return None

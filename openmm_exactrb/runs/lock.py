@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
-
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks
-    fcntl = None  # type: ignore[assignment]
 
 
 @contextlib.contextmanager
 def only_process(folder: Path) -> Iterator[None]:
-    """Hold a lock on a folder, which ends with the process; BlockingIOError if another process holds it."""
-    if fcntl is None:
+    """Hold a lock on a folder, which ends with the process; BlockingIOError if another process holds it.
+
+    Windows has no such locks.
+    """
+    if sys.platform == "win32":
         yield
         return
+    import fcntl  # noqa: TID251
+
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         try:

@@ -1,9 +1,13 @@
+import os
 import signal
 
 import pytest
 from small_droplets import droplet, make
 
 from openmm_exactrb.runs.signals import ENDING
+
+#: Accidents are signals of POSIX, and need processes that are forked.
+collect_ignore_glob = ["*"] if os.name == "nt" else []
 
 
 @pytest.fixture

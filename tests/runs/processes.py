@@ -10,6 +10,7 @@ from pathlib import Path
 
 from forked import FORKED
 from openmm_exactrb import kernels
+from openmm_exactrb.runs.signals import ENDING
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
 #: In numpy each starts sooner, and on a busy machine a bar would be a second line of errors.
@@ -56,9 +57,8 @@ def finish(errors_file, script, *arguments, before=None):
 
 def _run(errors_file, words, before):
     os.environ.update(SETTINGS)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # what starts the tests may have these ignored
-        number = getattr(signal, name)
-        signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL)
+    for number in ENDING:  # what starts the tests may have these ignored
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     descriptor = os.open(errors_file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(descriptor, 2)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

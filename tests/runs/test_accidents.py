@@ -3,7 +3,6 @@
 import contextlib
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -126,6 +125,8 @@ def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path
 
 
 def limit_size_of_files():
+    import resource
+
     resource.setrlimit(resource.RLIMIT_FSIZE, (30_001, 30_001))
 
 

@@ -15,6 +15,7 @@ import platform
 import shutil
 import stat
 import subprocess
+import sys
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -245,8 +246,10 @@ def private_folder() -> Path:
 
 def _refuse_others(path: Path) -> None:
     """Raise MissingLibraryError for a file or folder that is not the user's alone: code is loaded from it."""
+    if sys.platform == "win32":
+        return  # a home folder there is its user's alone
     status = path.stat()
-    if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:
+    if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(
             f"{path} is not loaded because it is not yours alone: remove it, or name another folder in {CACHE}"
         )

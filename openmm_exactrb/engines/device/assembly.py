@@ -1,0 +1,63 @@
+"""A program for the bodies of a Context: what its scheme and thermostat demand, its parts, and its sequences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from openmm_exactrb.engines.device.program import Program
+from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
+from openmm_exactrb.engines.device.segments import Sequences, Step, Table
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.moves import Move, Op, of_substep
+from openmm_exactrb.schemes.scheme import Scheme
+
+# Numbers of a heat exchange beside its time: see kernels/rigid.cl.
+EXCHANGE_NUMBERS = 8
+
+
+class Assembly:
+    """The program of a scheme for some bodies.
+
+    Attributes
+    ----------
+    parts : list of Part
+    table : Table
+    program : Program
+    demands : Demands
+    """
+
+    def __init__(self, bodies: RigidBodies, scheme: Scheme, updates: Any, sites: bool, scales: bool = False) -> None:
+        processed = bool(scheme.processor)
+        step = Step.of(scheme.sequence, splits_exchanges=scales, remembers=any(scheme.memory))
+        own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
+        (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
+        self.demands = Demands(
+            (forces, max(per_step, 1)),
+            (differences, max(of_differences, 1)),
+            processed,
+            any(move.op == Op.DISPLACE for move in _moves(scheme)),
+            scales,
+            own,
+        )
+        self.table = Table(own)
+        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, self.demands)
+        self.program = to = Program()
+        to.scalars |= {"turn": 0.0, "key": 0.0}
+        sequences = Sequences(self.parts, self.table, sites)
+        sequences.write_step(to, step, processed)
+        if processed:
+            sequences.write_processor(to, scheme)
+        sequences.write_updates(to, updates, processed)
+        self.table.declare(to, EXCHANGE_NUMBERS)
+        to.array("factors", 2)
+        to.array("totals", 3)
+        for part in self.parts:
+            part.declare(to)
+        to.scalars["interval"], to.scalars["leaves"] = updates.periods
+
+
+def _moves(scheme: Scheme) -> Iterable[Move]:
+    """Return all moves of a scheme."""
+    rows = (*scheme.sequence, *scheme.processor, *scheme.output)
+    return [move for substep, part in rows for move in of_substep(substep, part)]
