@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from openmm import unit
 
+from openmm_exactrb.detection.whole import molecular_links
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.images import joined
+from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
@@ -108,8 +110,8 @@ class EnergyReporter(_Lines):
 class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, with all digits of float64.
 
-    The moment is the sum of charge times position over all particles, with molecules whole; a gap within a molecule
-    must be shorter than half a periodic box. For soft dipoles the charge is strength/length at the tip of an arrow and
+    The moment is the sum of charge times position over all particles, with molecules whole: in a periodic box they are
+    joined along constraints and bonds. For soft dipoles the charge is strength/length at the tip of an arrow and
     its negative at the centre, as in the example `dielectric_constant.py`.
 
     Parameters
@@ -133,7 +135,7 @@ class MomentReporter(_Lines):
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, charges: ArrayLike, append: bool = False
     ) -> None:
         self._charges = _elementary(charges)
-        self._molecules: list[NDArray[np.intp]] | None = None  # found at the first report
+        self._links: Links | None = None  # of the molecules, found at the first report
         super().__init__(file, reportInterval, ("step", "time (ps)", "Mx", "My", "Mz"), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
@@ -144,37 +146,29 @@ class MomentReporter(_Lines):
         ValueError
             If there is not one charge for each particle, or a molecule is not neutral.
         """
-        self._molecules_of(simulation)
+        self._links_of(simulation)
         return {"steps": self._steps_left(simulation), "periodic": False, "include": ["positions"]}
 
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line for a Simulation and a State with positions."""
-        x, molecules = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), self._molecules_of(simulation)
+        x, links = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer), self._links_of(simulation)
         if simulation.system.usesPeriodicBoundaryConditions():
             box = state.getPeriodicBoxVectors(asNumpy=True).value_in_unit(unit.nanometer)
-            for particles in molecules:
-                x = joined(x, particles, box)
+            x = joined(x, links, box)
         self._write(simulation, state, self._charges @ x)
 
-    def _molecules_of(self, simulation: Any) -> list[NDArray[np.intp]]:
-        """Return the particles (n, k) of the molecules of each size k > 1, after checking the charges."""
+    def _links_of(self, simulation: Any) -> Links:
+        """Return what joins the particles of each molecule, after checking the charges."""
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
                 f"charges must be one for each of the {particles} particles of the System, and there are "
                 f"{len(self._charges)}: give 0 for those without a charge"
             )
-        if self._molecules is None:
-            molecule = _molecules(simulation)
-            _refuse_ions(self._charges, molecule)
-            sizes = np.bincount(molecule)
-            order, ends = np.argsort(molecule, kind="stable"), np.cumsum(sizes)
-            self._molecules = [
-                np.stack([order[end - k : end] for end in ends[sizes == k]])
-                for k in map(int, np.unique(sizes))
-                if k > 1
-            ]
-        return self._molecules
+        if self._links is None:
+            _refuse_ions(self._charges, _molecules(simulation))
+            self._links = molecular_links(simulation.system, molecule_of(simulation.context, None))
+        return self._links
 
 
 def _elementary(charges: Any) -> Array:

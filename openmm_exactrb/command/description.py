@@ -20,6 +20,7 @@ from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
+from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.tuning.floor import causes, of_water
@@ -48,7 +49,7 @@ def described(
     yield from _particles(system)
     x = _anywhere(system) if positions is None else np.array(positions.value_in_unit(unit.nanometer))
     try:
-        bodies = find_bodies(system, x)
+        bodies = find_bodies(system, x, box=None if positions is None else periodic_box(system))
     except ValueError as error:
         hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
         yield f"not supported: {' '.join(str(error).split())}{hint}"
@@ -109,11 +110,11 @@ def _particles(system: openmm.System) -> Iterator[str]:
 
 def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
     """Yield a line for each number of particles in rigid bodies and clusters, and one for single particles."""
-    turning: dict[tuple[int, bool], list[Kind]] = {}
+    several: dict[tuple[int, bool, bool], list[Kind]] = {}
     for kind in bodies.kinds:
-        if kind.turns:
-            turning.setdefault((len(kind.masses), kind.linear), []).append(kind)
-    for (k, linear), kinds in sorted(turning.items()):
+        if len(kind.masses) > 1:
+            several.setdefault((len(kind.masses), kind.linear, kind.turns), []).append(kind)
+    for (k, linear, turns), kinds in sorted(several.items()):
         inertia = np.concatenate([kind.inertia for kind in kinds])
         moments = " ".join(f"{moment:.4g}" for moment in inertia[0])
         if np.ptp(inertia, axis=0).max() > 1e-6 * inertia.max():
@@ -123,7 +124,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
         what = f"{'straight ' if linear else ''}rigid {'body' if count == 1 else 'bodies'}"
         yield (
             f"{count} {what} of {k} particles{names.residues(particles)}: "
-            f"{5 if linear else 6} degrees of freedom, moments {moments} amu nm²"
+            f"{3 + turns * (3 - linear)} degrees of freedom, moments {moments} amu nm²"
         )
     for cluster in sorted(bodies.clusters.kinds, key=lambda kind: len(kind.masses)):
         count = len(cluster.particles)
@@ -137,7 +138,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
             line += f"; {len(cluster.implied)} more are redundant, such as that of particles {names.joined((i, j))}"
         yield line
     single = np.concatenate(
-        [np.zeros((0, 1), dtype=int), *(kind.particles for kind in bodies.kinds if not kind.turns)]
+        [np.zeros((0, 1), dtype=int), *(kind.particles for kind in bodies.kinds if len(kind.masses) == 1)]
     )[len(bodies.clusters.mass) :]
     if len(single):
         yield f"{len(single)} single particles{names.residues(single)}"

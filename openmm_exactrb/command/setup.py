@@ -15,6 +15,7 @@ from openmm_exactrb.command.inputs import Box
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.detection.find import has_flexible_clusters
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
@@ -33,7 +34,8 @@ _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs,
 
 def refuse_flexible(box: Box) -> None:
     """Raise ModuleNotFoundError if molecules are flexible and numba, which their motion needs, is not installed."""
-    if has_flexible_clusters(box.system, np.array(box.positions.value_in_unit(unit.nanometer))):
+    x = np.array(box.positions.value_in_unit(unit.nanometer))
+    if has_flexible_clusters(box.system, x, periodic_box(box.system)):
         kernels.require("flexible molecules with constraints")
 
 

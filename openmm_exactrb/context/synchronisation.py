@@ -16,7 +16,7 @@ from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
-from openmm_exactrb.mechanics.images import rejoined
+from openmm_exactrb.mechanics.images import Shapes
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.substeps import Remembered
@@ -63,6 +63,7 @@ class Synchronisation:
         x, v = self.held()
         refuse_unset(context)
         self.bodies = find_bodies(context.getSystem(), x, named, self.box(), pairs)
+        self._shapes = Shapes(self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
@@ -132,14 +133,11 @@ class Synchronisation:
     def _joined(self, x: Array) -> Array:
         """Return positions without what the periodic box split."""
         box = self.box()
-        return x if box is None else rejoined(x, self.bodies, box)
+        return x if box is None else self._shapes.whole(x, box)
 
     def box(self) -> Array | None:
         """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
-        context: Any = self._context()
-        if not context.getSystem().usesPeriodicBoundaryConditions():
-            return None
-        return np.reshape(arrays.box(context.getState()), (3, 3))
+        return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""

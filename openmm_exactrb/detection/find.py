@@ -18,9 +18,9 @@ from openmm_exactrb.detection.shapes import (
     kinds_from_positions,
     on_constraints,
 )
+from openmm_exactrb.detection.whole import constraints, whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
-from openmm_exactrb.mechanics.images import joined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -45,7 +45,7 @@ def find_bodies(
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
     box : (3, 3) array, optional
-        Vectors of the periodic box in nm, which may have split bodies.
+        Vectors of the periodic box in nm, which may have split bodies: see `whole_positions`.
     pairs : bool, optional
         Whether two particles with a constraint between them are a cluster, and not a linear body.
 
@@ -58,6 +58,7 @@ def find_bodies(
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     _refuse_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
+    whole = whole_positions(system, positions, masses, given, box)
     groups: dict[tuple[bytes, bytes], list[Indices]] = {}
     for particles, distances in _clusters(system, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
@@ -68,10 +69,9 @@ def find_bodies(
         distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
         particles = np.stack(members)
         pair = pairs and len(distances) == 2 and not np.isnan(distances).any()
-        if pair or not held_rigid(distances, positions[members[0]]):
-            flexible.append(_flexible(particles, body_masses, distances, positions, box))
+        if pair or not held_rigid(distances, whole[members[0]]):
+            flexible.append(_flexible(particles, body_masses, distances, whole))
             continue
-        whole = positions if box is None else joined(positions, particles, box, distances[None])
         if not np.isnan(distances).any():
             shapes += kinds_from_distances(particles, body_masses, distances, whole)
         else:
@@ -90,16 +90,14 @@ def find_bodies(
     return RigidBodies(kinds, len(masses), clusters)
 
 
-def has_flexible_clusters(system: openmm.System, positions: Array) -> bool:
+def has_flexible_clusters(system: openmm.System, positions: Array, box: Array | None = None) -> bool:
     """Return whether constraints of a System leave a cluster a motion of its own, as `find_bodies` sees it."""
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
-    clusters = _clusters(system, masses, [])
-    return not all(held_rigid(distances, positions[particles]) for particles, distances in clusters)
+    clusters, whole = _clusters(system, masses, []), whole_positions(system, positions, masses, [], box)
+    return not all(held_rigid(distances, whole[particles]) for particles, distances in clusters)
 
 
-def _flexible(
-    particles: Indices, masses: Array, distances: Array, positions: Array, box: Array | None = None
-) -> ClusterKind:
+def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
     """Return clusters from those of their distances that are constrained; the others are nan.
 
     Constraints that follow from others are implied: all lengths then are those of the best fit to all of them.
@@ -109,10 +107,9 @@ def _flexible(
     kept = kind.independent()
     if kept.all():
         return kind
-    whole = positions if box is None else joined(positions, particles, box, distances[None])
     without = distances.copy()
     without[tuple(pairs[~kept].T)] = without[tuple(pairs[~kept, ::-1].T)] = np.nan
-    x = on_constraints(particles, masses, without, whole)[particles]
+    x = on_constraints(particles, masses, without, positions)[particles]
     missed = kind.missed(x).max(axis=0)
     if missed.max() > RESIDUAL * kind.lengths.max():
         worst = int(np.argmax(missed))
@@ -121,7 +118,7 @@ def _flexible(
             f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
             f"{kind.name(0)}, which miss it by {missed[worst]:.2g} nm: correct it or remove it"
         )
-    x = on_constraints(particles[:1], masses, distances, whole)[particles[:1]]
+    x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
     return ClusterKind(particles, masses, pairs[kept], lengths[kept], pairs[~kept], lengths[~kept])
 
@@ -169,11 +166,7 @@ def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Ite
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
-    n, count = len(masses), system.getNumConstraints()
-    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
-    for i in range(count):
-        p, q, length = system.getConstraintParameters(i)
-        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
+    n, (pairs, lengths) = len(masses), constraints(system)
     owner = np.full(n, -1)
     for number, particles in enumerate(given):
         owner[particles] = number
@@ -198,9 +191,9 @@ def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Ite
             continue
         distances = np.full((len(particles), len(particles)), np.nan)
         np.fill_diagonal(distances, 0.0)
-        constraints = of_cluster[limits[cluster] : limits[cluster + 1]]
-        i, j = place[pairs[constraints]].T
-        distances[i, j] = distances[j, i] = lengths[constraints]
+        own = of_cluster[limits[cluster] : limits[cluster + 1]]
+        i, j = place[pairs[own]].T
+        distances[i, j] = distances[j, i] = lengths[own]
         if owner[particles[0]] >= 0:
             distances[~np.eye(len(particles), dtype=bool)] = np.nan
         yield particles, distances

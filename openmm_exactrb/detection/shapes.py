@@ -17,6 +17,8 @@ Indices = NDArray[np.intp]
 
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10
+# Particles that are as near as this, in nm, coincide.
+_POINT = 1e-6
 #: How much the distances of a body may be missed by, as a part of the largest: files round them.
 RESIDUAL = 1e-5
 # Particles of a flat body some of whose distances are not constrained, and the least stress that keeps one flat.
@@ -32,7 +34,7 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
         return [kind]
     X = positions[particles]
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
-    mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", masses, relative, kind.sites[0])) < 0.0
+    mirrored = np.linalg.det(np.einsum("s,nsi,sj->nij", kind.weights, relative, kind.sites[0])) < 0.0
     image = replace(kind, sites=kind.sites * (-1.0, 1.0, 1.0))
     return [
         replace(k, particles=particles[chosen]) for k, chosen in ((kind, ~mirrored), (image, mirrored)) if chosen.any()
@@ -85,12 +87,13 @@ def kinds_from_positions(particles: Indices, masses: Array, positions: Array) ->
     X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
     relative = X - np.einsum("s,nsi->ni", masses / kind.mass, X)[:, None]
-    attitudes = matrix(best_attitudes(masses, kind.sites, relative)).transpose(2, 0, 1)
+    attitudes = matrix(best_attitudes(kind.weights, kind.sites, relative)).transpose(2, 0, 1)
     residual = np.sqrt(((relative - turned(attitudes, kind.sites)) ** 2).sum(axis=2).max(axis=1))
     if residual[1:].max(initial=0.0) <= RIGIDITY:
         return [replace(kind, particles=particles)]
     each = [_with_shape_of(row[None], masses, x[None], positions) for row, x in zip(particles, X, strict=True)]
-    together = [[one for one in each if one.linear == linear] for linear in (False, True)]
+    sorts = (True, False), (True, True), (False, False)
+    together = [[one for one in each if (one.turns, one.linear) == sort] for sort in sorts]
     return [_joined(some) for some in together if some]
 
 
@@ -154,29 +157,42 @@ def _kept_flat(distances: Array, places: Array) -> bool:
 
 def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     """Place the particles of a body in its principal axes, from all their distances."""
-    mass = float(masses.sum())
-    if len(masses) == 1:
-        return Kind(particles, slice(0), masses, np.zeros((1, 1, 3)), mass, np.zeros((1, 3)))
+    mass, k = float(masses.sum()), len(masses)
+    if distances.max() <= _POINT:
+        return Kind(particles, slice(0), masses, np.zeros((1, k, 3)), mass, np.zeros((1, 3)))
     # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
     # eigenvalues and the places as its eigenvectors.
-    weights = masses / mass
-    square = distances**2
-    to_centre = square @ weights
-    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
     root = np.sqrt(masses)
-    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
-    spread = np.zeros(3)
-    axes = np.zeros((len(masses), 3))
-    found = min(3, len(masses))
-    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
-    axes[:, :found] = vectors[:, ::-1][:, :found]
-    spread[spread < _FLAT * spread[0]] = 0.0
+    spread, axes = _scaled(distances, masses / mass, root)
     sites = axes * np.sqrt(spread) / root[:, None]
+    if not spread.all():  # flat, unless it is only the masses that are: then the places come first, and the axes next
+        extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
+        if np.count_nonzero(extent) > np.count_nonzero(spread):
+            places = directions * np.sqrt(extent)
+            places -= masses @ places / mass
+            sites = places @ np.linalg.eigh((masses * places.T) @ places)[1][:, ::-1]
+            spread = masses @ sites**2
     residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
-    if residual > RESIDUAL * distances.max() or not spread[0] > 0.0:
+    if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
             f"a distance is missed by {residual:.2g} nm"
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])
+
+
+def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
+    """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of places.
+
+    These are positions at these distances about the mean with these weights, times a root of a weight each.
+    """
+    square = distances**2
+    to_centre = square @ weights
+    gram = 0.5 * (to_centre[:, None] + to_centre[None, :] - weights @ to_centre - square)
+    moments, vectors = np.linalg.eigh(root[:, None] * gram * root)
+    spread, axes, found = np.zeros(3), np.zeros((len(root), 3)), min(3, len(root))
+    spread[:found] = np.maximum(moments[::-1][:found], 0.0)
+    axes[:, :found] = vectors[:, ::-1][:, :found]
+    spread[spread < _FLAT * spread[0]] = 0.0
+    return spread, axes

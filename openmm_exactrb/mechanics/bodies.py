@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 
+# Of the smallest to the largest moment: the orientation of a thinner body is where its lightest particles are.
+_THIN = 1e-6
+
+
 @dataclass(frozen=True)
 class Kind:
     """Bodies of the same masses, and of one shape or of one each.
@@ -36,7 +40,7 @@ class Kind:
         Places of the particles in the principal axes of the body, about the centre of mass: of all bodies, or of each.
     mass : float
     inertia : (1, 3) or (n, 3) array
-        Principal moments in ascending order; the first is 0 for a linear body, all are for a single particle.
+        Principal moments in ascending order; the first is 0 for a linear body, all are for particles in one point.
     """
 
     particles: Indices
@@ -48,13 +52,19 @@ class Kind:
 
     @property
     def turns(self) -> bool:
-        """Whether the bodies have an orientation: all but single particles."""
-        return bool(self.sites.shape[1] > 1)
+        """Whether the bodies have an orientation: all but single particles, and particles that coincide."""
+        return bool(self.inertia.any())
 
     @property
     def linear(self) -> bool:
         """Whether all sites lie on axis 1."""
         return self.turns and bool(self.inertia[0, 0] == 0.0)
+
+    @property
+    def weights(self) -> Array:
+        """What each particle counts (k,) where an orientation is sought: its mass, unless hardly any is off a line."""
+        thin = self.turns and not self.linear and bool((self.inertia[:, 0] < _THIN * self.inertia[:, 2]).any())
+        return np.ones(len(self.masses)) if thin else self.masses
 
 
 class RigidBodies:
@@ -94,6 +104,7 @@ class RigidBodies:
         self.inertia = _moments(self._turning)
         self._flexible = bool(len(self.clusters))
         self._single = self.first_particle[self.n_turning :]
+        self._points = tuple(kind for kind in kinds if not kind.turns and kind.particles.shape[1] > 1)
         self._particles_of = kernels.load("bodies")
 
     @property
@@ -147,6 +158,8 @@ class RigidBodies:
             self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
         if self._single.size:
             out[self._single] = state.R.T[self.n_turning :]
+        for kind in self._points:
+            out[kind.particles] = state.R.T[kind.bodies, None]
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
@@ -156,6 +169,8 @@ class RigidBodies:
             self._particles_of.move(V, omega, state.q, kind.particles, kind.sites, kind.bodies.start, out)
         if self._single.size:
             out[self._single] = V.T[self.n_turning :]
+        for kind in self._points:
+            out[kind.particles] = V.T[kind.bodies, None]
         return out
 
     def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
@@ -165,6 +180,8 @@ class RigidBodies:
             self._particles_of.collect(state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque)
         if self._single.size:
             total[:, self.n_turning :] = forces[self._single].T
+        for kind in self._points:
+            total[:, kind.bodies] = forces[kind.particles].sum(axis=1).T
         return total, torque
 
     def tangent(self, state: BodyState) -> BodyState:

@@ -72,9 +72,11 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
             changed = np.abs(relative - turned(_attitudes(q, of_kind), sites)).max(axis=(1, 2)) > _SHIFTED
             of_kind, relative, sites = of_kind[changed], relative[changed], _some(sites, changed)
             pushed = np.union1d(pushed, of_kind)
-            q[:, of_kind] = best_attitudes(kind.masses, sites, relative)
+            q[:, of_kind] = best_attitudes(kind.weights, sites, relative)
             residual = relative - turned(_attitudes(q, of_kind), sites)
             residuals.append((of_kind, np.sqrt((residual**2).sum(axis=2).max(axis=1, initial=0.0))))
+        elif len(kind.masses) > 1:
+            residuals.append((of_kind, np.linalg.norm(X - R.T[of_kind, None], axis=2).max(axis=1, initial=0.0)))
     residuals.append(_missed(bodies, R, moved))
     _judge(bodies, x, *map(np.concatenate, zip(*residuals, strict=True)))
     for kind in bodies.kinds:
@@ -137,8 +139,8 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: do not let a periodic box split molecules, and set positions whose distances "
-            "are about those of the constraints"
+            f", more than {REFUSED:g} nm: set positions whose distances are about those of the constraints, or of the "
+            "positions that a body named by hand had first"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warnings.warn(
@@ -156,8 +158,8 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
     row = body - kind.bodies.start
     particles, sites = kind.particles[row], kind.sites[row % len(kind.sites)]
-    missed = np.array([_missed_by(k, kind.masses, sites, x[particles]) for k in range(len(particles))])
-    if _missed_by(None, kind.masses, -sites, x[particles]).max() <= REFUSED:
+    missed = np.array([_missed_by(k, kind.weights, sites, x[particles]) for k in range(len(particles))])
+    if _missed_by(None, kind.weights, -sites, x[particles]).max() <= REFUSED:
         return (
             " and the mirror image of it: set positions of the handedness of the first ones, or call "
             "context.reinitialize(preserveState=True) to make these the shape"
@@ -172,9 +174,9 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
     )
 
 
-def _missed_by(left_out: int | None, masses: Array, sites: Array, x: Array) -> Array:
+def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> Array:
     """Return the distances (k,) of particles from their positions in the fit of a body to all but one of them."""
-    weights = masses.copy()
+    weights = weights.copy()
     weights[[] if left_out is None else left_out] = 0.0
     relative, about = (a - weights @ a / weights.sum() for a in (x, sites))
     attitude = _attitudes(best_attitudes(weights, about[None], relative[None]), np.arange(1))

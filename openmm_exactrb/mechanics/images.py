@@ -1,68 +1,211 @@
-"""Bodies in a periodic box: particles that it has split brought into one image again, and the closest bodies."""
+"""Particles that a periodic box has split brought into one image again, and the closest bodies.
+
+Each link between two particles decides alone by how many vectors of the box they are apart: the image is taken at which
+the link has its length. The rest is to follow a tree of links.
+"""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# As near, in nm, as positions have to be to be put on a shape.
-_NEAR = 0.05
+# Lengths (nm) that are missed by less than this may be those of a link; by less than `_EQUAL`, they are.
+_NEAR, _EQUAL = 0.02, 1e-4
+# An image replaces what is given if it misses the length by less than this part of what that misses.
+_CLOSER = 0.5
+# As long as this, in units of its length, a bond may be that is not split.
+_STRETCHED = 1.5
+# Ways to choose among images that are tried where links of a group leave some undecided.
+_MOST_WAYS = 4096
 
 
-def rejoined(x: Array, bodies: RigidBodies, box: Array) -> Array:
-    """Return positions (n_particles, 3) with the particles of each body, and of each cluster, in one image of a box."""
-    for kind in bodies.kinds:
-        x = joined(x, kind.particles, box, np.linalg.norm(kind.sites[:, :, None] - kind.sites[:, None], axis=3))
-    for cluster in bodies.clusters.kinds:
-        x = joined(x, cluster.particles, box)
-    return x
+@dataclass(frozen=True)
+class Decided:
+    """By how many vectors of the box the second ends of links are to be shifted against the first.
 
-
-def joined(x: Array, particles: Indices, box: Array, distances: Array | None = None) -> Array:
-    """Return positions with the particles (n, k) of each body in one image of a box; the same array if they are.
-
-    Bodies whose particles are at their distances, (1, k, k) or (n, k, k), are left alone; nan where nobody knows. In
-    others, from the first particle on, the one that is nearest to those that have their place takes the image nearest
-    to them: bodies may be longer than half the box, if no gap in them is.
+    Attributes
+    ----------
+    shifts : (m, 3) array
+    doubtful : (m,) array of bool
+        Where no image has the length, and what is given does not either.
+    undecided : (m,) array of bool
+        Where several images have the length within `_NEAR`.
     """
-    X = x[particles]
-    extent = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1)
-    wide = np.isfinite(extent) & (extent > 0.5)
-    if not wide.any():
+
+    shifts: Array
+    doubtful: NDArray[np.bool_]
+    undecided: NDArray[np.bool_]
+
+
+def decided(x: Array, links: Links, box: Array) -> Decided:
+    """Return which images the links take: what is given if it has the length, else the one that has it best."""
+    gap, inverse, half = x[links.pairs[:, 1]] - x[links.pairs[:, 0]], np.linalg.inv(box), half_width(box)
+    found = Decided(np.zeros(gap.shape), *(np.zeros(len(gap), dtype=bool) for _ in range(2)))
+    given, wanted = np.linalg.norm(gap, axis=1), np.nan_to_num(links.lengths)
+    short = wanted < half - _NEAR
+    (far,) = np.nonzero(np.isfinite(given) & ~(short & (given < half)))
+    found.shifts[far] = -np.round(gap[far] @ inverse)
+    nearest = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
+    hard = far[~(short[far] & (nearest < half))]  # the others have one image only that is nearer than half the box
+    if len(hard):
+        offered = _lattice(2 + int(wanted[hard].max() / (2.0 * half)))
+        for link in hard:
+            shifts = found.shifts[link] + offered
+            missed = np.abs(np.linalg.norm(gap[link] + shifts @ box, axis=1) - wanted[link])
+            found.shifts[link] = shifts[np.argmin(missed)]
+            found.undecided[link] = (missed < _NEAR).sum() > 1
+    best = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
+    missed, missed_by_given = (np.abs(length - wanted[far]) for length in (best, given[far]))
+    closer = missed < _CLOSER * missed_by_given
+    kept = ~closer | (missed_by_given <= missed + _EQUAL)
+    found.doubtful[far] = ~closer & found.shifts[far].any(axis=1) & (given[far] > _STRETCHED * wanted[far])
+    found.shifts[far[kept]] = 0.0
+    return found
+
+
+def half_width(box: Array) -> float:
+    """Return half the smallest distance (nm) between opposite sides: shorter vectors have no shorter image."""
+    return float(0.5 / np.linalg.norm(np.linalg.inv(box), axis=0).max())
+
+
+def _lattice(reach: int) -> Array:
+    """Return all triples of whole numbers up to a size."""
+    return np.array(list(itertools.product(range(-reach, reach + 1), repeat=3)), dtype=np.float64)
+
+
+def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
+    """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if they are.
+
+    The first of them stays where it is. ValueError if two images suit them equally well.
+    """
+    found = decided(x, links, box) if found is None else found
+    if not found.shifts.any() and not found.undecided.any():
         return x
-    if distances is not None:
-        found = np.linalg.norm(X[wide, :, None] - X[wide, None], axis=3)
-        known = distances if len(distances) == 1 else distances[wide]
-        wide[wide] = ~(np.abs(found - known) <= _NEAR).all(axis=(1, 2))  # nan is not near
+    total = links.along_tree(found.shifts)
+    for group in np.unique(links.component[links.pairs[found.undecided, 0]]):
+        particles = np.flatnonzero(links.component == group)
+        total[particles] = _best_way(x[particles], links.among(particles), box, particles)
+    moved = total.any(axis=1)
+    if not moved.any():
+        return x
     y = x.copy()
-    y[particles[wide]] = X[wide] + _images(X[wide], box) @ box
+    y[moved] = x[moved] + total[moved] @ box
     return y
 
 
-def _images(X: Array, box: Array) -> Array:
-    """Return by how many vectors of the box each particle is to be shifted, (n, k, 3)."""
-    inverse = np.linalg.inv(box)
-    images, offered = np.zeros_like(X), np.zeros_like(X)
+def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
+    """Return the shifts (k, 3) of a group of particles at which all of its links have their lengths best."""
+
+    def missed(total: Array) -> float:
+        gap = np.diff((x + total @ box)[links.pairs], axis=1)[:, 0]
+        return float(np.nanmax(np.abs(np.linalg.norm(gap, axis=1) - links.lengths)))
+
+    given = np.zeros(x.shape)
+    if missed(given) <= _EQUAL:
+        return given
+    shifts, of_tree = decided(x, links, box).shifts, links.tree[2]
+    gap = x[links.pairs[:, 1]] - x[links.pairs[:, 0]]
+    offered = [np.array([shift]) for shift in shifts]
+    for link in of_tree[links.lengths[of_tree] >= half_width(box) - _NEAR]:
+        around = -np.round(gap[link] @ np.linalg.inv(box)) + _lattice(2 + int(links.lengths[link] / half_width(box)))
+        near = np.abs(np.linalg.norm(gap[link] + around @ box, axis=1) - links.lengths[link]) < _NEAR
+        offered[link] = around[near] if near.any() else offered[link]
+    ways = itertools.islice(itertools.product(*offered), _MOST_WAYS)
+    tried = [links.along_tree(np.array(way)) for way in ways]
+    misses = np.array([missed(total) for total in tried])
+    best = int(np.argmin(misses))
+    if missed(given) <= misses[best] + _EQUAL:
+        return given
+    if (misses <= misses[best] + _EQUAL).sum() > 1:
+        shown = ", ".join(map(str, names[:8])) + (", ..." if len(names) > 8 else "")
+        raise ValueError(
+            f"the periodic box has split what particles {shown} form, and two images suit it equally well: set "
+            "positions in which it is whole"
+        )
+    return tried[best]
+
+
+class Shapes:
+    """The links within bodies whose shape is known, and within clusters, whose constraints are."""
+
+    def __init__(self, bodies: RigidBodies) -> None:
+        self._bodies = bodies
+
+    def whole(self, x: Array, box: Array) -> Array:
+        """Return positions (n_particles, 3) with each body and cluster in one image; the same array if they are."""
+        long = self._short.lengths.max(initial=0.0) >= half_width(box) - _NEAR
+        return joined(x, self._braced if long else self._short, box)
+
+    @cached_property
+    def _short(self) -> Links:
+        return self._links(braced=False)
+
+    @cached_property
+    def _braced(self) -> Links:
+        """Those of long bodies have links that a tree does not need, to decide between images."""
+        return self._links(braced=True)
+
+    def _links(self, braced: bool) -> Links:
+        n, pairs, lengths = self._bodies.n_particles, [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
+        for kind in self._bodies.kinds:
+            if kind.particles.shape[1] > 1:
+                within = _within(kind, braced)
+                apart = np.linalg.norm(kind.sites[:, within[:, 0]] - kind.sites[:, within[:, 1]], axis=2)
+                pairs.append(kind.particles[:, within].reshape(-1, 2))
+                lengths.append(np.broadcast_to(apart, (len(kind.particles), len(within))).ravel())
+        for cluster in self._bodies.clusters.kinds:
+            within = np.concatenate([cluster.pairs, cluster.implied])
+            pairs.append(cluster.particles[:, within].reshape(-1, 2))
+            of_kind = np.concatenate([cluster.lengths, cluster.implied_lengths])
+            lengths.append(np.tile(of_kind, len(cluster.particles)))
+        return Links(np.concatenate(pairs), np.concatenate(lengths), n)
+
+
+def _within(kind: Kind, braced: bool) -> Indices:
+    """Return pairs of the particles of a body: a tree, and each with four that span it if it is to be braced."""
+    tree = shortest_tree(kind.sites)
+    if not braced:
+        return tree
+    number = np.arange(kind.sites.shape[1])
+    away, spanning = np.full(len(number), np.inf), [0]
+    for _ in range(4):
+        away = np.minimum(away, np.linalg.norm(kind.sites[0] - kind.sites[0, spanning[-1]], axis=1))
+        spanning.append(int(np.argmax(away)))
+    braces = [np.column_stack([np.full(len(number), k), number])[number != k] for k in spanning]
+    return np.concatenate([tree, *braces])
+
+
+def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
+    """Return the longest gap (n,) on the way through each body (n, k, 3) by the shortest steps, and the shifts taken.
+
+    With a box, steps to the nearest images count; the shifts (n, k, 3) are numbers of its vectors.
+    """
+    images, offered, longest = np.zeros_like(X), np.zeros_like(X), np.zeros(len(X))
     missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
     rows, last = np.arange(len(X)), np.zeros(len(X), dtype=np.intp)
     for _ in range(X.shape[1] - 1):
         missing[rows, last] = False
-        gap = X - (X[rows, last] + images[rows, last] @ box)[:, None]
-        shift = -np.round(gap @ inverse)
-        length = np.linalg.norm(gap + shift @ box, axis=2)
+        at = X[rows, last] if box is None else X[rows, last] + images[rows, last] @ box
+        gap = X - at[:, None]
+        shift = np.zeros_like(gap) if box is None else -np.round(gap @ np.linalg.inv(box))
+        length = np.linalg.norm(gap if box is None else gap + shift @ box, axis=2)
         closer = length < distance
         distance[closer], offered[closer] = length[closer], shift[closer]
         last = np.where(missing, distance, np.inf).argmin(axis=1)
+        longest = np.maximum(longest, distance[rows, last])
         images[rows, last] = offered[rows, last]
-    return images
+    return longest, images
 
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:

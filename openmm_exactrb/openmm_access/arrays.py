@@ -38,6 +38,15 @@ def box(state: openmm.State) -> tuple[float, ...]:
     return tuple(x for vector in state.getPeriodicBoxVectors()._value for x in vector)
 
 
+def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
+    """Return the vectors (3, 3) of the periodic box of a Context, or the default of a System, in nm; None without."""
+    if isinstance(source, openmm.System):
+        system, vectors = source, source.getDefaultPeriodicBoxVectors()
+    else:
+        system, vectors = source.getSystem(), source.getState().getPeriodicBoxVectors()
+    return np.array(vectors._value) if system.usesPeriodicBoundaryConditions() else None
+
+
 def _vectors(state: openmm.State, kind: int) -> Array:
     values = np.empty((state._getNumParticles(), 3))  # noqa: SLF001  # OpenMM has no other door without units
     state._getVectorAsNumpy(kind, values)  # noqa: SLF001

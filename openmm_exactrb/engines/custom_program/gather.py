@@ -94,6 +94,8 @@ def unsupported(system: openmm.System, bodies: RigidBodies) -> str | None:
                 f"{bodies.name(kind.bodies.start)} or one of its kind is smaller than {2.0 * REACH**0.5:g} nm: the "
                 "engine on the device cannot distinguish its positions from numbers"
             )
+        if not kind.turns and kind.particles.shape[1] > 1:
+            return f"the particles of {bodies.name(kind.bodies.start)} coincide: the engine on the device has no points"
     return None
 
 

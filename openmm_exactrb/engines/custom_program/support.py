@@ -86,12 +86,13 @@ def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps
     system, outer = gather.without(context.getSystem()), integrator.getScheme()
     x, named = arrays.positions(context.getState(positions=True)), integrator.getNamedBodies()
     refuse_unset(context)
-    bodies, h = find_bodies(system, x, named), integrator.getStepSize().value_in_unit(unit.picosecond)
+    box = arrays.periodic_box(context)
+    bodies, h = find_bodies(system, x, named, box), integrator.getStepSize().value_in_unit(unit.picosecond)
     found = fast_forces(system, bodies, fast)
     of = None if found is None or isinstance(found.settings.fast, str) else found.settings.fast
     which = fast_group.indices_of_fast(system, of, groups) if found is not None and found.acts(outer, h) else []
     if which or len(bodies.clusters):
-        bodies = find_bodies(system, x, named, pairs=True)  # two particles with a constraint may feel fast forces
+        bodies = find_bodies(system, x, named, box, pairs=True)  # two particles with a constraint may feel fast forces
     if why := gather.unsupported(system, bodies):
         raise UnsupportedError(why)
     sums, clusters = gather.free_group(system, names.GROUP) or 0, bool(len(bodies.clusters))

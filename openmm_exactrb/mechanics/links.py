@@ -1,0 +1,98 @@
+"""Pairs of particles that belong together, and the trees that they form."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+class Links:
+    """Pairs of particles that a constraint, a bond or a known shape holds at a distance.
+
+    Parameters
+    ----------
+    pairs : (m, 2) array of int
+        Of those that are named twice, the first counts.
+    lengths : (m,) array
+        In nm; nan where it is not known.
+    n_particles : int
+    last : (m,) array of bool, optional
+        Those that the tree takes only where no others lead. It prefers short ones.
+    """
+
+    def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
+        self._keys, once = np.unique(_keys(pairs[:, 0], pairs[:, 1], n_particles), return_index=True)
+        self.pairs, self.lengths, self.n_particles = pairs[once], lengths[once], n_particles
+        order = np.lexsort((once, self.lengths, np.zeros(len(once)) if last is None else last[once]))
+        self._rank = np.empty(len(once))
+        self._rank[order] = np.arange(1.0, len(once) + 1.0)
+
+    @cached_property
+    def component(self) -> Indices:
+        """Which of the linked groups each particle (n_particles,) belongs to."""
+        from scipy.sparse.csgraph import connected_components  # here, for a short import of the package
+
+        label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
+        return np.asarray(label[:-1], dtype=np.intp)
+
+    @cached_property
+    def tree(self) -> tuple[Indices, Indices, Indices]:
+        """The particles that have one before them on the way from the first of their group, that one, and the link."""
+        from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+
+        n = self.n_particles
+        first = np.unique(self.component, return_index=True)[1]
+        branches = minimum_spanning_tree(self._graph(self.pairs, self._rank)).tocoo()
+        ends = np.concatenate([np.column_stack(branches.coords), np.column_stack([np.full(len(first), n), first])])
+        _, before = breadth_first_order(self._graph(ends, np.ones(len(ends))), n, directed=False)
+        particles = np.flatnonzero(before[:n] != n)
+        parents = before[particles].astype(np.intp)
+        return particles, parents, np.searchsorted(self._keys, _keys(particles, parents, n))
+
+    def _graph(self, pairs: Indices, weights: Array) -> Any:  # with one place more, from which all groups are reached
+        from scipy.sparse import coo_array
+
+        return coo_array((weights, tuple(pairs.T)), shape=(self.n_particles + 1, self.n_particles + 1)).tocsr()
+
+    def along_tree(self, shifts: Array) -> Array:
+        """Return the sums (n_particles, 3) of what the links (m, 3) add from their first ends to their second."""
+        n, (particles, parents, of) = self.n_particles, self.tree
+        total, before = np.zeros((n + 1, 3)), np.full(n + 1, n)
+        total[particles] = np.where(self.pairs[of, 1] == particles, 1.0, -1.0)[:, None] * shifts[of]
+        before[particles] = parents
+        while (before < n).any():
+            total, before = total + total[before], before[before]
+        return total[:n]
+
+    def among(self, particles: Indices) -> Links:
+        """Return the links of some particles, which are numbered by their place in this array."""
+        number = np.full(self.n_particles, -1)
+        number[particles] = np.arange(len(particles))
+        own = (number[self.pairs] >= 0).all(axis=1)
+        return Links(number[self.pairs[own]], self.lengths[own], len(particles))
+
+
+def _keys(one: Indices, other: Indices, n: int) -> Indices:
+    """Return a number for each pair, in whatever order its particles are."""
+    return np.minimum(one, other) * n + np.maximum(one, other)
+
+
+def shortest_tree(sites: Array) -> Indices:
+    """Return the links (k - 1, 2) of a tree through the particles of bodies (n, k, 3) whose longest ones are short."""
+    k = sites.shape[1]
+    missing, distance, nearest = np.ones(k, dtype=bool), np.full(k, np.inf), np.zeros(k, dtype=np.intp)
+    links, last = np.empty((k - 1, 2), dtype=np.intp), 0
+    for row in links:
+        missing[last] = False
+        length = np.linalg.norm(sites - sites[:, last, None], axis=2).max(axis=0)
+        closer = length < distance
+        distance[closer], nearest[closer] = length[closer], last
+        last = int(np.where(missing, distance, np.inf).argmin())
+        row[:] = nearest[last], last
+    return links
