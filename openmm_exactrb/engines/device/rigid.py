@@ -26,8 +26,8 @@ Values = Mapping[str, NDArray[Any]]
 LARGE, LANES = 16, 64
 #: Threads of a block, and the most blocks whose sums of kinetic energies are added up.
 BLOCK, GROUPS = 64, 256
-# Bodies that a barostat moved by less than this (nm) it left alone.
-_STILL = 1e-9
+#: Bodies that a barostat moved by less than this (nm) it left alone.
+STILL = 1e-9
 _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
@@ -104,14 +104,14 @@ class RigidPart:
             ("DIFFERENCES_PER_STEP", demands.differences[1]),
             ("GRADIENTS", int(demands.displaces)),
             *([("SCALES", 1)] if demands.scales else []),
-            ("STILL", _STILL),
+            ("STILL", STILL),
             ("LIGHT", LIGHT),
             ("BLOCK", BLOCK),
             ("GROUPS", GROUPS),
             ("OWN_MOVES", " ".join(_call(number, text) for number, text in enumerate(demands.own))),
         ]
         body = "rotation.cl", "random.cl", "context.cl", "body.cl"
-        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "kinetic.cl"), tuple(defines))
+        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines))
 
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)

@@ -14,7 +14,9 @@ from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group, blocks_
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps, Moves, moves_of, up_to_drifts
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
+from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
 from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
@@ -59,7 +61,7 @@ class Molecules:
 class FlexiblePart:
     """The part of flexible molecules in a program, with fast forces in single or double `precision`."""
 
-    def __init__(self, molecules: Molecules, demands: Any, precision: type[np.floating[Any]] = np.float64) -> None:
+    def __init__(self, molecules: Molecules, demands: Demands, precision: type[np.floating[Any]] = np.float64) -> None:
         self._inner, self._demands = molecules.inner, demands
         self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
@@ -76,11 +78,16 @@ class FlexiblePart:
 
     def _text(self, constants: dict[str, Any]) -> Source:
         demands = self._demands
-        constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": 1e-9}
+        constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
+        constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
         constants |= {"MEMORY": demands.memory[0], "PER_STEP": demands.memory[1]}
         constants |= {"SCALES": 1} if demands.scales else {}
         files = ("random.cl", "context.cl", "layout.cl", *constraints.files(self.blocks), "bonded.cl", "inner.cl")
-        return Source((*files, "flexible_updates.cl"), tuple(constants.items()))
+        return Source((*files, "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+
+    def _state(self, copied: bool) -> tuple[str, str]:
+        inner = "inner_" if self._demands.copied and not copied else ""
+        return f"flexible_{inner}x", f"flexible_{inner}v"
 
     # -- declarations and launches ---------------------------------------------------------------------------------
 
@@ -88,34 +95,32 @@ class FlexiblePart:
         """Declare tables, the state, and what is remembered."""
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
-        for name in ("x", "v", *(("shown_x", "shown_v") if self._demands.copied else ())):
-            to.array(f"flexible_{name}", 3 * self.n, saved=True)
+        for copied in (False, True)[: 1 + self._demands.copied]:
+            for name in self._state(copied):
+                to.array(name, 3 * self.n, saved=True)
         for name in ("y", "z"):
             to.array(f"flexible_{name}", 3 * self.n * self._open)
         to.array("flexible_memory", 3 * self.n * self._demands.memory[0], saved=True)
+        to.array("flexible_kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launches of a segment: one, or one for each drift if blocks have terms in common."""
         moves = moves_of(segment, self._inner)
-        x, v = (f"flexible_{'shown_' * (segment.copied and self._demands.copied)}{name}" for name in "xv")
-        parts = up_to_drifts(moves) if self._open else [moves]
-        drifts = [part for part in parts if self._moves(part)]
+        x, v = self._state(segment.copied)
+        parts = (self._open and up_to_drifts(moves)) or [moves]
+        last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
         made: list[Operation] = []
         here = x
-        for number, part in enumerate(parts):
-            last = number == len(parts) - 1
-            there = here if not (self._open and self._moves(part)) else self._next(here, x, part is drifts[-1])
-            what = _MOVES * self._moves(part) | _PLACES * (bool(drifts) and part is drifts[-1])
+        for k, part in enumerate(parts):
+            last = k == len(parts) - 1
+            there = self._next(here, x, k == last_drift) if self._open and _drifts(part) else here
+            what = _MOVES * _drifts(part) | _PLACES * (k == last_drift or (segment.places and last))
             what |= (_PROJECTS | _SHOWS) * (segment.shows and last)
             made.append(self._launch(table.rows(part), what, (here, there, v)))
             here = there
         if here != x:
             made.append(copy(here, x))
         return made
-
-    @staticmethod
-    def _moves(part: Moves) -> bool:
-        return any(move.op == Op.DRIFT for move in part)
 
     @staticmethod
     def _next(here: str, x: str, last: bool) -> str:
@@ -135,14 +140,29 @@ class FlexiblePart:
 
     def copies(self) -> list[Operation]:
         """Return what makes the shown molecules copies of those of the inner coordinates."""
-        return [copy(f"flexible_{name}", f"flexible_shown_{name}") for name in "xv"]
+        return [copy(*names) for names in zip(self._state(False), self._state(True), strict=True)]
 
-    def updates(self, moved: bool) -> list[Operation]:
-        """Return what reads velocities that were changed, or positions."""
-        if moved:
-            arguments: tuple[str, ...] = ("posq", "posqCorrection", "places", "box", "flexible_atoms", "flexible_x")
-            return [Launch(self._source, "flexible_moved", self.n, arguments)]
-        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", "flexible_v"))]
+    def returns(self) -> list[Operation]:
+        """Return what makes the molecules in inner coordinates copies of those that are shown."""
+        return [copy(*names) for names in zip(self._state(True), self._state(False), strict=True)]
+
+    def reductions(self, copied: bool, adds: bool) -> list[Operation]:
+        """Return what writes the kinetic energy along the constraints to "totals", or adds it."""
+        x, v = self._state(copied)
+        threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
+        kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
+        total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
+        return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
+
+    def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
+        """Return what adds the changes of velocities that show one state to those of it, or of the other one."""
+        states = self._state(copied)[1], self._state(to_copy)[1]
+        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
+
+    def moved(self, copied: bool) -> list[Operation]:
+        """Return what reads positions that were changed."""
+        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self._state(copied)[0]
+        return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
@@ -161,21 +181,22 @@ class FlexiblePart:
         x, v = particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
         v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
-        for name, values in zip("xv", (x, v), strict=True):
-            device.upload(self._named(name, copied), values)
+        for name, values in zip(self._state(copied), (x, v), strict=True):
+            device.upload(name, values)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
         """Read the state of these bodies into that of all."""
         massive = self._mass > 0.0
-        x, v = (device.download(self._named(name, copied), np.empty((self.n, 3)))[massive] for name in "xv")
+        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self._state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
-
-    def _named(self, name: str, copied: bool) -> str:
-        return f"flexible_{'shown_' if copied and self._demands.copied else ''}{name}"
 
     def change(self, device: Device, terms: Terms) -> None:
         """Write other numbers of the same terms."""
         arrays, _ = self._terms(terms)
         for name in ("constants", "patches"):
             device.upload(f"flexible_{name}", arrays[name])
+
+
+def _drifts(part: Moves) -> bool:
+    return any(move.op == Op.DRIFT for move in part)

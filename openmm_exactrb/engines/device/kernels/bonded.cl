@@ -10,7 +10,7 @@ typedef struct { int first, last, count; } Terms; // of the block, and how many 
 #define ATOM(k) terms_of[(k)*terms.count+t]
 #define NUMBER(k) numbers[(k)*terms.count+t]
 #define EACH_TERM for (int t = terms.first+LOCAL_ID; t < terms.last; t += LOCAL_SIZE)
-#define BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
+#define IN_BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
     GLOBAL const fine* numbers
 
 #define DIFFERENCE(u, a, b) const fine u##0 = (fine) (xs[3*(a)]-xs[3*(b)]), u##1 = (fine) (xs[3*(a)+1]-xs[3*(b)+1]), \
@@ -33,7 +33,7 @@ DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sum
 }
 
 // Numbers: length, its square less `fine` digits of it, strength.
-DEVICE inline void add_bonds(BLOCK) {
+DEVICE inline void add_bonds(IN_BLOCK) {
     EACH_TERM {
         const int a = ATOM(0), b = ATOM(1);
         const double d0 = xs[3*a]-xs[3*b], d1 = xs[3*a+1]-xs[3*b+1], d2 = xs[3*a+2]-xs[3*b+2], square = d0*d0+d1*d1+d2*d2;
@@ -47,7 +47,7 @@ DEVICE inline void add_bonds(BLOCK) {
 }
 
 // Numbers: product of charges times Coulomb's constant, sigma, epsilon.
-DEVICE inline void add_pairs(BLOCK) {
+DEVICE inline void add_pairs(IN_BLOCK) {
     EACH_TERM {
         const int a = ATOM(0), b = ATOM(1);
         DIFFERENCE(u, a, b);
@@ -59,7 +59,7 @@ DEVICE inline void add_pairs(BLOCK) {
 }
 
 // Numbers: cosine and sine of the angle, strength.
-DEVICE inline void add_angles(BLOCK) {
+DEVICE inline void add_angles(IN_BLOCK) {
     EACH_TERM {
         const int a = ATOM(0), b = ATOM(1), c = ATOM(2);
         DIFFERENCE(u, a, b);
@@ -97,7 +97,7 @@ DEVICE inline void add_angles(BLOCK) {
     ADD(l, (f)*last, b);
 
 // Numbers: coefficients of cosines, then of sines.
-DEVICE inline void add_torsions(BLOCK) {
+DEVICE inline void add_torsions(IN_BLOCK) {
     EACH_TERM {
         const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
         TORSION(i, j, k, l)
@@ -113,7 +113,7 @@ DEVICE inline void add_torsions(BLOCK) {
 }
 
 // Numbers: angle, strength, and the circle as OpenMM's formula has it.
-DEVICE inline void add_impropers(BLOCK) {
+DEVICE inline void add_impropers(IN_BLOCK) {
     EACH_TERM {
         const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
         TORSION(i, j, k, l)
@@ -131,7 +131,7 @@ DEVICE inline void find_patch(fine cosine, fine sine, int size, int* part, fine*
 }
 
 // Atoms of both torsions, first patch and patches per direction; numbers are none, but coefficients of patches.
-DEVICE inline void add_maps(BLOCK, GLOBAL const fine* patches) {
+DEVICE inline void add_maps(IN_BLOCK, GLOBAL const fine* patches) {
     EACH_TERM {
         const int size = ATOM(9);
         fine cosines[2], sines[2], u, v, energy = 0, of_u = 0, of_v = 0;
