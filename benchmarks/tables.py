@@ -9,8 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from benchmarks.common.group_temperatures import R
 from benchmarks.common.records import DOCS
+from benchmarks.common.starts import R
 from benchmarks.water.equipartition_record import LFM, markdown, with_error
 from openmm_exactrb import SCHEMES
 

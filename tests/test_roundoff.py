@@ -8,6 +8,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 import oracle
+from benchmarks.common.starts import context_of
 from benchmarks.paper import problems
 from benchmarks.schemes import roundoff
 from openmm_exactrb.mathematics import quaternions
@@ -70,10 +71,8 @@ def test_forces_on_dipoles_have_no_mean_torque():
 
     With virtual sites of weights 1/3 the sum below is 30 and more.
     """
-    topology, system, positions, velocities = roundoff.dipoles_of(1)
-    context = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.001, scheme="V2"), REFERENCE).context
-    context.setPositions(positions)
-    context.setVelocities(velocities)
+    system, *start = roundoff.dipoles_of(1)
+    context = context_of(system, rb.ExactRigidBodyIntegrator(0.001, scheme="V2"), tuple(start), "Reference")
     massive = [i for i in range(system.getNumParticles()) if not system.isVirtualSite(i)]
     torques = []
     for _ in range(300):

@@ -15,6 +15,7 @@ import openmm
 from numba import njit
 
 import openmm_exactrb as rb
+from benchmarks.common.starts import R, context_of
 from openmm_exactrb.kernels.compiled import exact
 from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.state import BodyState
@@ -22,7 +23,6 @@ from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick
 
 COULOMB = 138.93545764438198  # kJ/mol nm e^-2, 1/(4 pi epsilon0) as OpenMM has it
-GAS_CONSTANT = 8.31446261815324e-3  # kJ/mol/K
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
@@ -54,8 +54,7 @@ def prepared(n: int, name: str) -> tuple[Model, openmm.System, rb.ExactRigidBody
     """Return the model, and a droplet on a lattice in OpenMM whose energy is minimised."""
     _, system, positions = rb.rigid_water(n, model=name)
     integrator = rb.ExactRigidBodyIntegrator(0.001, scheme="V2")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions, "Reference")
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
     bodies, state = integrator.bodyState()
     integrator.setBodyState(state)  # positions of exactly this shape
@@ -256,6 +255,6 @@ def start(n: int, name: str, seed: int, temperature: float = 300.0, picoseconds:
     bodies, state = integrator.bodyState()
     rng = np.random.default_rng([seed, n])
     for _ in range(picoseconds):
-        state = bodies.canonical_momenta(state, GAS_CONSTANT * temperature, rng, at_rest=True)
+        state = bodies.canonical_momenta(state, R * temperature, rng, at_rest=True)
         _, state = run(model, state, rb.SCHEMES["V2"], 0.002, 1.0, 0.5)
-    return bodies.canonical_momenta(state, GAS_CONSTANT * temperature, rng, at_rest=True)
+    return bodies.canonical_momenta(state, R * temperature, rng, at_rest=True)

@@ -67,3 +67,7 @@ def noise(
         put(context, start)
         runs.append(along(context, duration, 0.02)[0])
     return spread(runs, duration)
+
+
+def root_mean_square(values: Iterable[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(list(values)))))

@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+from benchmarks.common.starts import R, masses_of
 
 
 def of_rigid(masses: np.ndarray, x: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
@@ -45,7 +45,7 @@ class Groups:
     """
 
     def __init__(self, topology: app.Topology, system: openmm.System) -> None:
-        self.mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+        self.mass = masses_of(system)
         water = [atom.index for atom in topology.atoms() if atom.residue.name == "HOH"]
         self.water = np.array(water).reshape(-1, 3)
         self.solute = np.setdiff1d(np.arange(len(self.mass)), water)

@@ -21,7 +21,8 @@ def solvated(file: Path, **water) -> tuple[app.Topology, unit.Quantity]:
     pdb = app.PDBFile(str(file))
     model = app.Modeller(pdb.topology, pdb.positions)
     if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
-        model.addSolvent(app.ForceField(*FORCE_FIELD), **(water or {"boxSize": openmm.Vec3(2.1, 2.1, 2.1)}))
+        box = {"boxSize": openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer}
+        model.addSolvent(app.ForceField(*FORCE_FIELD), **(water or box))
     return model.topology, model.positions
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,3 +32,48 @@ def write(file: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any] |
         table = csv.writer(out, lineterminator="\n")
         table.writerow(columns)
         table.writerows([row[name] for name in columns] if isinstance(row, Mapping) else row for row in rows)
+
+
+def keep(name: str, data: Any) -> None:
+    """Write raw data as JSON into `OUT`."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / name).write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+class Record:
+    """A table that grows: the first columns tell which run a row is of, and runs that are there are not made again.
+
+    Several commands may add to one file.
+
+    Parameters
+    ----------
+    file : Path
+    key, others : sequence of str
+        The columns.
+    order : callable, optional
+        What rows are sorted by; new ones come last unless it is given.
+    """
+
+    def __init__(
+        self, file: Path, key: Sequence[str], others: Sequence[str], order: Callable[[Row], Any] | None = None
+    ) -> None:
+        self.file, self.key, self.columns, self.order = file, key, (*key, *others), order
+
+    def key_of(self, row: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return which run a row is of."""
+        return tuple(str(row[name]) for name in self.key)
+
+    def rows(self) -> dict[tuple[str, ...], Row]:
+        """Return all rows by their runs."""
+        return {self.key_of(row): row for row in read(self.file)}
+
+    def __contains__(self, row: Mapping[str, Any]) -> bool:
+        return self.key_of(row) in self.rows()
+
+    def add(self, row: Mapping[str, Any]) -> Row:
+        """Add a row, in place of one of the same run, print it, and return it as it is in the file."""
+        text = {name: str(row[name]) for name in self.columns}
+        rows = list((self.rows() | {self.key_of(text): text}).values())
+        write(self.file, self.columns, rows if self.order is None else sorted(rows, key=self.order))
+        print(*text.values(), sep="  ", flush=True)
+        return text

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import openmm
-from openmm import unit
+from openmm import app, unit
 
 #: The gas constant in kJ/mol/K.
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -42,6 +42,23 @@ def put(context: openmm.Context, start: Any) -> None:
         context.setVelocities(*velocities)
     else:
         context.computeVirtualSites()
+
+
+def simulation_of(
+    topology: app.Topology,
+    system: openmm.System,
+    integrator: openmm.Integrator,
+    start: openmm.State | None = None,
+    threads: int = 1,
+    device: str = "",
+) -> app.Simulation:
+    """Return a Simulation of a copy of the System, on the CPU platform or on a device in mixed precision."""
+    platform = openmm.Platform.getPlatform(device or "CPU")
+    properties = {"Precision": "mixed"} if device else {"Threads": f"{threads}"}
+    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, properties)
+    if start is not None:
+        put(made.context, start)
+    return made
 
 
 def thermostat(kelvin: float = 300.0, seed: int = 1, step: float = 0.002) -> openmm.LangevinMiddleIntegrator:

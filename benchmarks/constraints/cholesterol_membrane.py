@@ -16,13 +16,16 @@ command resumes after a break. --table prints what the files have and writes doc
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
 
 import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS, OUT
+from benchmarks.common import starts
+from benchmarks.common.pictures import plt
+from benchmarks.common.records import DOCS, OUT, write
+from benchmarks.common.starts import R, masses_of, positions_and_velocities
 from benchmarks.constraints import martini
 
 TEMPERATURE, FRICTION, PRESSURE = 323.0, 1.0, 1.0
@@ -52,7 +55,7 @@ class Membrane:
         self.molecules = 2 * per_side**2
         names = np.array([atom.residue.name for atom in self.topology.atoms()])
         self.kinds = [names == "CHOL", (names != "CHOL") & (names != "W"), names == "W"]
-        self.masses = np.array([self.system.getParticleMass(i)._value for i in range(len(names))])
+        self.masses = masses_of(self.system)
         constraints = [self.system.getConstraintParameters(i) for i in range(self.system.getNumConstraints())]
         self.pairs = np.array([c[:2] for c in constraints], dtype=int).reshape(-1, 2)
         self.lengths = np.array([c[2]._value for c in constraints])
@@ -75,12 +78,9 @@ class Membrane:
     def sample(self, context):
         """Return what COLUMNS name: the order of tails is <3 cos² - 1>/2 of their bonds with the normal."""
         state = context.getState(positions=True, velocities=True)
-        x, v = state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+        x, v = positions_and_velocities(state)
         twice = self.masses * (v**2).sum(axis=1)
-        temperatures = [
-            twice[kind].sum() / self.freedom(kind) / 0.00831446261815324 if kind.any() else np.nan
-            for kind in self.kinds
-        ]
+        temperatures = [twice[kind].sum() / self.freedom(kind) / R if kind.any() else np.nan for kind in self.kinds]
         box = np.diag(state.getPeriodicBoxVectors(asNumpy=True)._value)
         bond = x[self.tails[:, 1]] - x[self.tails[:, 0]]
         order = (1.5 * bond[:, 2] ** 2 / (bond**2).sum(axis=1) - 0.5).mean()
@@ -118,9 +118,8 @@ def add_dummy_torsions(membrane):
     membrane.system.addForce(torsions)
 
 
-def context_of(membrane, integrator):
-    platform = openmm.Platform.getPlatform("CPU")
-    return openmm.Context(membrane.system, integrator, platform, {"Threads": "1"})
+def context_of(membrane, integrator, start=None):
+    return starts.context_of(membrane.system, integrator, start, properties=starts.ONE_THREAD)
 
 
 def save(file, content):
@@ -132,9 +131,7 @@ def equilibrated(membrane, picoseconds, file):
     """Return the XML of a State after a run of the geodesic flow at 30 fs, from a file if it is there."""
     if not file.exists():
         integrator = integrator_of("exact", 0.03, 1)
-        context = context_of(membrane, integrator)
-        context.setPositions(membrane.positions)
-        context.computeVirtualSites()
+        context = context_of(membrane, integrator, membrane.positions)
         part = file.with_suffix(".chk")
         if part.exists():
             context.loadCheckpoint(part.read_bytes())
@@ -158,10 +155,7 @@ def run(membrane, method, step, seed, start, picoseconds, folder):
     if "dummy" in method:
         add_dummy_torsions(membrane)
     integrator = integrator_of(method, step, seed)
-    context = context_of(membrane, integrator)
-    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    context.setPositions(start.getPositions())
-    context.setVelocities(start.getVelocities())
+    context = context_of(membrane, integrator, start)
     context.setTime(0.0)
     if checkpoint.exists():
         context.loadCheckpoint(checkpoint.read_bytes())
@@ -195,43 +189,35 @@ def blocked(replicas):
     return f"{np.mean(means):.4g} ± {np.std(means, ddof=1) / len(means) ** 0.5:.2g}"
 
 
+def line_of(composition, method, step, folder):
+    """Return a line of the table from the samples of a method at a step (fs), the first ones left out; or none."""
+    columns, name = SHOWN[composition], f"{method}-{step}fs".replace(", ", "-").replace(" ", "-")
+    runs = [np.loadtxt(f, delimiter=",", skiprows=1, ndmin=2) for f in sorted(folder.glob(f"{name}-*.csv"))]
+    broken = [run[~np.isfinite(run[:, 2]), 0] for run in runs]
+    if any(times.size for times in broken):
+        first = min(times[0] for times in broken if times.size)
+        return method, step, f"nan after {first:g}", *(len(columns) + 1) * ["nan"]
+    kept = [run[run[:, 0] > BURN_IN[composition]] for run in runs]
+    kept = [run for run in kept if len(run) >= BLOCKS]
+    if not kept:
+        return None
+    numbers = [blocked([run[:, column] for run in kept]) for column in columns]
+    missed = max(run[:, 6].max() for run in kept)
+    return method, step, f"{sum(map(len, kept)) * SAMPLE:.0f}", *numbers, f"{missed:.1e}"
+
+
 def tabulate(composition, folder):
-    """Write the table of a composition from the samples, the first ones left out."""
-    with TABLES[composition].open("w") as file:
-        out = csv.writer(file)
-        columns = SHOWN[composition]
-        heads = (HEADS[column] for column in columns)
-        out.writerow(("integrator", "step, fs", "length, ps", *heads, "largest constraint error, nm"))
-        for method in METHODS:
-            for step in (20, 30):
-                name = f"{method}-{step}fs".replace(", ", "-").replace(" ", "-")
-                runs = [np.loadtxt(f, delimiter=",", skiprows=1, ndmin=2) for f in sorted(folder.glob(f"{name}-*.csv"))]
-                if not runs:
-                    continue
-                broken = [run[~np.isfinite(run[:, 2]), 0] for run in runs]
-                if any(times.size for times in broken):
-                    first = min(times[0] for times in broken if times.size)
-                    out.writerow((method, step, f"nan after {first:g}", *(len(columns) + 1) * ["nan"]))
-                    continue
-                kept = [run[run[:, 0] > BURN_IN[composition]] for run in runs]
-                kept = [run for run in kept if len(run) >= BLOCKS]
-                if not kept:
-                    continue
-                length = sum(len(run) for run in kept) * SAMPLE
-                numbers = [blocked([run[:, column] for run in kept]) for column in columns]
-                out.writerow((method, step, f"{length:.0f}", *numbers, f"{max(r[:, 6].max() for r in kept):.1e}"))
-        if composition == "DPPC-CHOL":
-            out.writerows(PUBLISHED)
+    """Write the table of a composition from the samples."""
+    heads = (HEADS[column] for column in SHOWN[composition])
+    lines = [line_of(composition, method, step, folder) for method, step in itertools.product(METHODS, (20, 30))]
+    lines = [line for line in lines if line] + list(PUBLISHED) * (composition == "DPPC-CHOL")
+    columns = ("integrator", "step, fs", "length, ps", *heads, "largest constraint error, nm")
+    write(TABLES[composition], columns, lines)
     print(TABLES[composition].read_text())
 
 
 def draw(composition, folder):
     """Draw the membrane at the end of the first run at 30 fs from the side: one slice of it."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
     membrane = Membrane(composition, 8)
     context = context_of(membrane, integrator_of("exact", 0.03, 1))
     context.loadCheckpoint((folder / "exact-30fs-1.chk").read_bytes())

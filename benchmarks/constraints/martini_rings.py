@@ -12,20 +12,20 @@ Rows go to docs/martini_rings.csv as they come; what stands there is not run aga
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
 import zlib
 
 import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS
+from benchmarks.common.records import DOCS, Record
+from benchmarks.common.starts import R, context_of, positions_and_velocities
 from benchmarks.constraints import martini
 
-TABLE = DOCS / "martini_rings.csv"
-COLUMNS = ("molecule", "step_fs", "integrator", "seed", "T_K", "error_K", "largest_constraint_error_nm")
+RUN = ("molecule", "step_fs", "integrator")
+TABLE = Record(DOCS / "martini_rings.csv", RUN, ("seed", "T_K", "error_K", "largest_constraint_error_nm"))
 TEMPERATURE, FRICTION, SAMPLE, BLOCKS = 310.0, 5.0, 0.3, 20
-KB = 0.00831446261815324
 
 
 def ring(first_bond, sides, angles, impropers, masses):
@@ -174,8 +174,7 @@ def measured(name, step, kind, copies, picoseconds, seed):
         integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, step)
         integrator.setConstraintTolerance(1e-6)
     integrator.setRandomNumberSeed(seed)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = context_of(system, integrator, x, "Reference")
     (integrator if kind == "exact" else context).setVelocitiesToTemperature(TEMPERATURE, seed)
     pairs = np.array([(i, j) for i, j, _ in molecule["constraints"]])
     lengths = np.array([length for *_, length in molecule["constraints"]])
@@ -188,10 +187,9 @@ def measured(name, step, kind, copies, picoseconds, seed):
             integrator.step(round(SAMPLE / step))
             if kind != "exact":
                 context.applyVelocityConstraints(1e-8)  # those of the end of its step have parts along the constraints
-            state = context.getState(positions=True, velocities=True)
-            v = state.getVelocities(asNumpy=True)._value
-            X = state.getPositions(asNumpy=True)._value.reshape(copies, -1, 3)
-            temperatures.append((masses @ (v * v).sum(axis=1)) / freedom / KB)
+            X, v = positions_and_velocities(context.getState(positions=True, velocities=True))
+            X = X.reshape(copies, -1, 3)
+            temperatures.append((masses @ (v * v).sum(axis=1)) / freedom / R)
             error = np.abs(np.linalg.norm(X[:, pairs[:, 0]] - X[:, pairs[:, 1]], axis=2) - lengths).max()
             missed = max(missed, error) if np.isfinite(error) else np.nan
             if not np.isfinite(missed):
@@ -204,8 +202,7 @@ def measured(name, step, kind, copies, picoseconds, seed):
 
 def print_means():
     """Print the mean temperature over the molecules of the table, for each integrator and step."""
-    with TABLE.open() as file:
-        rows = [row for row in csv.DictReader(file) if row["T_K"] != "nan"]
+    rows = [row for row in TABLE.rows().values() if row["T_K"] != "nan"]
     for kind, step in sorted({(row["integrator"], row["step_fs"]) for row in rows}):
         found = [row for row in rows if (row["integrator"], row["step_fs"]) == (kind, step)]
         T, weights = (np.array([float(row[column]) for row in found]) for column in ("T_K", "error_K"))
@@ -220,23 +217,13 @@ def main():
     parser.add_argument("--length", type=float, default=45.0, help="ps (%(default)s)")
     parser.add_argument("--molecules", nargs="+", choices=MOLECULES, default=MOLECULES)
     args = parser.parse_args()
-    done = set()
-    if TABLE.exists():
-        with TABLE.open() as file:
-            done = {(row["molecule"], row["step_fs"], row["integrator"]) for row in csv.DictReader(file)}
-    else:
-        TABLE.write_text(",".join(COLUMNS) + "\n")
-    for name in args.molecules:
-        for step in (20, 30):
-            for kind in ("exact", "LangevinMiddle"):
-                if (name, str(step), kind) in done:
-                    continue
-                seed = seed_of(name, step, kind)
-                T, error, missed = measured(name, step / 1000.0, kind, args.copies, args.length, seed)
-                row = f"{name},{step},{kind},{seed},{T:.2f},{error:.2f},{missed:.2g}"
-                print(row, flush=True)
-                with TABLE.open("a") as file:
-                    file.write(row + "\n")
+    for name, step, kind in itertools.product(args.molecules, (20, 30), ("exact", "LangevinMiddle")):
+        run = dict(zip(RUN, (name, step, kind), strict=True))
+        if run not in TABLE:
+            seed = seed_of(name, step, kind)
+            T, error, missed = measured(name, step / 1000.0, kind, args.copies, args.length, seed)
+            found = {"T_K": f"{T:.2f}", "error_K": f"{error:.2f}", "largest_constraint_error_nm": f"{missed:.2g}"}
+            TABLE.add(run | {"seed": seed} | found)
     print_means()
 
 

@@ -11,7 +11,8 @@ import time
 
 import numpy as np
 
-from benchmarks.common.records import OUT
+from benchmarks.common.clocks import least
+from benchmarks.common.records import OUT, write
 from benchmarks.constraints import clusters as constrained_clusters
 from openmm_exactrb.mechanics.clusters import sorted_into_kinds
 
@@ -21,19 +22,8 @@ ROWS = [("XH", 1024), ("XH2", 1024), ("XH3", 1024), ("XH4", 1024), ("ring", 256)
 STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
-def best_time(function, repeats=9, duration=0.03):
-    """Return the shortest mean time of a call in seconds of this thread, over several series."""
-    function()
-    start = time.thread_time()
-    function()
-    calls = max(1, int(duration / (time.thread_time() - start + 1e-9)))
-    times = []
-    for _ in range(repeats):
-        start = time.thread_time()
-        for _ in range(calls):
-            function()
-        times.append((time.thread_time() - start) / calls)
-    return min(times)
+def best_time(function):
+    return least(function, 0.03, time.thread_time)
 
 
 def copies_of(name, copies):
@@ -46,7 +36,6 @@ def copies_of(name, copies):
 
 
 def main():
-    OUT.mkdir(parents=True, exist_ok=True)
     rows = []
     print("microseconds a cluster and drift, on one core")
     print(f"{'kind':>9}{'clusters':>9}{'projection':>12}" + "".join(f"{h:>8g} fs" for h in STEPS))
@@ -56,9 +45,7 @@ def main():
         drifts = [best_time(lambda: clusters.drift(state, 1e-3 * h)) / copies * 1e6 for h in STEPS]  # noqa: B023
         print(f"{name:>9}{copies:>9}{projection:>12.3f}" + "".join(f"{t:>11.3f}" for t in drifts))
         rows += [(name, copies, h, t) for h, t in zip(STEPS, drifts, strict=True)]
-    with (OUT / "cluster_cost.csv").open("w") as file:
-        file.write("kind,clusters,step_fs,microseconds\n")
-        file.writelines(",".join(map(str, row)) + "\n" for row in rows)
+    write(OUT / "cluster_cost.csv", ("kind", "clusters", "step_fs", "microseconds"), rows)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ go to out/benchmarks/dipole_cost.json.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import time
+from functools import partial
 from importlib.metadata import version
 
 import numba
@@ -24,7 +24,9 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common import lammps_peer
-from benchmarks.common.records import OUT
+from benchmarks.common.clocks import in_turns
+from benchmarks.common.records import keep
+from benchmarks.common.stockmayer import arrows
 from openmm_exactrb.kernels.build import reordered
 from openmm_exactrb.kernels.compiled import pairs
 
@@ -41,7 +43,6 @@ def main():
     add("--platform", metavar="NAME", help="platform of a device to measure beside our kernel")
     add("--precision", choices=("single", "mixed", "double"), default="single", help="of the device (%(default)s)")
     arguments = parser.parse_args()
-    OUT.mkdir(parents=True, exist_ok=True)
     device = arguments.platform
     sizes = arguments.n or (list(SIZES)[:-1] if device else [125, 1000, 4000])  # 4000 dipoles have 8 million bonds
     rounds = {
@@ -54,8 +55,7 @@ def main():
         "cores": os.cpu_count(),
         **{name: version(name) for name in ("numba", "openmm", "lammps") if name != "lammps" or lammps_peer.INSTALLED},
     }
-    with (OUT / "dipole_cost.json").open("w") as file:
-        json.dump({"machine": machine, "rounds_s": rounds}, file, indent=1)
+    keep("dipole_cost.json", {"machine": machine, "rounds_s": rounds})
     if device:
         report_device(rounds, device)
     else:
@@ -72,7 +72,7 @@ def measure(n, evaluations, rounds):
         contenders[f"{name}: stage"] = stage(integrator)
     if lammps_peer.INSTALLED:
         contenders["LAMMPS: step"] = lammps_step(n)
-    return in_turns(contenders, evaluations, rounds)
+    return seconds_of(contenders, evaluations, rounds)
 
 
 def measure_device(n, evaluations, rounds, name, precision):
@@ -82,19 +82,17 @@ def measure_device(n, evaluations, rounds, name, precision):
     for who, built in ((name, simulation(n, "openmm", device, properties)), ("compiled", simulation(n, "compiled"))):
         contenders[f"{who}: force"] = bare_force(built[0])
         contenders[f"{who}: stage"] = stage(built[1])
-    return in_turns(contenders, evaluations, rounds)
+    return seconds_of(contenders, evaluations, rounds)
 
 
-def in_turns(contenders, evaluations, rounds):
+def seconds_of(contenders, evaluations, rounds):
     """Return the seconds of one evaluation, round by round; the formula on the processor gets fewer."""
-    rows = {name: [] for name in contenders}
-    for _ in range(rounds):
-        for name, run in contenders.items():
-            few = STAGES * max(1, evaluations // (10 * STAGES)) if name.startswith("openmm") else evaluations
-            start = time.perf_counter()
-            run(few)
-            rows[name].append((time.perf_counter() - start) / few)
-    return rows
+    counts = {
+        name: STAGES * max(1, evaluations // (10 * STAGES)) if name.startswith("openmm") else evaluations
+        for name in contenders
+    }
+    times = in_turns({name: partial(run, counts[name]) for name, run in contenders.items()}, rounds, time.perf_counter)
+    return {name: [seconds / counts[name] for seconds in some] for name, some in times.items()}
 
 
 def simulation(n, kernel, where=REFERENCE, properties=None):
@@ -127,12 +125,6 @@ def places(n):
     """Return centres and unit dipoles of a droplet."""
     _, _, positions = rb.dipole_fluid(n, kernel="compiled")
     return arrows(positions._value, n)
-
-
-def arrows(positions, n):
-    """Return centres and unit dipoles, (n, 3) each, of the particles of n spheres: the last two of each."""
-    x = positions.reshape(n, -1, 3)[:, -2:]
-    return x[:, 0], 2.0 * (x[:, 1] - x[:, 0])
 
 
 def kernel(n, threads=None):

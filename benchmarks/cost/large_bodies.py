@@ -11,15 +11,21 @@ from __future__ import annotations
 import argparse
 import itertools
 import time
+from functools import partial
 
 import numpy as np
 import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import DOCS
+from benchmarks.common.clocks import timed
+from benchmarks.common.records import DOCS, write
+from benchmarks.common.starts import ONE_THREAD, context_of
 
-TABLE = DOCS / "large_bodies.csv"
+COLUMNS = (
+    *("atoms", "water", "method", "forces_ms", "forces_with_exceptions_ms", "ratio"),
+    *("setup_of_exceptions_s", "step_ms"),
+)
 SPACING, GAP = 0.2154, 0.25  # nm: 100 atoms a nm³, and the room between the sphere and the oxygens
 METHODS = {"PME": openmm.NonbondedForce.PME, "reaction field": openmm.NonbondedForce.CutoffPeriodic}
 BOXES = {200: 1000, 500: 1728, 1000: 2744, 2000: 4096}  # atoms, and molecules of a box without them
@@ -65,53 +71,38 @@ def solvated(atoms, molecules, method, *, exclude):
     return system, np.concatenate([body + 0.5 * edge, x.reshape(-1, 3)]), seconds
 
 
-def context_of(system, x, integrator):
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
-    context.setPositions(x)
-    return context
-
-
-def milliseconds(evaluate):
-    begin = time.process_time()
-    evaluate()
-    return 1e3 * (time.process_time() - begin)
-
-
 def row(atoms, name, evaluations):
     """Return a row of the table."""
     contexts, seconds = [], []
     for exclude in (False, True):
         system, x, adding = solvated(atoms, BOXES[atoms], METHODS[name], exclude=exclude)
         begin = time.process_time()
-        contexts.append(context_of(system, x, openmm.VerletIntegrator(0.001)))
+        contexts.append(context_of(system, openmm.VerletIntegrator(0.001), x, properties=ONE_THREAD))
         seconds.append(adding + time.process_time() - begin)
         if not exclude:
             integrator = rb.ExactRigidBodyIntegrator(1e-4, "V2", bodies=[range(atoms)])
-            _moving = context_of(system, x, integrator)
+            _moving = context_of(system, integrator, x, properties=ONE_THREAD)
             integrator.step(2)
     times = [[], [], []]
     for _ in range(evaluations):
         for context, found in zip(contexts, times, strict=False):
             context.setPositions(x)
-            found.append(milliseconds(lambda context=context: context.getState(forces=True)))
-        times[2].append(milliseconds(lambda: integrator.step(10)) / 10)
+            found.append(1e3 * timed(partial(context.getState, forces=True)))
+        times[2].append(100.0 * timed(partial(integrator.step, 10)))
     plain, excluded, step = map(np.median, times)
-    molecules = (len(x) - atoms) // 3
-    return (
-        f"{atoms},{molecules},{name},{plain:.1f},{excluded:.1f},{excluded / plain:.2f},{seconds[1] - seconds[0]:.1f},"
-        f"{step:.1f}"
-    )
+    numbers = plain, excluded, excluded / plain, seconds[1] - seconds[0], step
+    return atoms, (len(x) - atoms) // 3, name, *(f"{x:.{n}f}" for x, n in zip(numbers, (1, 1, 2, 1, 1), strict=True))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--evaluations", type=int, default=5, metavar="N", help="of each kind (%(default)s)")
     args = parser.parse_args()
-    lines = ["atoms,water,method,forces_ms,forces_with_exceptions_ms,ratio,setup_of_exceptions_s,step_ms"]
+    rows = []
     for atoms, name in itertools.product(BOXES, METHODS):
-        lines.append(row(atoms, name, args.evaluations))
-        print(lines[-1], flush=True)
-    TABLE.write_text("\n".join([*lines, ""]))
+        rows.append(row(atoms, name, args.evaluations))
+        print(*rows[-1], sep=",", flush=True)
+    write(DOCS / "large_bodies.csv", COLUMNS, rows)
 
 
 if __name__ == "__main__":

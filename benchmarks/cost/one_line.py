@@ -22,6 +22,7 @@ import argparse
 import io
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,10 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from benchmarks.common.clocks import in_turns
+from benchmarks.common.energies import along, root_mean_square
 from benchmarks.common.proteins import FORCE_FIELD, solvated, solvated_helix
+from benchmarks.common.starts import canonical, simulation_of, thermostat
 
 STEP, TEMPERATURE, FRICTION = 0.002, 300.0, 1.0  # ps, K, 1/ps
 PAIRS: dict[str, tuple[Callable[[], openmm.Integrator], Callable[[], openmm.Integrator]]] = {
@@ -73,27 +77,11 @@ def system_of(topology: app.Topology, **options) -> openmm.System:
     return app.ForceField(*FORCE_FIELD).createSystem(topology, **usual | options)
 
 
-def simulation_of(topology, system, integrator, start=None, threads: int = 1, device: str = "") -> app.Simulation:
-    platform = openmm.Platform.getPlatform(device or "CPU")
-    properties = {"Precision": "mixed"} if device else {"Threads": f"{threads}"}
-    made = app.Simulation(topology, openmm.XmlSerializer.clone(system), integrator, platform, properties)
-    if start is not None:
-        made.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-        made.context.setPositions(start.getPositions())
-        made.context.setVelocities(start.getVelocities())
-    return made
-
-
 def start_of(topology, system, positions, seed: int) -> openmm.State:
     """Return a canonical start."""
-    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, STEP)
-    integrator.setRandomNumberSeed(seed)
-    made = simulation_of(topology, system, integrator)
+    made = simulation_of(topology, system, thermostat(TEMPERATURE, seed, STEP))
     made.context.setPositions(positions)
-    made.minimizeEnergy(maxIterations=200)
-    made.context.setVelocitiesToTemperature(TEMPERATURE, seed)
-    made.step(2_500)
-    return made.context.getState(positions=True, velocities=True)
+    return canonical(made.context, 2_500, seed=seed, iterations=200)[0]
 
 
 def costs(topology, system, start, rounds: int) -> None:
@@ -104,13 +92,8 @@ def costs(topology, system, start, rounds: int) -> None:
             run.reporters.append(app.StateDataReporter(io.StringIO(), 100, potentialEnergy=True, temperature=True))
             run.step(100)
         runs[1].integrator.timings.reset()
-        times: list[list[float]] = [[], []]
-        for _ in range(rounds):
-            for run, spent in zip(runs, times, strict=True):
-                begun = time.process_time()
-                run.step(100)
-                spent.append(time.process_time() - begun)
-        theirs, ours = map(min, times)
+        times = in_turns({k: partial(run.step, 100) for k, run in enumerate(runs)}, rounds)
+        theirs, ours = map(min, times.values())
         timings = runs[1].integrator.timings
         evaluations = [count / (100 * rounds) for count in (timings.evaluations, timings.fast_evaluations)]
         print(
@@ -139,16 +122,11 @@ def long_steps(topology, positions, rounds: int, threads: int) -> None:
         runs[name].context.applyConstraints(1e-8)
         runs[name].context.setVelocitiesToTemperature(TEMPERATURE, 1)
         runs[name].step(12 // evaluations)
-    times: dict[str, list[float]] = {name: [] for name in LONG}
-    for k in range(rounds):
-        for name in list(LONG)[:: 1 if k % 2 else -1]:
-            begun = clock()
-            runs[name].step(24 // LONG[name][2])
-            times[name].append((clock() - begun) / 24)
+    times = in_turns({name: partial(run.step, 24 // LONG[name][2]) for name, run in runs.items()}, rounds, clock)
     for name, spent in times.items():
         ratio = float(np.median(np.array(spent) / times[REFERENCE]))
         print(
-            f"{name:22} {1000 * np.median(spent):6.2f} ms per force evaluation, {ratio:.3f} of {REFERENCE}; "
+            f"{name:22} {1000 * np.median(spent) / 24:6.2f} ms per force evaluation, {ratio:.3f} of {REFERENCE}; "
             f"simulated per hour: {LONG[name][3] / LONG[REFERENCE][3] / ratio:.2f} times as much"
         )
 
@@ -160,14 +138,9 @@ def energies(topology, system, positions, starts: int, picoseconds: float) -> No
         start = start_of(topology, system, positions, seed)
         for make, found in zip(PAIRS["constant energy"], spreads, strict=True):
             run = simulation_of(topology, system, make(), start)
-            total = []
-            for _ in range(round(picoseconds / (50 * STEP))):
-                run.step(50)
-                state = run.context.getState(energy=True)
-                total.append((state.getPotentialEnergy() + state.getKineticEnergy())._value)
-            found.append(float(np.std(total)))
+            found.append(float(np.std(along(run.context, picoseconds, 50 * STEP)[0])))
         print(f"start {seed}: {spreads[1][-1]:.3f} over {spreads[0][-1]:.3f} kJ/mol", flush=True)
-    theirs, ours = (np.sqrt(np.mean(np.square(found))) for found in spreads)
+    theirs, ours = map(root_mean_square, spreads)
     print(f"energy over {picoseconds:g} ps, {starts} starts: {ours / theirs:.3f} of VerletIntegrator's")
 
 

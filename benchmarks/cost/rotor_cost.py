@@ -13,30 +13,19 @@ import numpy as np
 from scipy.special import ellipj, elliprj
 
 import openmm_exactrb as rb
-from benchmarks.common.records import OUT
+from benchmarks.common.clocks import least
+from benchmarks.common.records import OUT, write
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.rotors import rotor
 
 
-def best_time(function, repeats=9, duration=0.05):
-    """Return the shortest mean time of a call in seconds, over several series."""
-    function()
-    start = time.perf_counter()
-    function()
-    calls = max(1, int(duration / (time.perf_counter() - start)))
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        for _ in range(calls):
-            function()
-        times.append((time.perf_counter() - start) / calls)
-    return min(times)
+def best_time(function):
+    return least(function, 0.05, time.perf_counter)
 
 
 def main():
     warnings.simplefilter("ignore", rb.NotConvergedWarning)  # a column tells it
     rng = np.random.default_rng(0)
-    OUT.mkdir(parents=True, exist_ok=True)
     rows = []
     print("     N  h omega            method  call (ms)  us/body  /(ellipj + elliprj)  flow alone  answers")
     for n in (1, 125, 1000, 10000):
@@ -59,9 +48,9 @@ def main():
                     f"{n:>6}{rate:>9g}{method:>18}{1e3 * call:>11.3f}{1e6 * call / n:>9.2f}{call / reference:>21.2f}"
                     f"{1e3 * alone:>9.3f} ms{'all' if answers == 1.0 else f'{100 * answers:.0f} %':>9}"
                 )
-    with (OUT / "rotor_cost.csv").open("w") as file:
-        file.write("N,h_omega,method,call_s,flow_s,ellipj_plus_elliprj_s,answers\n")
-        file.writelines(",".join(map(str, row)) + "\n" for row in rows)
+    write(
+        OUT / "rotor_cost.csv", ("N", "h_omega", "method", "call_s", "flow_s", "ellipj_plus_elliprj_s", "answers"), rows
+    )
 
 
 if __name__ == "__main__":

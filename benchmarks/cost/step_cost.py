@@ -1,7 +1,6 @@
 """What a whole step costs beside its force evaluations alone, in turns within one run.
 
-The bare loop is setPositions and getState(forces). Raw data
-go to out/benchmarks/step_cost.csv.
+The bare loop is setPositions and getState(forces). Raw data go to out/benchmarks/step_cost.csv.
 """
 
 from __future__ import annotations
@@ -13,11 +12,10 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import OUT
+from benchmarks.common.records import OUT, write
 
 
 def main():
-    OUT.mkdir(parents=True, exist_ok=True)
     rows = []
     print("    scheme             rotor     N  bare force (ms)  stage (ms)   ratio   rotor    rest")
     for n in (27, 125):
@@ -29,9 +27,7 @@ def main():
                     f"{scheme:>10}{rotor:>18}{n:>6}{1e3 * bare:>17.3f}{1e3 * stage:>12.3f}{stage / bare:>8.3f}"
                     f"{turning / bare:>8.3f}{(stage - bare - turning) / bare:>8.3f}"
                 )
-    with (OUT / "step_cost.csv").open("w") as file:
-        file.write("scheme,rotor,N,bare_force_s,stage_s,rotor_s\n")
-        file.writelines(",".join(map(str, row)) + "\n" for row in rows)
+    write(OUT / "step_cost.csv", ("scheme", "rotor", "N", "bare_force_s", "stage_s", "rotor_s"), rows)
 
 
 def measure(n, scheme, rotor):

@@ -17,9 +17,9 @@ import itertools
 
 import numpy as np
 import openmm
-from openmm import unit
 
 import openmm_exactrb as rb
+from benchmarks.common.starts import R, context_of
 from benchmarks.proteins import protein_steps
 
 
@@ -37,11 +37,10 @@ def start_of(options):
 
 def energies(engine, seed, options):
     """Return times (ns) and total energies (kJ/mol) of a run."""
-    platform = openmm.Platform.getPlatform(options.platform)
     system, positions, _, kelvin, fast = start_of(options)
     integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine, fast=fast)
-    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, platform, {"Precision": "mixed"})
-    context.setPositions(positions)
+    copied = openmm.XmlSerializer.clone(system)
+    context = context_of(copied, integrator, positions, options.platform, {"Precision": "mixed"})
     integrator.setVelocitiesToTemperature(kelvin, seed)
     integrator.step(options.every)
     found = []
@@ -64,7 +63,6 @@ def main():
     parser.add_argument("--first", type=int, default=1, help="seed of the first start; the next one has the next seed")
     options = parser.parse_args()
     _, _, molecules, kelvin, _ = start_of(options)
-    RT = (unit.MOLAR_GAS_CONSTANT_R * kelvin * unit.kelvin).value_in_unit(unit.kilojoule_per_mole)
     what = f"{molecules} molecules at {kelvin:g} K"
     slopes = {"host": [], "device": []}
     print(f"{options.platform}, mixed, {options.scheme}, {what}, {1e3 * options.step:g} fs")
@@ -77,7 +75,7 @@ def main():
         print(f"{seed:5d} {engine:7} {slopes[engine][-1]:20.2e} {rest:22.2e}", flush=True)
     for engine, found in slopes.items():
         error = np.std(found, ddof=1) / np.sqrt(len(found))
-        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT is {RT:.2f} kJ/mol")
+        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT is {R * kelvin:.2f} kJ/mol")
 
 
 if __name__ == "__main__":

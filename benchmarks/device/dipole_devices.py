@@ -14,16 +14,17 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from functools import partial
 
 import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.common.records import OUT
+from benchmarks.common.clocks import in_turns
+from benchmarks.common.records import OUT, keep
+from benchmarks.common.starts import context_of
+from benchmarks.common.stockmayer import KELVIN, MU2, arrows, edge_of, fluid, relative_error
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length, soft_dipole_force
-
-DENSITY, KT, MU2, KB = 0.822, 1.15, 3.0, 0.00831446261815324
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def main():
@@ -44,10 +45,8 @@ def main():
             for row in measure(n, arguments, precision):
                 rows.append({"n": n, "platform": arguments.platform, "precision": precision} | row)
                 print("  ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
-    OUT.mkdir(parents=True, exist_ok=True)
     data = OUT / "dipole_devices.json"
-    old = json.loads(data.read_text()) if data.exists() else []
-    data.write_text(json.dumps(old + rows, indent=1))
+    keep(data.name, (json.loads(data.read_text()) if data.exists() else []) + rows)
 
 
 def liquid(n):
@@ -61,20 +60,13 @@ def liquid(n):
 
 
 def molten(n):
-    boundary = rb.Ewald(tolerance=1e-3)
-    inertia, dipole = (0.2,) * 3, (0.0, 0.0, MU2**0.5)
-    _, system, positions = rb.dipole_fluid(
-        n, dipole=dipole, inertia=inertia, attraction=1.0, boundary=boundary, density=DENSITY
-    )
     integrator = rb.ExactRigidBodyIntegrator(0.005, "S2_2")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = fluid(n, integrator, rb.Ewald(tolerance=1e-3))
     openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
     for k in range(4):
-        integrator.setVelocitiesToTemperature(KT / KB, k)
+        integrator.setVelocitiesToTemperature(KELVIN, k)
         integrator.step(150)
-    sites = context.getState(positions=True).getPositions(asNumpy=True)._value.reshape(n, -1, 3)[:, -2:]
-    return sites[:, 0], 2.0 * (sites[:, 1] - sites[:, 0]), (n / DENSITY) ** (1.0 / 3.0)
+    return *arrows(context.getState(positions=True).getPositions(asNumpy=True)._value, n), edge_of(n)
 
 
 def copied(n):
@@ -90,7 +82,8 @@ def copied(n):
     return centres, u / np.linalg.norm(u, axis=1, keepdims=True), side * edge
 
 
-def context_of(forces, sites, edge, platform, precision=None):
+def evaluating(forces, sites, edge, platform, precision=None):
+    """Return a Context of such forces between the sites."""
     system = openmm.System()
     for _ in sites:
         system.addParticle(1.0)
@@ -98,9 +91,7 @@ def context_of(forces, sites, edge, platform, precision=None):
     for force in forces:
         system.addForce(force)
     properties = {"Precision": precision} if precision else {}
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, properties)
-    context.setPositions(sites)
-    return context
+    return context_of(system, openmm.VerletIntegrator(0.001), sites, platform, properties)
 
 
 def on_bodies(context, centres, sites):
@@ -109,39 +100,29 @@ def on_bodies(context, centres, sites):
     return forces.sum(axis=1), np.cross(sites.reshape(-1, 2, 3) - centres[:, None], forces).sum(axis=1)
 
 
-def apart(one, other):
-    return float(np.linalg.norm(one - other) / np.linalg.norm(other))
-
-
-def in_turns(contexts, rounds):
+def times_of(contexts, rounds):
     """Return the least and the median wall time (ms) of a force evaluation, in turns."""
-    times = {name: [] for name in contexts}
-    for _ in range(rounds):
-        for name, context in contexts.items():
-            start = time.perf_counter()
-            context.getState(forces=True)
-            times[name].append(1e3 * (time.perf_counter() - start))
-    return {name: (min(each), float(np.median(each))) for name, each in times.items()}
+    runs = {name: partial(context.getState, forces=True) for name, context in contexts.items()}
+    times = in_turns(runs, rounds, time.perf_counter)
+    return {name: (1e3 * min(each), 1e3 * float(np.median(each))) for name, each in times.items()}
 
 
 def bonds(n, arguments, precision):
     """Yield a row for each force of a reaction field."""
     centres, u, edge = liquid(n)
     sites = np.stack([centres, centres + 0.5 * u], axis=1).reshape(-1, 3)
-    arrows = np.arange(2 * n).reshape(n, 2).tolist()
+    pairs = np.arange(2 * n).reshape(n, 2).tolist()
     around = {"box": 3 * [edge], "boundary": rb.ReactionField(cutoff=arguments.cutoff or min(3.0, 0.3 * edge))}
-    platform = openmm.Platform.getPlatform(arguments.platform)
     around |= {"strength": (arguments.scale * MU2) ** 0.5, "epsilon": arguments.scale, "attraction": 1.0}
     kernels = ["openmm"] + ["bonds"] * (n <= 1000)
 
     def built(kernel, *where):
-        return context_of([soft_dipole_force(arrows, length=0.5, kernel=kernel, **around)], sites, edge, *where)
+        return evaluating([soft_dipole_force(pairs, length=0.5, kernel=kernel, **around)], sites, edge, *where)
 
-    exact = on_bodies(built("compiled", REFERENCE), centres, sites)
-    contexts = {kernel: built(kernel, platform, precision) for kernel in kernels}
-    errors = {kernel: list(map(apart, on_bodies(contexts[kernel], centres, sites), exact)) for kernel in kernels}
-    for kernel, (least, median) in in_turns(contexts, arguments.rounds).items():
-        force, torque = errors[kernel]
+    exact = on_bodies(built("compiled", "Reference"), centres, sites)
+    contexts = {kernel: built(kernel, arguments.platform, precision) for kernel in kernels}
+    for kernel, (least, median) in times_of(contexts, arguments.rounds).items():
+        force, torque = map(relative_error, on_bodies(contexts[kernel], centres, sites), exact)
         yield {"kernel": kernel, "force error": force, "torque error": torque, "ms": least, "median ms": median}
 
 
@@ -149,25 +130,24 @@ def rods(n, arguments, precision):
     """Yield a row for each tolerance and length."""
     centres, u, edge = liquid(n)
     cutoff = arguments.cutoff or min(3.0, 0.4 * edge)
-    arrows = np.arange(2 * n).reshape(n, 2).tolist()
+    pairs = np.arange(2 * n).reshape(n, 2).tolist()
     around = {"box": 3 * [edge], "strength": MU2**0.5, "epsilon": 0.0}
-    platform = openmm.Platform.getPlatform(arguments.platform)
     sites = np.stack([centres, centres + 0.5 * u], axis=1).reshape(-1, 3)
     exact = soft_dipole_force(
-        arrows, length=0.5, kernel="compiled", boundary=rb.Ewald(cutoff=cutoff, tolerance=1e-10), **around
+        pairs, length=0.5, kernel="compiled", boundary=rb.Ewald(cutoff=cutoff, tolerance=1e-10), **around
     )
-    forces, torques = on_bodies(context_of([exact], sites, edge, REFERENCE), centres, sites)
+    forces, torques = on_bodies(evaluating([exact], sites, edge, "Reference"), centres, sites)
     for tolerance in (1e-2, 1e-3, 3e-4, 1e-4):
         boundary = rb.Ewald(cutoff=cutoff, tolerance=tolerance)
         own = rod_length(n, around["box"], boundary)
         for length in (0.3 * own, own, 3.0 * own) if tolerance == 1e-3 else (own,):
             ends = np.stack([centres + 0.5 * length * u, centres - 0.5 * length * u], axis=1).reshape(-1, 3)
-            parts = dipole_rod_forces(arrows, 2 * n, length=length, boundary=boundary, **around)
-            context = context_of(parts, ends, edge, platform, precision)
+            parts = dipole_rod_forces(pairs, 2 * n, length=length, boundary=boundary, **around)
+            context = evaluating(parts, ends, edge, arguments.platform, precision)
             force, torque = on_bodies(context, centres, ends)
-            least, median = in_turns({"rods": context}, 3)["rods"]
+            least, median = times_of({"rods": context}, 3)["rods"]
             row = {"tolerance": tolerance, "length": length, "mesh": parts[0].getPMEParameters()[1]}
-            row |= {"force error": apart(force, forces), "torque error": apart(torque, torques)}
+            row |= {"force error": relative_error(force, forces), "torque error": relative_error(torque, torques)}
             yield row | {"ms": least, "median ms": median}
 
 

@@ -12,7 +12,7 @@ kernels are compiled. Of rigid bodies also the standard deviation of the total e
 a day, the standard deviation of the total energy within 0.5 ps, mean square over --starts canonical starts, and the
 ratios of Verlet's to it from each of them. --platform names the platform, --sizes and --systems choose, --quick is
 small. --clock cpu takes the time of all threads of the process instead: for OpenCL on a processor that others use too.
-Launches are counted by tests/engines/custom_program/test_launches.py.
+Launches are counted by tests/device/test_launches.py.
 
     python benchmarks/device/engines.py --platform CUDA
     python benchmarks/device/engines.py --platform CUDA --systems dhfr --rates 250 125
@@ -33,10 +33,12 @@ from pathlib import Path
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.records import ROOT
+from benchmarks.common.energies import total
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
+from benchmarks.common.starts import canonical, context_of, put, thermostat
 from openmm_exactrb.openmm_access.platforms import mixed
 from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
 
@@ -53,15 +55,6 @@ def system_of(name, n):
     cutoff = min(0.9, 0.45 * 0.3104 * np.ceil(n ** (1 / 3)))
     _, system, positions = rb.rigid_water(n, model=name, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)
     return system, positions, 0.001
-
-
-def solvated(path):
-    """Return the protein of a PDB file, in a box of water for a small peptide if the file has no water."""
-    pdb = app.PDBFile(str(path))
-    model = app.Modeller(pdb.topology, pdb.positions)
-    if not any(residue.name == "HOH" for residue in pdb.topology.residues()):
-        model.addSolvent(app.ForceField(*FORCE_FIELD), boxSize=openmm.Vec3(2.1, 2.1, 2.1) * unit.nanometer)
-    return model.topology, model.positions
 
 
 def protein(name, heavy):
@@ -87,24 +80,13 @@ def protein(name, heavy):
     return system, positions
 
 
-def canonical(system, positions, starts, platform):
+def states_of(system, positions, starts, platform):
     """Return States at 300 K, 0.5 ps apart, the first after 5 ps; OpenMM's minimiser may crash on OpenCL of a CPU."""
     platform = openmm.Platform.getPlatform("CPU") if platform.getName() == "OpenCL" else platform
-    langevin = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
-    langevin.setRandomNumberSeed(1)
-    context = openmm.Context(copy.deepcopy(system), langevin, platform, mixed(platform))
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0, 200)
-    context.setVelocitiesToTemperature(300.0, 1)
-    found = []
-    for steps in (2500, *[250] * (starts - 1)):
-        langevin.step(steps)
-        found.append(context.getState(positions=True, velocities=True))
-    return found
+    context = context_of(copy.deepcopy(system), thermostat(), positions, platform.getName(), mixed(platform))
+    return canonical(context, 2500, *[250] * (starts - 1), iterations=200)
 
 
-FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
-PEPTIDE = ROOT / "examples" / "data" / "alanine_dipeptide.pdb"
 WINDOW = 0.5  # ps, within which the energy of a protein spreads
 INTEGRATORS = {
     "verlet": openmm.VerletIntegrator,
@@ -151,13 +133,8 @@ class Runner:
 
     def start(self, start):
         """Go to positions, at 100 K, or to a State."""
-        if isinstance(start, openmm.State):
-            self.context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-            self.context.setPositions(start.getPositions())
-            self.context.setVelocities(start.getVelocities())
-        else:
-            self.context.setPositions(start)
-            self.context.computeVirtualSites()
+        put(self.context, start)
+        if not isinstance(start, openmm.State):
             self.context.setVelocitiesToTemperature(100.0, 1)
 
     def spread(self, start):
@@ -170,10 +147,9 @@ class Runner:
         """Make steps, wait for the device, and return the total energy (kJ/mol); nan if they diverge."""
         try:
             self.integrator.step(steps)
-            state = self.context.getState(energy=True)
+            return total(self.context)
         except (openmm.OpenMMException, rb.IntegrationError):
             return math.nan
-        return state.getPotentialEnergy()._value + state.getKineticEnergy()._value
 
     def round(self, evaluations):
         """Time steps with about so many force evaluations."""
@@ -213,7 +189,7 @@ def measure(name, n, options, platform, properties):
 def measure_protein(name, rate, options, platform, properties):
     """Print the lines of a protein with so many evaluations of the nonbonded forces per ps."""
     system, positions = protein(name, heavy=rate < 200.0)
-    starts = canonical(system, positions, options.starts, platform)
+    starts = states_of(system, positions, options.starts, platform)
     kinds = [(kind,) for kind in INTEGRATORS]
     kinds += [(engine, scheme) for scheme in options.nested for engine in options.engines]
     runners = in_turns(kinds, options, system, starts[0], 1.0 / rate, platform, properties)

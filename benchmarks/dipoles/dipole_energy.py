@@ -12,14 +12,19 @@ run again.
 from __future__ import annotations
 
 import argparse
-import csv
+import itertools
 from pathlib import Path
 
 import numpy as np
 import openmm
 
 import openmm_exactrb as rb
-from benchmarks.device.dipole_devices import DENSITY, KB, KT, MU2, REFERENCE
+from benchmarks.common.records import Record
+from benchmarks.common.starts import masses_of, put
+from benchmarks.common.stockmayer import KELVIN, edge_of, fluid
+
+RUN = ("n", "start", "sum", "scheme", "step_ps")
+FOUND = ("std_early", "std", "ps", "std_all", "drift_a_ps", "drift_error", "momentum")
 
 LONG = ("S2_2", "S6_10")
 STEPS = {"S2_2": 0.004, "S6_10": 0.01, "SRKN6_14a": 0.015}  # ps
@@ -36,67 +41,36 @@ def main():
     add("--long", type=float, default=100.0, help="ps, on the mesh from the first start (%(default)s)")
     add("--csv", type=Path, default=Path("docs/dipole_energy.csv"), help="%(default)s")
     arguments = parser.parse_args()
-    edge = (arguments.n / DENSITY) ** (1.0 / 3.0)
-    chosen = rb.Ewald().getParameters(arguments.n, 3 * [edge])
+    chosen = rb.Ewald().getParameters(arguments.n, 3 * [edge_of(arguments.n)])
     same = {"cutoff": chosen.cutoff, "switch": chosen.switch}
-    rows = []
-    if arguments.csv.exists():
-        with arguments.csv.open() as file:
-            rows = list(csv.DictReader(file))
-    done = {(row["start"], row["sum"], row["scheme"]) for row in rows}
+    record = Record(arguments.csv, RUN, FOUND)
     for start in range(arguments.starts):
         state = equilibrated(arguments.n, start)
-        for method in ("mesh", "direct"):
-            for scheme, step in STEPS.items():
-                if (str(start), method, scheme) in done:
-                    continue
-                duration = arguments.long if (method, start) == ("mesh", 0) and scheme in LONG else arguments.duration
-                boundary = rb.Ewald(method=method, **same)
-                row = {"n": arguments.n, "start": start, "sum": method, "scheme": scheme, "step_ps": step}
-                rows.append(row | run(arguments, boundary, scheme, step, state, duration))
-                print(*rows[-1].values(), sep="  ", flush=True)
-                with arguments.csv.open("w", newline="") as file:  # each time: the runs are long
-                    table = csv.DictWriter(file, list(rows[0]))
-                    table.writeheader()
-                    table.writerows(rows)
-
-
-def fluid(n, seed, integrator, boundary):
-    """Return a Context of the liquid on its lattice."""
-    _, system, positions = rb.dipole_fluid(
-        n,
-        seed,
-        dipole=(0.0, 0.0, MU2**0.5),
-        inertia=(0.2, 0.2, 0.2),
-        attraction=1.0,
-        density=DENSITY,
-        boundary=boundary,
-    )
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
-    return context
+        for method, (scheme, step) in itertools.product(("mesh", "direct"), STEPS.items()):
+            point = {"n": arguments.n, "start": start, "sum": method, "scheme": scheme, "step_ps": step}
+            if point in record:
+                continue
+            duration = arguments.long if (method, start) == ("mesh", 0) and scheme in LONG else arguments.duration
+            context = fluid(arguments.n, rb.ExactRigidBodyIntegrator(step, scheme), rb.Ewald(method=method, **same))
+            put(context, state)
+            record.add(point | run(context, arguments, duration))
 
 
 def equilibrated(n, seed):
     """Return positions and velocities of the liquid after 10 ps in contact with a heat bath."""
-    integrator = rb.ExactRigidBodyLangevinIntegrator(KT / KB, 1.0, 0.01, "BAOA")
+    integrator = rb.ExactRigidBodyLangevinIntegrator(KELVIN, 1.0, 0.01, "BAOA")
     integrator.setRandomNumberSeed(seed + 1)
-    context = fluid(n, seed, integrator, rb.Ewald(tolerance=1e-3))
+    context = fluid(n, integrator, rb.Ewald(tolerance=1e-3), seed=seed)
     openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
-    integrator.setVelocitiesToTemperature(KT / KB, seed)
+    integrator.setVelocitiesToTemperature(KELVIN, seed)
     integrator.step(1000)
     return context.getState(positions=True, velocities=True)
 
 
-def run(arguments, boundary, scheme, step, state, duration):
+def run(context, arguments, duration):
     """Return what the energy and the total momentum do in a run."""
-    integrator = rb.ExactRigidBodyIntegrator(step, scheme)
-    context = fluid(arguments.n, 0, integrator, boundary)
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
-    masses = np.array(
-        [context.getSystem().getParticleMass(i)._value for i in range(context.getSystem().getNumParticles())]
-    )
+    integrator, masses = context.getIntegrator(), masses_of(context.getSystem())
+    step = integrator.getStepSize()._value
 
     def momenta():
         velocities = context.getState(velocities=True).getVelocities(asNumpy=True)._value

@@ -10,27 +10,26 @@ out/benchmarks/dipole_precision.json, the picture to docs/dipole_precision.png.
 
 from __future__ import annotations
 
-import json
 import time
+from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
-import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
 from benchmarks.common import lammps_peer
-from benchmarks.cost import dipole_cost
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
+from benchmarks.common.clocks import in_turns
+from benchmarks.common.pictures import STYLES, plt
+from benchmarks.common.records import DOCS, keep
+from benchmarks.common.starts import context_of
+from benchmarks.common.stockmayer import arrows
+from benchmarks.cost.dipole_cost import lammps_step
 
 N, INERTIA, T = 125, 1.88, 5.0
 OURS = ("V2", "S2_2", "SRKN4_6b", "S6_10", "SRKN6_14a", "KL8_17")
 EVALUATIONS = [round(20 * 2 ** (k / 2)) for k in range(17)]  # a unit of time
-STYLES = ("#0072B2", "#E69F00", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#999999", "#000000")
+METHODS = [*((scheme, "exact") for scheme in OURS), ("V2", "mclachlan_reich")]
 
 
 def start():
@@ -43,8 +42,7 @@ def ours(scheme, rotor, evaluations):
     stages = rb.SCHEMES[scheme].stages
     steps = max(1, round(T * evaluations / stages))
     integrator = rb.ExactRigidBodyIntegrator(T / steps, scheme=scheme, rotor=rotor)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions, "Reference")
 
     def energy():
         return integrator.totalEnergy().value_in_unit(unit.kilojoule_per_mole)
@@ -63,7 +61,7 @@ def lammps_error(evaluations, first):
     """Return the largest energy error of LAMMPS, relative to our energy, and its evaluations."""
     _, _, positions = start()
     steps = round(T * evaluations)
-    centres, directions = dipole_cost.arrows(positions._value, N)
+    centres, directions = arrows(positions._value, N)
     lmp = lammps_peer.dipoles(
         centres,
         2.0**0.5 * directions,
@@ -99,48 +97,29 @@ def lammps_error(evaluations, first):
 
 def seconds():
     """Return the seconds of a force evaluation by contender, the least of rounds in turns."""
-    runs = {}
-    for scheme, rotor in [*((s, "exact") for s in OURS), ("V2", "mclachlan_reich")]:
+    runs, evaluations, contexts = {}, {}, []
+    for scheme, rotor in METHODS:
         _, system, positions = start()
         integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, rotor=rotor)
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-        context.setPositions(positions)
+        contexts.append(context_of(system, integrator, positions, "Reference"))
         integrator.step(1)
-        stages = rb.SCHEMES[scheme].stages
-
-        def run(evaluations, integrator=integrator, context=context, stages=stages):
-            integrator.step(evaluations // stages)
-            return evaluations // stages * stages
-
-        runs[f"{scheme} + {rotor}"] = run
+        name, stages = f"{scheme} + {rotor}", rb.SCHEMES[scheme].stages
+        runs[name], evaluations[name] = partial(integrator.step, 200 // stages), 200 // stages * stages
     if lammps_peer.INSTALLED:
-        step = dipole_cost.lammps_step(N)
-
-        def run_lammps(evaluations):
-            step(evaluations)
-            return evaluations
-
-        runs["LAMMPS"] = run_lammps
-    best = dict.fromkeys(runs, np.inf)
-    for _ in range(12):
-        for name, run in runs.items():
-            begin = time.perf_counter()
-            done = run(200)
-            best[name] = min(best[name], (time.perf_counter() - begin) / done)
-    return best
+        runs["LAMMPS"], evaluations["LAMMPS"] = partial(lammps_step(N), 200), 200
+    times = in_turns(runs, 12, time.perf_counter)
+    return {name: min(some) / evaluations[name] for name, some in times.items()}
 
 
 def main():
     cost, lines = seconds(), {}
-    for scheme, rotor in [*((s, "exact") for s in OURS), ("V2", "mclachlan_reich")]:
+    for scheme, rotor in METHODS:
         for rate in EVALUATIONS:
             error, evaluations, first = ours(scheme, rotor, rate)
             lines.setdefault(f"{scheme} + {rotor}", []).append((evaluations, error))
     if lammps_peer.INSTALLED:
         lines["LAMMPS"] = [lammps_error(rate, first)[::-1] for rate in EVALUATIONS]
-    out = dipole_cost.OUT
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "dipole_precision.json").write_text(json.dumps({"seconds_an_evaluation": cost, "runs": lines}, indent=1))
+    keep("dipole_precision.json", {"seconds_an_evaluation": cost, "runs": lines})
     report(cost, lines)
     draw(cost, lines)
 
@@ -172,8 +151,8 @@ def draw(cost, lines):
         label = name.replace(" + mclachlan_reich", " + McLachlan-Reich").replace(" + exact", "")
         axis.loglog(
             *zip(*fine, strict=True),
-            color=STYLES[k],
-            marker="o^sDvPXx"[k],
+            color=STYLES[k][0],
+            marker=STYLES[k][1],
             ls="-" if ours_exact else "--",
             ms=4,
             label=label,
@@ -183,7 +162,7 @@ def draw(cost, lines):
     axis.set_title("125 soft dipoles, open boundaries, two cores (LAMMPS: one)")
     axis.grid(True, alpha=0.3)
     axis.legend(fontsize=9)
-    figure.savefig(Path("docs") / "dipole_precision.png", dpi=150)
+    figure.savefig(DOCS / "dipole_precision.png", dpi=150)
     plt.close(figure)
 
 

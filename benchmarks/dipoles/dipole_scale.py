@@ -16,7 +16,6 @@ reach.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import multiprocessing
@@ -27,12 +26,14 @@ from pathlib import Path
 import numpy as np
 
 import openmm_exactrb as rb
-from benchmarks.common import lammps_peer
+from benchmarks.common import lammps_peer, records
+from benchmarks.common.clocks import timed
+from benchmarks.common.pictures import plt
+from benchmarks.common.stockmayer import MU2, edge_of, relative_error
 from benchmarks.dipoles import nufft_ewald
 from openmm_exactrb import kernels
 from openmm_exactrb.potentials import SoftDipoles, ewald_errors
 
-DENSITY, MU2 = 0.822, 3.0
 SEARCHED = 8000  # the most dipoles for which settings of LAMMPS are searched
 DIRECT = 4096  # the most dipoles of which the direct sum is timed
 LEVELS = (1e-3, 1e-4, 1e-5)
@@ -52,26 +53,18 @@ def main():
     add("--draw", action="store_true", help="only draw what the file has")
     arguments = parser.parse_args()
     if not arguments.draw:
-        old = [row for row in read(arguments.csv) if int(row["n"]) not in arguments.n] if arguments.csv.exists() else []
+        old = [row for row in records.read(arguments.csv) if int(row["n"]) not in arguments.n]
         for n in arguments.n:
             like = [row["settings"] for row in old if row["who"] == PEER and int(row["n"]) == SEARCHED]
             old = sorted(old + measure(n, arguments, like if n > SEARCHED else []), key=lambda row: int(row["n"]))
-            with arguments.csv.open("w", newline="") as file:  # after each: the last take long
-                table = csv.DictWriter(file, list(old[0]))
-                table.writeheader()
-                table.writerows(old)
-    draw(read(arguments.csv), arguments.csv.with_suffix(".png"))
-
-
-def read(file):
-    with file.open() as lines:
-        return list(csv.DictReader(lines))
+            records.write(arguments.csv, list(old[0]), old)  # after each: the last take long
+    draw(records.read(arguments.csv), arguments.csv.with_suffix(".png"))
 
 
 def liquid(n):
     """Return centres and dipoles (n, 3), and the edge of the box."""
     rng = np.random.default_rng(1)
-    side, box = round(n ** (1 / 3)), (n / DENSITY) ** (1 / 3)
+    side, box = round(n ** (1 / 3)), edge_of(n)
     R = (np.argwhere(np.ones((side, side, side))) + 0.5 + 0.05 * rng.standard_normal((n, 3))) * box / side
     u = rng.standard_normal((n, 3))
     return R, MU2**0.5 * u / np.linalg.norm(u, axis=1, keepdims=True), box
@@ -154,13 +147,7 @@ def parts(forces, u):
 
 def apart(found, exact):
     """Return the errors of forces and torques."""
-    return tuple(float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in zip(found, exact, strict=True))
-
-
-def timed(run, clock):
-    start = clock()
-    run()
-    return clock() - start
+    return tuple(map(relative_error, found, exact))
 
 
 def fastest_peers(R, u, box, exact, cutoffs):
@@ -187,7 +174,7 @@ def scaled_peers(R, u, box, exact, like):
     found = {}
     for words in like:
         _, _, cutoff, _, points, _, _, _, order, _, alpha = words.replace(",", "").split()
-        points = kernels.load("mesh", "numba").fast_size(int(points) * box / (SEARCHED / DENSITY) ** (1 / 3))
+        points = kernels.load("mesh", "numba").fast_size(int(points) * box / edge_of(SEARCHED))
         mesh = f"kspace_modify mesh {points} {points} {points} order {order} gewald {alpha}"
         consider(found, exact, (R, u, box, "pppm", 1e-3, float(cutoff), mesh))
     return list({each[1]: each[1:] for each in found.values()}.values())
@@ -233,8 +220,6 @@ def peer(R, u, box, kspace, accuracy, cutoff, mesh):
 
 def draw(rows, file):
     """Draw cost against N at one level of error, and errors against the tolerance."""
-    import matplotlib.pyplot as plt
-
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
     for who, colour in ((OURS, "#0072B2"), (SUM, "#D55E00"), (PEER, "#009E73")):
         points = {}

@@ -16,11 +16,11 @@ that the command continues where it stopped.
 from __future__ import annotations
 
 import argparse
-import csv
 import io
 import itertools
 import math
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -28,17 +28,18 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated_helix
-from benchmarks.common.records import DOCS
-from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, simulation_of, start_of, system_of
+from benchmarks.common.proteins import PEPTIDE, solvated, solvated_helix
+from benchmarks.common.records import DOCS, Record
+from benchmarks.common.starts import simulation_of
+from benchmarks.cost.one_line import SMOOTH, TEMPERATURE, box, start_of, system_of
 from openmm_exactrb import ensemble
-from openmm_exactrb.support.files import written_whole
 
-TABLE = DOCS / "default_energies.csv"
 MAKERS = {"Verlet": openmm.VerletIntegrator, "default": rb.ExactRigidBodyIntegrator}
 REPORTED = {"water": 100, "peptide": 10, "protein": 10}  # steps
 STARTS = {"equilibrated": False, "file": True}
-COLUMNS = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator", "evaluations_per_ps", "std_kJ_mol")
+RUN = ("system", "atoms", "start", "seed", "fs", "picoseconds", "integrator")
+FOUND = ("evaluations_per_ps", "std_kJ_mol")
+TABLE = Record(DOCS / "default_energies.csv", RUN, FOUND, order=itemgetter(*RUN))
 
 
 @cache
@@ -47,14 +48,8 @@ def prepared(kind: str, source: str | int) -> tuple[app.Topology, openmm.System,
     if kind == "water":
         topology, positions = box(int(source))
         return topology, system_of(topology, **SMOOTH, removeCMMotion=False), positions
-    if kind == "peptide":
-        pdb = app.PDBFile(str(PEPTIDE))
-        modeller = app.Modeller(pdb.topology, pdb.positions)
-        modeller.addSolvent(app.ForceField(*FORCE_FIELD), padding=0.9 * unit.nanometer)
-        topology, positions = modeller.topology, modeller.positions
-    elif source:
-        pdb = app.PDBFile(str(source))
-        topology, positions = pdb.topology, pdb.positions
+    if kind == "peptide" or source:
+        topology, positions = solvated(source or PEPTIDE, padding=0.9 * unit.nanometer)
     else:
         topology, positions = solvated_helix(35)
     return topology, system_of(topology), positions
@@ -98,17 +93,7 @@ def row_of(job: ensemble.Job, value: dict) -> dict:
     start = "file" if what["raw"] else "equilibrated"
     run = (1000.0 * what["step"], what["picoseconds"], what["method"])
     known = (name, value["atoms"], start, what["seed"], *run, f"{value['evaluations']:.1f}", f"{std:.4g}")
-    return dict(zip(COLUMNS, map(str, known), strict=True))
-
-
-def merge(rows: list[dict], file: Path) -> None:
-    """Add lines to the table in the place of those of the same runs."""
-    old = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines())) if file.exists() else []
-    by_run = {tuple(row[name] for name in COLUMNS[:7]): row for row in (*old, *rows)}
-    with written_whole(file) as out:
-        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(row for _, row in sorted(by_run.items()))
+    return dict(zip((*RUN, *FOUND), known, strict=True))
 
 
 def main() -> None:
@@ -127,29 +112,18 @@ def main() -> None:
     args = parser.parse_args()
     sources = {"water": args.molecules, "peptide": "", "protein": args.pdb}
     seeds = range(args.first, args.first + args.starts)
-    jobs = [
-        ensemble.Job(
-            energies_of,
-            kind=kind,
-            source=sources[kind],
-            method=method,
-            step=fs / 1000.0,
-            seed=seed,
-            picoseconds=args.picoseconds,
-            raw=raw,
-        )
-        for kind in args.systems
-        for seed, raw, fs, method in itertools.product(
-            seeds, [False] if kind == "water" else [STARTS[name] for name in args.kinds], args.steps, args.methods
-        )
-    ]
-    rows = []
+    jobs = []
+    for kind in args.systems:
+        raws = [False] if kind == "water" else [STARTS[name] for name in args.kinds]
+        shared = {"kind": kind, "source": sources[kind], "picoseconds": args.picoseconds}
+        jobs += [
+            ensemble.Job(energies_of, **shared, method=method, step=fs / 1000.0, seed=seed, raw=raw)
+            for seed, raw, fs, method in itertools.product(seeds, raws, args.steps, args.methods)
+        ]
     for result in ensemble.as_completed(jobs, args.out, workers=1):
         if result.error is not None:
             raise SystemExit(result.error)
-        rows.append(row_of(result.job, result.value))
-        print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
-        merge(rows, TABLE)
+        TABLE.add(row_of(result.job, result.value))
 
 
 if __name__ == "__main__":

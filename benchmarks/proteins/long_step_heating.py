@@ -11,7 +11,6 @@ over 3 ps, which is added to docs/long_step_heating.csv unless the record has it
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 from pathlib import Path
 
@@ -19,14 +18,14 @@ import numpy as np
 import openmm
 from openmm import app
 
+from benchmarks.common.energies import along
 from benchmarks.common.group_temperatures import Groups
-from benchmarks.common.records import DOCS
-from benchmarks.cost.one_line import simulation_of
+from benchmarks.common.records import DOCS, Record
+from benchmarks.common.starts import simulation_of
 from benchmarks.proteins import protein_steps
-from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "long_step_heating.csv"
-COLUMNS = ("solute", "freedom", "scheme", "fs", "start", "kJ/mol/ps")
+RUN = ("solute", "freedom", "scheme", "fs", "start")
 PICOSECONDS, LOOKED, APART = 3.0, 0.07, 0.5  # ps of a run, between two looks, and between two starts
 
 
@@ -47,14 +46,8 @@ def starts(topology: app.Topology, system: openmm.System, begin: openmm.State, n
 def power(topology: app.Topology, system: openmm.System, start: openmm.State, name: str, fs: float) -> float:
     """Return the slope of the total energy in kJ/mol/ps."""
     integrator = protein_steps.integrator_of(name, 0.001 * fs, "0.0")
-    run, step = simulation_of(topology, system, integrator, start), integrator.getStepSize()._value
-    every, times, energies = max(1, round(LOOKED / step)), [], []
-    for _ in range(round(PICOSECONDS / (every * step))):
-        run.step(every)
-        state = run.context.getState(energy=True)
-        times.append(state.getTime()._value)
-        energies.append((state.getKineticEnergy() + state.getPotentialEnergy())._value)
-    return float(np.polyfit(times, energies, 1)[0])
+    energies, interval = along(simulation_of(topology, system, integrator, start).context, PICOSECONDS, LOOKED)
+    return float(np.polyfit(interval * np.arange(len(energies)), energies, 1)[0])
 
 
 def main() -> None:
@@ -65,26 +58,16 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=6)
     parser.add_argument("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
     args = parser.parse_args()
-    rows = []
-    if args.record.exists():
-        with args.record.open(newline="") as lines:
-            rows = list(csv.DictReader(lines))
-    known = {tuple(row[name] for name in COLUMNS[:-1]) for row in rows}
+    record = Record(args.record, RUN, ("kJ/mol/ps",))
     topology, system, _ = protein_steps.molecules(args.pdb, "all", "HBonds")
     solute = "peptide" if args.pdb is None else args.pdb.stem
     freedom = f"{Groups(topology, system).freedom}"
     begins = starts(topology, system, protein_steps.start_of(args.pdb), args.starts)
     for scheme, fs, number in itertools.product(args.schemes, args.fs, range(args.starts)):
-        point = (solute, freedom, scheme, f"{fs:g}", f"{number + 1}")
-        if point in known:
-            continue
-        slope = power(topology, system, begins[number], scheme, fs)
-        rows.append(dict(zip(COLUMNS, (*point, f"{slope:.4g}"), strict=True)))
-        with written_whole(args.record) as out:
-            table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-            table.writeheader()
-            table.writerows(rows)
-        print(*rows[-1].values(), flush=True)
+        point = dict(zip(RUN, (solute, freedom, scheme, f"{fs:g}", number + 1), strict=True))
+        if point not in record:
+            slope = power(topology, system, begins[number], scheme, fs)
+            record.add(point | {"kJ/mol/ps": f"{slope:.4g}"})
 
 
 if __name__ == "__main__":

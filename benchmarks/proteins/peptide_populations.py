@@ -17,11 +17,11 @@ again.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 from collections.abc import Iterator
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +30,13 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.proteins import PEPTIDE
-from benchmarks.common.records import DOCS
-from benchmarks.proteins.protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE, backbone, dihedrals, regions
+from benchmarks.common.records import DOCS, Record, Row
+from benchmarks.common.starts import ONE_THREAD, R, context_of, masses_of, positions_and_velocities
+from benchmarks.common.structure import backbone, dihedrals, regions
+from benchmarks.proteins.protein_steps import HEAVY, KINDS, OPENMM, TEMPERATURE
 from openmm_exactrb import ensemble
 from openmm_exactrb.schemes import splitting
-from openmm_exactrb.support.files import written_whole
 
-TABLE = DOCS / "peptide_populations.csv"
 OUT = Path("out/peptide_populations")
 COPIES, APART = 16, 12.0  # how many, and nm between neighbours
 BURN, LOOKED, BLOCKS = 100.0, 0.5, 64  # ps that are not counted, ps between two samples, blocks at least
@@ -45,8 +45,7 @@ SUMMIT, UMBRELLA = math.radians(75.0), {1: 3.6, 2: 1.8, 3: 0.6}
 REGIONS = ("helical", "left", "extended")
 MEASURED = (*REGIONS, "T", *KINDS, "changes")
 POINT = ("integrator", "fs", "friction", "nanoseconds", "seed")
-COLUMNS = (*POINT, *MEASURED, *(f"{name} error" for name in MEASURED))
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+FOUND = (*MEASURED, *(f"{name} error" for name in MEASURED))
 
 
 @cache
@@ -116,13 +115,12 @@ def torsions_of(topology: app.Topology, n: int) -> dict[str, np.ndarray]:
 
 def means_of(integrator: str, fs: float, friction: float, nanoseconds: float, seed: int) -> dict[str, float]:
     """Return means over peptides and time, and their errors."""
-    n, platform, properties = (1, "Reference", {}) if integrator in OPENMM else (COPIES, "CPU", {"Threads": "1"})
+    n, platform, properties = (1, "Reference", {}) if integrator in OPENMM else (COPIES, "CPU", ONE_THREAD)
     topology, system, positions = peptides(n)
     mover = integrator_of(integrator, 0.001 * fs, friction)
     mover.setRandomNumberSeed(seed)
     step = mover.getStepSize()._value
-    context = openmm.Context(system, mover, openmm.Platform.getPlatform(platform), properties)
-    context.setPositions(positions)
+    context = context_of(system, mover, positions, platform, properties)
     openmm.LocalEnergyMinimizer.minimize(context, 1.0, 200)
     context.setVelocitiesToTemperature(TEMPERATURE, seed)
     every = max(1, round(LOOKED / step))
@@ -130,19 +128,18 @@ def means_of(integrator: str, fs: float, friction: float, nanoseconds: float, se
         mover.step(round(BURN / step))
         return sampled(context, every, math.ceil(1000.0 * nanoseconds / (n * every * step)), topology, n)
     except (openmm.OpenMMException, rb.IntegrationError):
-        return dict.fromkeys(COLUMNS[len(POINT) :], math.nan)
+        return dict.fromkeys(FOUND, math.nan)
 
 
 def sampled(context: openmm.Context, every: int, samples: int, topology: app.Topology, n: int) -> dict[str, float]:
     """Return means over so many samples of n peptides, and their errors."""
     system, of = context.getSystem(), torsions_of(topology, n)
-    mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())]).reshape(n, -1)
+    mass = masses_of(system).reshape(n, -1)
     freedom = 3 * mass.shape[1] - system.getNumConstraints() // n
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("psi", *MEASURED) if name != "changes"}
     for _ in range(samples):
         context.getIntegrator().step(every)
-        state = context.getState(positions=True, velocities=True)
-        x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
+        x, v = positions_and_velocities(context.getState(positions=True, velocities=True))
         kinetic = (mass * np.square(v).sum(axis=1).reshape(mass.shape)).sum(axis=1)
         phi, psi = (dihedrals(*x[four.T]) for four in of.values())
         helical, left = regions(phi, psi)
@@ -169,27 +166,13 @@ def weighted(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     return float(above.sum() / below.sum()), math.sqrt((blocks - 1) * np.var(without))
 
 
-Row = dict[str, str]
-
-
-def read(file: Path) -> list[Row]:
-    """Return the rows of the record."""
-    if not file.exists():
-        return []
-    with file.open(encoding="utf-8", newline="") as lines:
-        return list(csv.DictReader(lines))
-
-
-def write(file: Path, rows: list[Row]) -> None:
-    with written_whole(file) as out:
-        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(sorted(rows, key=lambda row: (row["integrator"], *(float(row[k]) for k in POINT[1:]))))
+def order_of(row: Row) -> tuple:
+    return row["integrator"], *(float(row[name]) for name in POINT[1:])
 
 
 def summary(rows: list[Row]) -> Iterator[str]:
     """Yield the means of each point over its runs, with errors."""
-    key = lambda row: tuple(row[name] for name in POINT[:-2])  # noqa: E731
+    key = itemgetter(*POINT[:-2])
     for point, some in itertools.groupby(sorted(rows, key=key), key):
         runs = list(some)
         yield f"{' '.join(point)}: {len(runs)} runs of {runs[0]['nanoseconds']} ns"
@@ -207,30 +190,27 @@ def parse() -> argparse.Namespace:
     add("--friction", nargs="+", type=float, default=[5.0], metavar="1/PS")
     add("--nanoseconds", type=float, default=32.0, help="of a run, over all peptides (%(default)s)")
     add("--runs", type=int, default=1, help="runs a point, each with its own seed (%(default)s)")
-    add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=DOCS / "peptide_populations.csv", metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means and errors")
     return parser.parse_args()
 
 
 def main() -> None:
     args = parse()
-    rows = read(args.record)
+    record = Record(args.record, POINT, FOUND, order=order_of)
     if not args.finished:
         points = itertools.product(range(1, args.runs + 1), args.integrators, args.fs, args.friction)
         jobs = {}
         for seed, integrator, fs, friction in points:
             point = {"integrator": integrator, "fs": fs, "friction": friction}
             point |= {"nanoseconds": args.nanoseconds, "seed": seed}
-            job = ensemble.Job(means_of, **point)
-            jobs[job] = {name: f"{value}" for name, value in point.items()}
-        known = {tuple(row[name] for name in POINT) for row in rows}
-        new = [job for job, row in jobs.items() if tuple(row.values()) not in known]
-        for result in ensemble.as_completed(new, OUT, workers=1):
+            if point not in record:
+                jobs[ensemble.Job(means_of, **point)] = point
+        for result in ensemble.as_completed(list(jobs), OUT, workers=1):
             if result.error is not None:
                 raise SystemExit(result.error)
-            rows = [*read(args.record), jobs[result.job] | {k: f"{v:.6g}" for k, v in result.value.items()}]
-            write(args.record, rows)
-    print("\n".join(summary(rows)))
+            record.add(jobs[result.job] | {name: f"{result.value[name]:.6g}" for name in FOUND})
+    print("\n".join(summary(list(record.rows().values()))))
 
 
 if __name__ == "__main__":

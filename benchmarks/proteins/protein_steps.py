@@ -20,32 +20,38 @@ not run again, so that the command continues where it stopped and the record gro
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 import math
 import time
 from collections.abc import Iterator
 from functools import cache
+from operator import itemgetter
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.pictures import plt
 from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE
-from benchmarks.common.records import DOCS
-from benchmarks.cost.one_line import simulation_of
+from benchmarks.common.records import DOCS, Record, Row
+from benchmarks.common.starts import canonical, masses_of, positions_and_velocities, simulation_of, thermostat
+from benchmarks.common.structure import (
+    CONFORMATIONS,
+    EDGES,
+    backbone,
+    conformations,
+    diffusion,
+    dihedrals,
+    distances,
+    peak_of,
+)
 from openmm_exactrb import ensemble
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.support.files import written_whole
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-TABLE = DOCS / "protein_steps.csv"
 OUT = Path("out/protein_steps")
 OPENMM = {"LangevinMiddle": openmm.LangevinMiddleIntegrator}
 TEMPERATURE, BOX = 300.0, 1.95  # K, nm before the barostat
@@ -67,13 +73,8 @@ KINDS = {
     "torsions": openmm.PeriodicTorsionForce,
 }
 TEMPERATURES = ("T_tr", "T_rot", "T_solute", "T_centres", "T_XH", "T_rot reported", "T_solute reported")
-TORSIONS = {"phi": ("C", "N", "CA", "C"), "psi": ("N", "CA", "C", "N")}
-# Of the torsions: parts of the time in the helix, with phi > 0 and, the rest, stretched; and how often psi went.
-CONFORMATIONS = ("helical", "left", "psi crossings")
 MEASURED = (*TEMPERATURES, "U", *KINDS, "density", "peak", "D", *CONFORMATIONS, "ms")
-POINT = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds")
-COLUMNS = (*POINT, "seed", *MEASURED)
-EDGES = np.arange(0.22, 0.5, 0.005)  # nm, of the histogram of O-O distances
+RUN = ("solute", "integrator", "masses", "constraints", "fs", "friction", "ensemble", "picoseconds", "seed")
 # Of the picture: points of the peptide at constant volume and 5/ps, by integrator, masses and fs, and their groups.
 SHOWN = {
     ("LangevinMiddle", "all", "2.0"): ("LangevinMiddleIntegrator, 2 fs, heavy hydrogens", "#E69F00", "s"),
@@ -117,21 +118,16 @@ def equilibrated(
     topology: app.Topology, system: openmm.System, positions: np.ndarray, box: np.ndarray, steps: int
 ) -> openmm.State:
     """Return the State after so many steps of 2 fs from the nearest minimum; positions and box are in nm."""
-    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-    integrator.setRandomNumberSeed(1)
-    run = simulation_of(topology, system, integrator)
+    run = simulation_of(topology, system, thermostat(TEMPERATURE))
     run.context.setPeriodicBoxVectors(*box)
     run.context.setPositions(positions)
-    run.minimizeEnergy(maxIterations=200)
-    run.context.setVelocitiesToTemperature(TEMPERATURE, 1)
-    run.step(steps)
-    return run.context.getState(positions=True, velocities=True)
+    return canonical(run.context, steps, iterations=200)[0]
 
 
 def at_density(state: openmm.State, system: openmm.System, density: float) -> tuple[np.ndarray, np.ndarray]:
     """Return positions and box (nm) at a density (kg/m³): molecules move as wholes, as a barostat moves them."""
     x, box = (get(asNumpy=True)._value for get in (state.getPositions, state.getPeriodicBoxVectors))
-    mass = np.array([system.getParticleMass(i)._value for i in range(len(x))])
+    mass = masses_of(system)
     scale = (mass.sum() * DALTON / density / np.linalg.det(box)) ** (1 / 3)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001))
     for atoms in map(list, context.getMolecules()):
@@ -156,73 +152,6 @@ def start_of(pdb: Path | None) -> openmm.State:
         with written_whole(file) as out:
             out.write(openmm.XmlSerializer.serialize(state))
     return openmm.XmlSerializer.deserialize(file.read_text())
-
-
-def dihedrals(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Return torsions in degrees, IUPAC's sign, of positions (..., 3)."""
-    axis = c - b
-    normal, other = np.cross(a - b, axis), np.cross(axis, d - c)
-    along = (np.cross(normal, other) * axis).sum(axis=-1) / np.linalg.norm(axis, axis=-1)
-    return -np.degrees(np.arctan2(along, -(normal * other).sum(axis=-1)))
-
-
-def regions(phi: np.ndarray, psi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which torsions (degrees) are helical, and which have phi > 0."""
-    left = phi > 0.0
-    return ~left & (psi > -120.0) & (psi < 50.0), left
-
-
-def backbone(topology: app.Topology) -> dict[str, list[int]] | None:
-    """Return the atoms of phi and psi of the peptide's one residue between two caps; None for other solutes."""
-    chain = next(topology.chains())
-    residues = [{atom.name: atom.index for atom in residue.atoms()} for residue in chain.residues()]
-    if [residue.name for residue in chain.residues()] != ["ACE", "ALA", "NME"]:
-        return None
-    before, alanine, after = residues
-    return {
-        "phi": [before["C"], *(alanine[name] for name in ("N", "CA", "C"))],
-        "psi": [*(alanine[name] for name in ("N", "CA", "C")), after["N"]],
-    }
-
-
-def conformations(torsions: list[tuple[float, float]]) -> dict[str, float]:
-    """Return the parts of samples of (phi, psi) in two regions, and the crossings of the helix's border."""
-    if not torsions:
-        return dict.fromkeys(CONFORMATIONS, math.nan)
-    phi, psi = np.array(torsions).T
-    helical, left = regions(phi, psi)
-    # A crossing is from within one region to within the other, 20 degrees behind the border.
-    inside, outside = helical & (psi > -100.0) & (psi < 30.0), ~helical & (np.abs(psi - 150.0) % 360.0 < 80.0)
-    visits = [bool(a) for a, b in zip(inside, outside, strict=True) if a or b]
-    crossings = sum(a != b for a, b in itertools.pairwise(visits))
-    return dict(zip(CONFORMATIONS, (helical.mean(), left.mean(), crossings), strict=True))
-
-
-def distances(x: np.ndarray, edge: float) -> np.ndarray:
-    """Return the histogram of the distances between places in a cube."""
-    counts = np.zeros(len(EDGES) - 1)
-    for i in range(len(x) - 1):
-        apart = x[i + 1 :] - x[i]
-        apart -= edge * np.round(apart / edge)
-        counts += np.histogram(np.sqrt((apart * apart).sum(axis=1)), EDGES)[0]
-    return counts
-
-
-def peak_of(counts: np.ndarray, frames: int, n: int, volume: float) -> float:
-    """Return the first maximum of g(r), from the counts of so many frames of n oxygens."""
-    shells = 4.0 / 3.0 * np.pi * np.diff(EDGES**3)
-    return float((counts / (frames * 0.5 * n * (n - 1) / volume * shells)).max())
-
-
-def diffusion(centres: list[np.ndarray], lag: float) -> float:
-    """Return the coefficient (1e-5 cm²/s) of places a lag (ps) apart, by displacements of about 2 ps and of 8 ps."""
-    short, long = max(1, round(2.0 / lag)), max(2, round(8.0 / lag))
-    if len(centres) < 3 * long:
-        return math.nan
-    x = np.array(centres)
-    x -= x.mean(axis=1, keepdims=True)
-    squares = [((x[k:] - x[:-k]) ** 2).sum(axis=2).mean() for k in (short, long)]
-    return float((squares[1] - squares[0]) / (6.0 * (long - short) * lag) * 1e3)
 
 
 def frictions(text: str) -> str:
@@ -309,7 +238,7 @@ def sampled(
         run.step(every)
         spent += time.process_time() - begin
         state = run.context.getState(positions=True, velocities=True, energy=True)
-        x, v = (get(asNumpy=True)._value for get in (state.getPositions, state.getVelocities))
+        x, v = positions_and_velocities(state)
         volume = state.getPeriodicBoxVolume()._value
         sample = groups(x, v) | {"U": state.getPotentialEnergy()._value / n, "density": total / volume}
         if seen is not run.context:
@@ -336,31 +265,13 @@ def sampled(
     }
 
 
-Row = dict[str, str]
-
-
-def read(file: Path) -> dict[tuple[str, ...], Row]:
-    """Return the rows of the record by point and seed."""
-    if not file.exists():
-        return {}
-    with file.open(encoding="utf-8", newline="") as lines:
-        return {key_of(row): row for row in csv.DictReader(lines)}
-
-
-def key_of(row: Row) -> tuple[str, ...]:
-    return tuple(row[name] for name in (*POINT, "seed"))
-
-
-def write(file: Path, rows: dict[tuple[str, ...], Row]) -> None:
-    with written_whole(file) as out:
-        table = csv.DictWriter(out, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows[key] for key in sorted(rows))
+def record_of(file: Path) -> Record:
+    return Record(file, RUN, MEASURED, order=itemgetter(*RUN))
 
 
 def summary(rows: dict[tuple[str, ...], Row]) -> Iterator[str]:
     """Yield means and errors of each point, from the scatter of its runs, those that diverged left out."""
-    for point, some in itertools.groupby(sorted(rows.values(), key=key_of), lambda row: key_of(row)[:-1]):
+    for point, some in itertools.groupby(sorted(rows.values(), key=itemgetter(*RUN)), itemgetter(*RUN[:-1])):
         runs = list(some)
         held = [row for row in runs if math.isfinite(float(row["U"]))]
         yield f"{' '.join(point)} ps, {len(runs)} runs" + (
@@ -418,17 +329,17 @@ def parse() -> argparse.Namespace:
     add("--runs", type=int, default=10, help="runs a point, each with its own seed (%(default)s)")
     add("--picoseconds", type=float, default=100.0, help="length of a run (%(default)s)")
     add("--workers", type=int, default=1, help="processes (%(default)s)")
-    add("--record", type=Path, default=TABLE, metavar="CSV", help="%(default)s")
+    add("--record", type=Path, default=DOCS / "protein_steps.csv", metavar="CSV", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: means, errors and a picture")
     return parser.parse_args()
 
 
 def main() -> None:
     args = parse()
-    rows = read(args.record)
+    record = record_of(args.record)
     if args.finished:
-        print("\n".join(summary(rows)))
-        draw(rows, args.record.with_suffix(".png"))
+        print("\n".join(summary(record.rows())))
+        draw(record.rows(), args.record.with_suffix(".png"))
         return
     axes = itertools.product(range(1, args.runs + 1), args.integrators, args.masses, args.fs, args.friction)
     jobs = {}
@@ -436,18 +347,16 @@ def main() -> None:
         point = {"integrator": integrator, "masses": masses, "constraints": args.constraints, "fs": fs}
         point |= {"friction": friction, "ensemble": args.ensemble, "picoseconds": args.picoseconds, "seed": seed}
         job = ensemble.Job(means_of, pdb=args.pdb, **point)
-        jobs[job] = {"solute": "peptide" if args.pdb is None else args.pdb.stem} | {k: f"{v}" for k, v in point.items()}
+        jobs[job] = {"solute": "peptide" if args.pdb is None else args.pdb.stem} | point
     start_of(args.pdb)  # before workers ask for it
-    new = [job for job, row in jobs.items() if key_of(row) not in rows]
+    known = record.rows()
+    new = [job for job, row in jobs.items() if record.key_of(row) not in known]
     for result in ensemble.as_completed(new, OUT, workers=args.workers):
         if result.error is not None:
             raise SystemExit(result.error)
-        row = jobs[result.job] | {name: f"{result.value[name]:.7g}" for name in MEASURED}
-        rows = {**read(args.record), key_of(row): row}
-        write(args.record, rows)
-        print(*row.values(), flush=True)
-    wanted = {key_of(row)[:-1] for row in jobs.values()}
-    print("\n".join(summary({key: row for key, row in rows.items() if key[:-1] in wanted})))
+        record.add(jobs[result.job] | {name: f"{result.value[name]:.7g}" for name in MEASURED})
+    wanted = {record.key_of(row)[:-1] for row in jobs.values()}
+    print("\n".join(summary({key: row for key, row in record.rows().items() if key[:-1] in wanted})))
 
 
 if __name__ == "__main__":

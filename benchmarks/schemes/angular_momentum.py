@@ -14,18 +14,16 @@ lines of other schemes stay.
 from __future__ import annotations
 
 import argparse
-import csv
 from pathlib import Path
 
 import numpy as np
-import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common import droplets
-from benchmarks.common.records import DOCS
+from benchmarks.common.records import DOCS, read, write
+from benchmarks.common.starts import context_of
 from openmm_exactrb import ensemble
 from openmm_exactrb.mathematics.quaternions import matrix
-from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "angular_momentum.csv"
 COLUMNS = ("scheme", "force_interval_ps", "picoseconds", "starts", "change")
@@ -43,8 +41,7 @@ def change(scheme: str, interval: float, picoseconds: float, seed: int) -> float
     """Return the largest change of the angular momentum in a run over its size; nan of a run that diverged."""
     _, system, positions = rb.rigid_water(MOLECULES, model=MODEL)
     integrator = rb.ExactRigidBodyIntegrator(forceInterval=interval, scheme=scheme, engine="host")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions, "Reference")
     integrator.setBodyState(droplets.start(MOLECULES, MODEL, seed))
     start, steps, largest = angular_momentum(integrator), round(picoseconds / 10 / integrator.getStepSize()._value), 0.0
     try:
@@ -71,16 +68,13 @@ def main() -> None:
     jobs = {name: [ensemble.Job(change, scheme=name, seed=seed, **settings) for seed in seeds] for name in args.schemes}
     results = ensemble.run([job for some in jobs.values() for job in some], args.out, workers=args.workers)
     values = {result.job.key: result.value for result in results}
-    lines = {row["scheme"]: row for row in csv.DictReader(TABLE.read_text().splitlines())}
+    lines = {row["scheme"]: row for row in read(TABLE)}
     for name, some in jobs.items():
         worst = np.max([values[job.key] for job in some])  # nan if one diverged
         line = (name, args.interval, args.picoseconds, args.starts, f"{worst:.1e}")
         lines[name] = dict(zip(COLUMNS, line, strict=True))
         print(f"{name:16} {worst:.1e}")
-    with written_whole(TABLE) as file:
-        table = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(lines[name] for name in rb.SCHEMES if name in lines)
+    write(TABLE, COLUMNS, (lines[name] for name in rb.SCHEMES if name in lines))
 
 
 if __name__ == "__main__":

@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-import openmm
 
 import openmm_exactrb as rb
+from benchmarks.common.energies import along
+from benchmarks.common.starts import canonical, context_of, thermostat
 
 RATES = (250, 500, 1000, 2000)
 SCHEMES = ("V2", "W2_1", "W2_5", "W4_4", "W4_5", "SRKN4_6b")
@@ -35,28 +36,12 @@ def error(scheme, rotor, rate, seed, n=27, duration=2.0, platform="Reference"):
     platform : str
     """
     _, system, positions = rb.rigid_water(n)
-    start = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
-    start.setRandomNumberSeed(seed)
-    warm = openmm.Context(system, start, openmm.Platform.getPlatform(platform))
-    warm.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(warm, 10.0)
-    warm.setVelocitiesToTemperature(300.0, seed)
-    start.step(2000)
-    state = warm.getState(positions=True, velocities=True)
-
+    warm = context_of(system, thermostat(seed=seed), positions, platform)
+    (state,) = canonical(warm, 2000, seed=seed)
     h = rb.SCHEMES[scheme].forces / rate
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
-    energies, interval = [], max(1, round(0.1 / h))
-    try:
-        for _ in range(round(duration / (interval * h))):
-            integrator.step(interval)
-            energies.append(integrator.totalEnergy()._value)
-    except rb.IntegrationError:
-        return None
-    deviation = float(np.std(energies)) / n
+    energies, _ = along(context_of(system, integrator, state, platform), duration, 0.1)
+    deviation = float(np.std(energies)) / n if np.isfinite(energies).all() else np.inf
     return deviation if deviation < 1.0 else None
 
 

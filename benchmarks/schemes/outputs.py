@@ -16,7 +16,6 @@ Each run is a job of an ensemble, so that the command continues where it stopped
 from __future__ import annotations
 
 import argparse
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,9 +26,8 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common import droplets
-from benchmarks.common.records import DOCS
+from benchmarks.common.records import DOCS, write
 from openmm_exactrb import ensemble
-from openmm_exactrb.support.files import written_whole
 
 TABLE = DOCS / "outputs.csv"
 MOLECULES, MODEL = 64, "tip3p"
@@ -100,10 +98,7 @@ def main() -> None:
             ", ".join(f"{name} {value:.4g}" if name != "scheme" else value for name, value in rows[-1].items()),
             flush=True,
         )
-        with written_whole(TABLE) as file:
-            table = csv.writer(file, lineterminator="\n")
-            table.writerow(COLUMNS)
-            table.writerows([*list(one.values())[:3], *(f"{x:.5g}" for x in list(one.values())[3:])] for one in rows)
+        write(TABLE, COLUMNS, ([*row[:3], *(f"{x:.5g}" for x in row[3:])] for row in map(list, map(dict.values, rows))))
 
 
 if __name__ == "__main__":

@@ -12,32 +12,27 @@ folder of its own.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import openmm
-from openmm import app, unit
 
 import openmm_exactrb as rb
+from benchmarks.common.pictures import plt
+from benchmarks.common.records import DOCS, OUT, read, write
+from benchmarks.common.starts import R, context_of, masses_of, positions_and_velocities
 from benchmarks.paper import problems
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import Substep
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
 # Schemes and steps whose own energy error is small enough to see roundoff beside it; --truncation measures it.
 TOP_SCHEME, TOP_STEP = rb.SCHEMES["SRKN6_11b"], 0.02
 DIPOLE_SCHEME, DIPOLE_STEP = rb.SCHEMES["SRKN6_14a"], 0.0025
 KT, TRAP = 0.1, 0.1  # kJ/mol and kJ/mol/nm²
-DOCS = Path("docs")
 QUANTITIES = ("energy", "direction", "momentum")  # of the angular and the linear momentum
 
 
@@ -114,20 +109,17 @@ def tops(start, variant, last, h=TOP_STEP):
 
 @cache
 def dipoles_of(start):
-    """Return topology and system of 27 dipoles, and the positions and velocities of a droplet that rests as a whole."""
+    """Return the system of 27 dipoles, and the positions and velocities of a droplet that rests as a whole."""
     topology, system, positions = rb.dipole_fluid(27, seed=start)
     system.addForce(springs([atom.index for atom in topology.atoms() if atom.name == "C"]))
     integrator = rb.ExactRigidBodyIntegrator(0.001, "SRKN4_6b")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions, "Reference")
     openmm.LocalEnergyMinimizer.minimize(context, 1e-3)
-    kelvin = KT / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-    integrator.setVelocitiesToTemperature(kelvin, start)
-    state = context.getState(positions=True, velocities=True)
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    integrator.setVelocitiesToTemperature(KT / R, start)
+    state, masses = context.getState(positions=True, velocities=True), masses_of(system)
     v = state.getVelocities(asNumpy=True)._value
     v -= masses @ v / masses.sum()
-    return topology, system, state.getPositions(), v
+    return system, state.getPositions(), v
 
 
 def springs(centres):
@@ -220,17 +212,15 @@ def dipoles(start, variant, last, h=DIPOLE_STEP):
         if settle
         else rb.ExactRigidBodyIntegrator(h, scheme=rounded(DIPOLE_SCHEME) if variant == "rounded" else DIPOLE_SCHEME)
     )
-    topology, system, positions, velocities = dipoles_of(start)
-    context = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference")).context
-    context.setPositions(positions)
-    context.setVelocities(velocities)
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    system, positions, velocities = dipoles_of(start)
+    context = context_of(system, integrator, (positions, velocities), "Reference")
+    masses = masses_of(system)
 
     def observe():
         if not settle:
             return in_long_double(context, integrator)
         state = context.getState(positions=True, velocities=True, energy=True)
-        x, v = state.getPositions(asNumpy=True)._value, state.getVelocities(asNumpy=True)._value
+        x, v = positions_and_velocities(state)
         p = masses[:, None] * v
         return state.getKineticEnergy()._value + state.getPotentialEnergy()._value, p, np.cross(x, p).sum(axis=0)
 
@@ -297,21 +287,19 @@ STYLES = {
 
 def record(folder, fraction, table):
     """Write the root mean squares, and print where they end and how they grow."""
-    lines = ["system,variant,quantity,starts,step,rms"]
+    rows = []
     for name, variant, quantity, starts, errors in curves(folder):
         last = SYSTEMS[name][2] // fraction
         steps = recorded_steps(last)
-        lines += [f"{name},{variant},{quantity},{starts},{n},{e:.4e}" for n, e in zip(steps, errors, strict=True)]
+        rows += [(name, variant, quantity, starts, n, f"{e:.4e}") for n, e in zip(steps, errors, strict=True)]
         slope = exponent(steps, np.maximum(errors, 1e-20), last / 1000)
         print(f"{name:8} {variant:8} {quantity:10} {starts:4} starts  end {errors[-1]:.1e}  exponent {slope:.2f}")
-    table.parent.mkdir(parents=True, exist_ok=True)
-    table.write_text("\n".join(lines) + "\n")
+    write(table, ("system", "variant", "quantity", "starts", "step", "rms"), rows)
 
 
 def draw(table, picture):
     """Draw how roundoff lets the energy of the dipoles drift, from the table."""
-    with table.open() as file:
-        rows = [row for row in csv.DictReader(file) if (row["system"], row["quantity"]) == ("dipoles", "energy")]
+    rows = [row for row in read(table) if (row["system"], row["quantity"]) == ("dipoles", "energy")]
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for variant, (colour, marker, label) in STYLES.items():
         steps, errors = np.array([(row["step"], row["rms"]) for row in rows if row["variant"] == variant], float).T
@@ -336,7 +324,7 @@ def main():
     parser.add_argument("--truncation", action="store_true", help="only measure the error of the scheme")
     options = parser.parse_args()
     fraction = 100 if options.quick else 1
-    folder = Path("out/benchmarks") / ("roundoff_quick" if options.quick else "roundoff")
+    folder = OUT / ("roundoff_quick" if options.quick else "roundoff")
     if options.truncation:
         truncation()
         return

@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import itertools
+import math
 import time
 from functools import cache
 
@@ -29,6 +30,8 @@ from scipy.optimize import minimize
 
 import openmm_exactrb as rb
 from benchmarks.common import droplets
+from benchmarks.common.energies import variance
+from benchmarks.common.starts import R
 from openmm_exactrb.schemes import force_gradient
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.schemes.stability import oscillated
@@ -131,7 +134,7 @@ def linear(scheme, rate, weights=None):
     known = density > 1e-7
     g, coefficients = density[known] / density[known].sum(), np.stack([alpha[known], beta[known]])
     mean = (g * coefficients).sum() / 2.0
-    return droplets.GAS_CONSTANT * 300.0 * np.sqrt(3.0 * (g * (coefficients - mean) ** 2).sum())
+    return R * 300.0 * np.sqrt(3.0 * (g * (coefficients - mean) ** 2).sum())
 
 
 def linear_optima(family, rate, tries=40, seed=0):
@@ -175,20 +178,12 @@ def _even(family):
 # -- stage 2: droplets ---------------------------------------------------------------------------------------------
 
 
-def spread(energies, interval, window):
-    """Return the root of the mean variance within windows of a length in ps; infinite where a run has blown up."""
-    if not np.isfinite(energies).all():
-        return np.inf
-    pieces = max(1, round(len(energies) * interval / window))
-    return float(np.sqrt(np.mean([part.var() for part in np.array_split(energies, pieces)])))
-
-
 def error(scheme, rate, n, model, seed, window, duration):
     """Return the standard deviation of the energy of a droplet in kJ/mol per molecule."""
     kind, *_ = droplets.prepared(n, model)
     h = scheme.forces / rate
     energies, _ = droplets.run(kind, droplets.start(n, model, seed), scheme, h, duration)
-    return spread(energies, max(1, round(0.02 / h)) * h, window)
+    return math.sqrt(variance(energies, max(1, round(0.02 / h)) * h, window))
 
 
 @cache
@@ -273,7 +268,7 @@ def judge(family, free, rate, model, seed, n, duration=30.0):
     h = scheme.forces / rate
     interval = max(1, round(0.02 / h)) * h
     energies, _ = droplets.run(kind, droplets.start(n, model, seed), scheme, h, duration)
-    return {str(window): spread(energies, interval, window) for window in (2.0, 10.0, duration)}
+    return {str(window): math.sqrt(variance(energies, interval, window)) for window in (2.0, 10.0, duration)}
 
 
 def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["seeds"], workers=1, duration=30.0):

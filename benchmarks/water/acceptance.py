@@ -10,24 +10,12 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.starts import canonical, context_of, thermostat
 
 SETTINGS = (("V2", 3.0), ("S2_2", 3.0), ("S2_2", 4.0), ("S2_2", 6.0), ("W2_4", 4.0), ("W4_5", 2.0))  # fs per force
-
-
-def start_of(system: openmm.System, positions, steps: int) -> openmm.State:
-    """Return water at 300 K that has forgotten its lattice."""
-    integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
-    integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(300.0, 1)
-    integrator.step(steps)
-    return context.getState(positions=True, velocities=True)
 
 
 def main() -> None:
@@ -40,15 +28,13 @@ def main() -> None:
     _, system, positions = rb.rigid_water(
         n, nonbondedMethod=app.PME, nonbondedCutoff=0.8, switchDistance=0.7, ewaldErrorTolerance=1e-5
     )
-    start = start_of(system, positions, steps)
+    (start,) = canonical(context_of(system, thermostat(), positions), steps)
     print(f"{n} TIP3P, {proposals} proposals each")
     for scheme, interval in SETTINGS:
         h = 0.001 * interval * rb.SCHEMES[scheme].stages
         integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 5.0, h, scheme=scheme)
         integrator.setRandomNumberSeed(1)
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-        context.setPositions(start.getPositions())
-        context.setVelocities(start.getVelocities())
+        _context = context_of(system, integrator, start)
         integrator.step(proposals)
         rate = integrator.acceptanceRate()
         error = np.sqrt(rate * (1.0 - rate) / proposals)

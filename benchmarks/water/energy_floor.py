@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +20,12 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common import starts
+from benchmarks.common.clocks import in_turns
+from benchmarks.common.energies import along
 from openmm_exactrb import ensemble
 
-VERLET, INTERVAL, SAMPLED, TEMPERATURE = "Verlet", 0.002, 0.1, 300.0  # ps, ps, K
+VERLET, INTERVAL, SAMPLED = "Verlet", 0.002, 0.1  # ps
 SETTINGS = {
     "defaults": {},
     "a switch": {"switchDistance": 0.75},
@@ -31,24 +34,11 @@ SETTINGS = {
 }
 
 
-def context_of(molecules: int, setting: str, integrator: openmm.Integrator) -> tuple[openmm.Context, list]:
-    """Return a Context that gives the same numbers at every run, and positions."""
+def context_of(molecules: int, setting: str, integrator: openmm.Integrator) -> openmm.Context:
+    """Return water on a lattice."""
     options = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85} | SETTINGS[setting]
     _, system, positions = rb.rigid_water(molecules, **options)
-    threads = {"Threads": "1", "DeterministicForces": "true"}
-    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), threads), positions
-
-
-def start_of(molecules: int, seed: int) -> openmm.State:
-    """Return water that has forgotten its lattice."""
-    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-    integrator.setRandomNumberSeed(seed)
-    context, positions = context_of(molecules, "both", integrator)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(TEMPERATURE, seed)
-    integrator.step(2_500)
-    return context.getState(positions=True, velocities=True)
+    return starts.context_of(system, integrator, positions)
 
 
 def deviation(setting: str, method: str, molecules: int, picoseconds: float, seed: int) -> float:
@@ -58,34 +48,21 @@ def deviation(setting: str, method: str, molecules: int, picoseconds: float, see
         integrator.setConstraintTolerance(1e-8)
     else:
         integrator = rb.ExactRigidBodyIntegrator(forceInterval=INTERVAL, scheme=method)
-    start = start_of(molecules, seed)
-    context, _ = context_of(molecules, setting, integrator)
-    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    context.setPositions(start.getPositions())
-    context.setVelocities(start.getVelocities())
-    if method == VERLET:
+    (start,) = starts.canonical(context_of(molecules, "both", starts.thermostat(seed=seed)), 2_500, seed=seed)
+    context = context_of(molecules, setting, integrator)
+    starts.put(context, start)
+    if method == VERLET:  # whose States have the kinetic energy at the time of the positions
         context.applyVelocityConstraints(1e-8)
-    every, energies = max(1, round(SAMPLED / integrator.getStepSize()._value)), []
-    for _ in range(round(picoseconds / SAMPLED)):
-        integrator.step(every)
-        state = context.getState(energy=True)  # of Verlet with the kinetic energy at the time of the positions
-        energies.append((state.getPotentialEnergy() + state.getKineticEnergy())._value)
-    return float(np.std(energies))
+    return float(np.std(along(context, picoseconds, SAMPLED)[0]))
 
 
 def costs(molecules: int, rounds: int) -> dict[str, float]:
     """Return the processor time of a force evaluation over that with the defaults."""
-    contexts = {}
-    for setting in SETTINGS:
-        contexts[setting], positions = context_of(molecules, setting, openmm.VerletIntegrator(INTERVAL))
-        contexts[setting].setPositions(positions)
-        openmm.LocalEnergyMinimizer.minimize(contexts[setting], 100.0)
-    times: dict[str, list[float]] = {setting: [] for setting in SETTINGS}
-    for _ in range(rounds):
-        for setting, context in contexts.items():
-            begun = time.process_time()
-            context.getIntegrator().step(50)
-            times[setting].append(time.process_time() - begun)
+    contexts = {setting: context_of(molecules, setting, openmm.VerletIntegrator(INTERVAL)) for setting in SETTINGS}
+    for context in contexts.values():
+        openmm.LocalEnergyMinimizer.minimize(context, 100.0)
+    runs = {setting: partial(context.getIntegrator().step, 50) for setting, context in contexts.items()}
+    times = in_turns(runs, rounds)
     return {setting: min(some) / min(times["defaults"]) for setting, some in times.items()}
 
 

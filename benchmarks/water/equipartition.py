@@ -24,13 +24,15 @@ import math
 from functools import cache
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import openmm
-from openmm import app, unit
+from matplotlib.artist import Artist
+from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import of_rigid
+from benchmarks.common.pictures import plt
+from benchmarks.common.starts import R, canonical, context_of, masses_of, positions_and_velocities, thermostat
 from benchmarks.water.equipartition_record import (
     FRICTION,
     GOALS,
@@ -48,17 +50,12 @@ from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble.execution import stored_result
 from openmm_exactrb.schemes import splitting
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-from matplotlib.artist import Artist
-
 OUT = Path("out/equipartition")
 TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
 CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
 BAROSTAT = 0.02  # ps between two moves of the barostat: the volume forgets in 1 ps, with 0.1 in four times as long
 LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
 METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g", "BAOA:30")  # with a friction of its own, in 1/ps, behind a colon
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
@@ -91,24 +88,11 @@ def system_of(model: str, n: int, pressure: float | None, every: int):
     return system, positions
 
 
-def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
-    """Return a Context on the CPU platform that gives the same numbers at every run."""
-    options = {"Threads": "1", "DeterministicForces": "true"}
-    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options)
-
-
 @cache
 def start_of(model: str, n: int) -> openmm.State:
     """Return water that has forgotten its lattice."""
     system, positions = system_of(model, n, None, 0)
-    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-    integrator.setRandomNumberSeed(1)
-    context = context_of(system, integrator)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(TEMPERATURE, 1)
-    integrator.step(10_000)
-    return context.getState(positions=True, velocities=True)
+    return canonical(context_of(system, thermostat(TEMPERATURE), positions), 10_000)[0]
 
 
 def integrator_of(method: str, interval: float, friction: float) -> openmm.Integrator:
@@ -129,11 +113,7 @@ def run_of(
     integrator.setRandomNumberSeed(seed)
     h = integrator.getStepSize()._value
     system, _ = system_of(model, n, pressure, max(1, round(BAROSTAT / h)))
-    context = context_of(system, integrator)
-    start = start_of(model, n)
-    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    context.setPositions(start.getPositions())
-    context.setVelocities(start.getVelocities())
+    context = context_of(system, integrator, start_of(model, n))
     look = of_openmm(context, n) if method == LFM else of_ours(integrator)
     every = max(1, math.ceil(LOOKED / h - 1e-9))
     looks = max(1, round(SAMPLED / (every * h)))
@@ -157,14 +137,12 @@ def of_openmm(context: openmm.Context, n: int):
     what applyVelocityConstraints leaves; what the velocities have besides is not a rigid molecule's.
     """
     system = context.getSystem()
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    masses = masses_of(system)
     atoms = np.flatnonzero(masses).reshape(n, -1)
 
     def look() -> dict[str, float]:
-        state = context.getState(positions=True, velocities=True)
-        x = state.getPositions(asNumpy=True)._value[atoms]
-        v = state.getVelocities(asNumpy=True)._value[atoms]
-        translation, rotation, all_but_translation = of_rigid(masses[atoms[0]], x, v)
+        x, v = positions_and_velocities(context.getState(positions=True, velocities=True))
+        translation, rotation, all_but_translation = of_rigid(masses[atoms[0]], x[atoms], v[atoms])
         return {
             "T_tr": temperature(translation, n),
             "T_rot": temperature(all_but_translation, n),
@@ -190,10 +168,9 @@ def temperature(kinetic: float, n: int) -> float:
 
 
 def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
-    state, system = context.getState(energy=True), context.getSystem()
-    mass = sum(system.getParticleMass(i)._value for i in range(system.getNumParticles()))
-    volume = state.getPeriodicBoxVolume()._value
-    return {"U": state.getPotentialEnergy()._value / n, "density": mass * 1.66053906892 / volume}
+    state, mass = context.getState(energy=True), masses_of(context.getSystem()).sum()
+    density = mass * 1.66053906892 / state.getPeriodicBoxVolume()._value
+    return {"U": state.getPotentialEnergy()._value / n, "density": density}
 
 
 def gist(method: str, result: dict) -> dict[str, float]:

@@ -5,17 +5,15 @@ A line of docs/equipartition.csv is one run: what it was, and its means. The doc
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import NamedTuple, get_type_hints
 
 import numpy as np
 
-from benchmarks.common.records import DOCS
-from openmm_exactrb.support.files import written_whole
+from benchmarks.common import records
 
-RECORD = DOCS / "equipartition.csv"
+RECORD = records.DOCS / "equipartition.csv"
 LFM = "LangevinMiddle"
 NAMES = {"spce": "SPC/E", "tip4p2005": "TIP4P/2005", "tip3p": "TIP3P", "tip4pew": "TIP4P-Ew"}
 MEASURED = ("T_tr", "T_rot - T_tr", "other T_rot - T_tr", "U", "density", "acceptance")
@@ -87,23 +85,17 @@ class Point(NamedTuple):
 
 def read(file: Path) -> Record:
     """Return what runs gave, by what they were."""
-    if not file.exists():
-        return {}
-    with file.open(encoding="utf-8", newline="") as text:
-        return {
-            Run(*(kind(row[name]) for name, kind in COLUMNS.items())): {name: float(row[name]) for name in MEASURED}
-            for row in csv.DictReader(text)
-        }
+    return {
+        Run(*(kind(row[name]) for name, kind in COLUMNS.items())): {name: float(row[name]) for name in MEASURED}
+        for row in records.read(file)
+    }
 
 
 def merge(found: Record, file: Path) -> Record:
     """Add runs to the record, in its order, and return all of it; what other commands added meanwhile stays."""
     record = read(file) | found
-    with written_whole(file) as out:
-        lines = csv.writer(out, lineterminator="\n")
-        lines.writerow([*COLUMNS, *MEASURED])
-        for run, means in sorted(record.items()):
-            lines.writerow([*run, *(f"{means[name]:.7g}" for name in MEASURED)])
+    rows = ([*run, *(f"{means[name]:.7g}" for name in MEASURED)] for run, means in sorted(record.items()))
+    records.write(file, [*COLUMNS, *MEASURED], rows)
     return record
 
 

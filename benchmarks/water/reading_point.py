@@ -19,8 +19,8 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.group_temperatures import Groups, R
-from benchmarks.cost.one_line import simulation_of
+from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.starts import R, context_of, put, simulation_of, thermostat
 from benchmarks.proteins.protein_steps import KINDS, molecules, start_of
 from benchmarks.proteins.protein_steps import TEMPERATURE as OF_SOLUTE
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme
@@ -44,9 +44,7 @@ def differences(
     every, found = max(1, round(0.05 / step)), []
     for _ in range(round(duration / (every * step))):
         integrator.step(every)
-        state = context.getState(positions=True, velocities=True)
-        further.setPositions(state.getPositions())
-        further.setVelocities(state.getVelocities())
+        put(further, context.getState(positions=True, velocities=True))
         further.getIntegrator().step(1)
         found.append(energy(context) - energy(further))
     return found
@@ -55,9 +53,7 @@ def differences(
 def balances(pdb: Path | None, duration: float) -> list[float]:
     """Return samples of -f_fast M^-1 f_slow of the solute over kT, in 1/ps² per degree of freedom."""
     topology, system, _ = molecules(pdb, "all", "HBonds")
-    integrator = openmm.LangevinMiddleIntegrator(OF_SOLUTE, FRICTION, 0.002)
-    integrator.setRandomNumberSeed(1)
-    run = simulation_of(topology, system, integrator, start_of(pdb))
+    run = simulation_of(topology, system, thermostat(OF_SOLUTE), start_of(pdb))
     run.context.setVelocitiesToTemperature(OF_SOLUTE, 1)
     groups, bonded, found = Groups(topology, system), sum(2 << k for k in range(len(KINDS))), []
     moving = groups.mass[:, None]
@@ -103,10 +99,8 @@ def main() -> None:
     _, system, positions = rb.rigid_water(MOLECULES, model=args.model, **options)
     integrator = rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, FRICTION, 0.006, scheme="W2_3m")
     integrator.setRandomNumberSeed(1)
-    platform = openmm.Platform.getPlatform("CPU")
-    context = openmm.Context(system, integrator, platform)
-    further = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.001, scheme=FREE), platform)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
+    further = context_of(system, rb.ExactRigidBodyIntegrator(0.001, scheme=FREE))
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 100)
     integrator.setVelocitiesToTemperature(TEMPERATURE, 1)
     integrator.step(700)

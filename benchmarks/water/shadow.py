@@ -19,15 +19,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.starts import R, context_of
 from openmm_exactrb.schemes import Scheme, shadow, splitting
 from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 TEMPERATURE, APART = 298.15, 15.0  # K; how far two runs are from it
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
 def started(model: str, heavy: bool, integrator: rb.ExactRigidBodyLangevinIntegrator) -> openmm.Context:
@@ -38,8 +38,7 @@ def started(model: str, heavy: bool, integrator: rb.ExactRigidBodyLangevinIntegr
     if heavy:
         rb.heavy_hydrogens(system, topology, 3.0)
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions, properties={})
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
     integrator.setVelocitiesToTemperature(integrator.getTemperature(), 1)
     return context

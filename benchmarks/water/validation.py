@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import csv
 import functools
 import io
 import itertools
@@ -46,6 +45,8 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from benchmarks.common import records
+from benchmarks.common.starts import canonical, context_of, masses_of, positions_and_velocities, thermostat
 from benchmarks.proteins import protein_steps
 
 MODEL = "tip3p"
@@ -110,25 +111,14 @@ def system_of(run: Run) -> openmm.System:
     return openmm.XmlSerializer.clone(protein_steps.molecules(None, "all", "HBonds")[1])
 
 
-def context_of(system: openmm.System, integrator: openmm.Integrator) -> openmm.Context:
-    options = {"Threads": "1", "DeterministicForces": "true"}
-    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options)
-
-
 @functools.cache
 def start_of(run: Run) -> openmm.State:
     """Return water at the temperature of a run that has forgotten its lattice; the peptide starts from its own file."""
     if run.integrator not in OF_WATER:
         return protein_steps.start_of(None)
     system, positions = water(run)
-    integrator = openmm.LangevinMiddleIntegrator(run.temperature, 5.0, 0.002)
-    integrator.setRandomNumberSeed(run.seed)
-    context = context_of(system, integrator)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(run.temperature, run.seed)
-    integrator.step(5_000)
-    return context.getState(positions=True, velocities=True)
+    context = context_of(system, thermostat(run.temperature, run.seed), positions)
+    return canonical(context, 5_000, seed=run.seed)[0]
 
 
 def samples(run: Run) -> dict[str, np.ndarray]:
@@ -143,23 +133,21 @@ def samples(run: Run) -> dict[str, np.ndarray]:
         barostat = openmm.MonteCarloBarostat(run.pressure, run.temperature, max(1, round(BAROSTAT / step)))
         barostat.setRandomNumberSeed(run.seed)
         system.addForce(barostat)
-    context = context_of(system, integrator)
-    context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    context.setPositions(start.getPositions())
-    context.setVelocities(start.getVelocities())
+    context = context_of(system, integrator, start)
     context.applyVelocityConstraints(1e-8)  # otherwise what is not of rigid bodies is taken away without a word
     integrator.step(round(BURN / step))
     every, seen = max(1, round(run.sampled / step)), []
     for _ in range(round(run.length / (every * step))):
         integrator.step(every)
         state = context.getState(energy=True, positions=True, velocities=True)
+        x, v = positions_and_velocities(state)
         seen.append(
             {
                 "kinetic": state.getKineticEnergy()._value,
                 "potential": state.getPotentialEnergy()._value,
                 "volume": state.getPeriodicBoxVolume()._value,
-                "position": state.getPositions(asNumpy=True)._value.astype(np.float32),
-                "velocity": state.getVelocities(asNumpy=True)._value.astype(np.float32),
+                "position": x.astype(np.float32),
+                "velocity": v.astype(np.float32),
             }
         )
     found = {name: np.array([one[name] for one in seen]) for name in seen[0]}
@@ -206,7 +194,7 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
             nconstraints=constraints.sum(),
             ndof_reduction_tra=3 * natoms - constraints.sum() - sum(runs[0]["freedom"]),
             ndof_reduction_rot=0,
-            mass=np.array([system.getParticleMass(i)._value for i in range(natoms)]),
+            mass=masses_of(system),
             molecule_idx=first,
             nconstraints_per_molecule=constraints,
         ),
@@ -223,8 +211,7 @@ def simulation(run: Run, files: Iterable[Path]) -> Any:
 
 def constraints_by_molecule(system: openmm.System) -> list[tuple[list[int], int]]:
     """Return the atoms of each molecule in order, and how many constraints it has."""
-    integrator = openmm.VerletIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context = context_of(system, openmm.VerletIntegrator(0.001), platform="Reference")
     held = np.zeros(system.getNumParticles(), int)
     for k in range(system.getNumConstraints()):
         held[system.getConstraintParameters(k)[0]] += 1
@@ -349,10 +336,8 @@ def main() -> None:
         print(f"{verdict.integrator:10} {verdict.point:32} {verdict.picoseconds:6g} ps  {verdict.test:26}", end=" ")
         print(f"{verdict.value:.3f}")
     if args.table is not None:
-        with args.table.open("w", newline="") as file:
-            rows = csv.writer(file)
-            rows.writerow(Verdict._fields)
-            rows.writerows(verdict._replace(value=f"{verdict.value:.3g}") for verdict in found)
+        rows = (verdict._replace(value=f"{verdict.value:.3g}") for verdict in found)
+        records.write(args.table, Verdict._fields, rows)
 
 
 if __name__ == "__main__":

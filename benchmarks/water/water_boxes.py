@@ -10,47 +10,32 @@ energy of the first model over time.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common import records
+from benchmarks.common.energies import along, variance
+from benchmarks.common.pictures import plt
+from benchmarks.common.starts import canonical, context_of, put, thermostat
 from openmm_exactrb import ensemble
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
 OUT = Path("out/water_boxes")
 MODELS = ("tip3p", "spce", "tip4pew", "tip5p")
 VERLET = "Verlet"
 WINDOWS = (2.0, 10.0, 30.0)  # ps
 SAMPLED = 0.1  # ps
-TEMPERATURE = 300.0  # K
 
 
-def context_of(n: int, model: str, integrator: openmm.Integrator, loose: bool = False) -> tuple[openmm.Context, list]:
-    """Return a Context on the CPU platform that gives the same numbers at every run, and positions."""
+def water(n: int, model: str, integrator: openmm.Integrator, loose: bool = False) -> openmm.Context:
+    """Return water on a lattice."""
     smooth = {} if loose else {"switchDistance": 0.75, "ewaldErrorTolerance": 1e-5}
     _, system, positions = rb.rigid_water(n, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.85, **smooth)
-    options = {"Threads": "1", "DeterministicForces": "true"}
-    return openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), options), positions
-
-
-def start_of(n: int, model: str, seed: int) -> openmm.State:
-    """Return water that has forgotten its lattice."""
-    integrator = openmm.LangevinMiddleIntegrator(TEMPERATURE, 5.0, 0.002)
-    integrator.setRandomNumberSeed(seed)
-    context, positions = context_of(n, model, integrator)
-    context.setPositions(positions)
-    openmm.LocalEnergyMinimizer.minimize(context, 10.0)
-    context.setVelocitiesToTemperature(TEMPERATURE, seed)
-    integrator.step(2_500)
-    return context.getState(positions=True, velocities=True)
+    return context_of(system, integrator, positions)
 
 
 def energies_of(model: str, method: str, rate: float, duration: float, seed: int, n: int, loose: bool = False) -> dict:
@@ -60,27 +45,18 @@ def energies_of(model: str, method: str, rate: float, duration: float, seed: int
         integrator.setConstraintTolerance(1e-8)
     else:
         integrator = rb.ExactRigidBodyIntegrator(rb.SCHEMES[method].forces / rate, scheme=method)
-    context, _ = context_of(n, model, integrator, loose)
-    start = start_of(n, model, seed)
-    context.setPositions(start.getPositions())
-    context.setVelocities(start.getVelocities())
-    h = integrator.getStepSize()._value
-    every = max(1, round(SAMPLED / h))
-    energies = []
-    for _ in range(round(duration / (every * h))):
-        integrator.step(every)
-        state = context.getState(energy=True)
-        energies.append((state.getPotentialEnergy() + state.getKineticEnergy())._value / n)
-    return {"interval": every * h, "energies": energies}
+    context = water(n, model, integrator, loose)
+    (start,) = canonical(water(n, model, thermostat(seed=seed)), 2_500, seed=seed)
+    put(context, start)
+    energies, interval = along(context, duration, SAMPLED)
+    if not np.isfinite(energies).all():
+        raise rb.NonFiniteError(f"{method} diverged")
+    return {"interval": interval, "energies": (energies / n).tolist()}
 
 
 def spread(runs: list[dict], window: float) -> tuple[float, float]:
     """Return the standard deviation of the energy within windows, over all runs, and its error between the runs."""
-    variances = []
-    for run in runs:
-        energies = np.array(run["energies"])
-        parts = np.array_split(energies, max(1, round(len(energies) * run["interval"] / window)))
-        variances.append(np.mean([part.var() for part in parts]))
+    variances = [variance(run["energies"], run["interval"], window) for run in runs]
     mean = np.mean(variances)
     error = np.std(variances, ddof=1) / np.sqrt(len(variances)) if len(variances) > 1 else np.nan
     return float(np.sqrt(mean)), float(error / (2 * np.sqrt(mean)))
@@ -88,7 +64,6 @@ def spread(runs: list[dict], window: float) -> tuple[float, float]:
 
 def main() -> None:
     args = parse()
-    args.out.mkdir(parents=True, exist_ok=True)
     points = list(itertools.product(args.models, args.rates, [VERLET, *args.schemes]))
     fixed = {"duration": args.picoseconds, "n": args.molecules} | ({"loose": True} if args.loose else {})
     jobs = {
@@ -117,17 +92,15 @@ def main() -> None:
 def write(rows: list[list], file: Path) -> None:
     """Write the table, and print it with how many times each lies below Verlet's."""
     names = [f"{what}_{window:g}_ps" for window in WINDOWS for what in ("std", "error")]
-    with file.open("w", encoding="utf-8", newline="") as out:
-        table = csv.writer(out)
-        table.writerow(["model", "forces_per_ps", "method", "starts", "failed", *names])
-        table.writerows([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows)
+    columns = ["model", "forces_per_ps", "method", "starts", "failed", *names]
+    records.write(file, columns, ([*row[:5], *(f"{number:.4g}" for number in row[5:])] for row in rows))
     verlet = {tuple(row[:2]): row[5::2] for row in rows if row[2] == VERLET}
-    for model, rate, method, starts, failed, *numbers in rows:
+    for model, rate, method, n_starts, failed, *numbers in rows:
         measured = [(std, theirs, w) for std, theirs, w in zip(numbers[::2], verlet[model, rate], WINDOWS, strict=True)]
         measured = [one for one in measured if np.isfinite(one[0])]
         shown = ", ".join(f"{std:.2e} in {w:g} ps" for std, _, w in measured)
         times = measured[-1][1] / measured[-1][0] if measured else np.nan
-        print(f"{model} {rate:g} per ps {method}: {shown}, {times:.1f} times less ({starts} starts, {failed} failed)")
+        print(f"{model} {rate:g} per ps {method}: {shown}, {times:.1f} times less ({n_starts} starts, {failed} failed)")
 
 
 def draw(runs: dict[str, dict], model: str, rate: float, file: Path) -> None:

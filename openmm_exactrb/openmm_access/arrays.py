@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 import openmm
 from numpy.typing import NDArray
+from openmm import unit
 
 Array = NDArray[np.float64]
 
@@ -40,11 +41,12 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
     """Return the vectors (3, 3) of the periodic box of a Context, or the default of a System, in nm; None without."""
+    system = source if isinstance(source, openmm.System) else source.getSystem()
+    if not system.usesPeriodicBoundaryConditions():
+        return None
     if isinstance(source, openmm.System):
-        system, vectors = source, source.getDefaultPeriodicBoxVectors()
-    else:
-        system, vectors = source.getSystem(), source.getState().getPeriodicBoxVectors()
-    return np.array(vectors._value) if system.usesPeriodicBoundaryConditions() else None
+        return np.array([vector.value_in_unit(unit.nanometer) for vector in source.getDefaultPeriodicBoxVectors()])
+    return np.reshape(box(source.getState()), (3, 3))
 
 
 def _vectors(state: openmm.State, kind: int) -> Array:
