@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible import constraints, tables
-from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group, blocks_of
-from openmm_exactrb.engines.device.flexible.inner import InnerSteps, Moves, moves_of, up_to_drifts
+from openmm_exactrb.engines.device.flexible.blocks import blocks_of
+from openmm_exactrb.engines.device.flexible.inner import Moves, moves_of, up_to_drifts
+from openmm_exactrb.engines.device.flexible.molecules import Molecules
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
 from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
@@ -33,35 +32,23 @@ _ATOMS = ("atoms", "bodies", "inverse")
 _TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "patches")
 
 
-@dataclass(frozen=True)
-class Molecules:
-    """What flexible molecules consist of.
+class FlexiblePart:
+    """The part of flexible molecules in a program.
 
-    Attributes
+    Parameters
     ----------
-    groups : sequence of Group
-        Their clusters, single atoms and atoms without mass included.
-    masses : (n_particles,) array
-        Of all particles of the System.
-    body_of : (n_particles,) array
-        The body of each particle, among all; -1 for none.
-    terms : Terms
-        Their fast forces, of particles of the System.
-    inner : InnerSteps or None
-        None without fast forces.
+    molecules : Molecules
+    demands : Demands
+    particles : (n_particles, 3) array
+        The positions of all particles, kept up to date, for those without mass.
+    precision : type
+        Of fast forces: np.float32 or np.float64.
     """
 
-    groups: Sequence[Group]
-    masses: Array
-    body_of: Indices
-    terms: Terms
-    inner: InnerSteps | None
-
-
-class FlexiblePart:
-    """The part of flexible molecules in a program, with fast forces in single or double `precision`."""
-
-    def __init__(self, molecules: Molecules, demands: Demands, precision: type[np.floating[Any]] = np.float64) -> None:
+    def __init__(
+        self, molecules: Molecules, demands: Demands, particles: Array, precision: type[np.floating[Any]]
+    ) -> None:
+        self._particles = particles
         self._inner, self._demands = molecules.inner, demands
         self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
@@ -175,10 +162,10 @@ class FlexiblePart:
         }
         return {f"flexible_{name}": values for name, values in (of_atoms | self._of_clusters | self._of_terms).items()}
 
-    def write(self, device: Device, state: BodyState, particles: Array, copied: bool = False) -> None:
-        """Write the state of all bodies to the device, and the positions of particles (n_particles, 3) without mass."""
+    def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
+        """Write the state of all bodies, and the positions of particles without mass, to the device."""
         massive = self._mass > 0.0
-        x, v = particles[self.blocks.particles], np.zeros((self.n, 3))
+        x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
         v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
         for name, values in zip(self._state(copied), (x, v), strict=True):
@@ -190,6 +177,9 @@ class FlexiblePart:
         x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self._state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
+
+    def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
+        """Do nothing: all are in flexible molecules."""
 
     def change(self, device: Device, terms: Terms) -> None:
         """Write other numbers of the same terms."""
