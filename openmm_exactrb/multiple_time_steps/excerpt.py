@@ -56,9 +56,7 @@ class _BetweenBodies:
         return len(owners) > 1 and not members & self._sites
 
 
-def bonded_excerpt(
-    system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None
-) -> Excerpt | None:
+def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
     """Return the bonded forces that move bodies against each other, and the exceptions of NonbondedForces that do.
 
     With groups, of the bonded forces those in these, and no exceptions. Without what acts on virtual sites. None if

@@ -78,7 +78,8 @@ class Blocks:
 def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int) -> Blocks:
     """Divide clusters into blocks of about equal cost, so that few terms (., k) of particles cross their borders."""
     count = sum(len(group.particles) for group in groups)
-    cluster_of, sizes, smallest, number = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int), []
+    cluster_of, sizes, smallest = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int)
+    number: list[Indices] = []
     for group in groups:
         first = sum(map(len, number))
         number.append(np.arange(first, first + len(group.particles)))
@@ -97,7 +98,14 @@ def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: in
     first_cluster = np.searchsorted(block[order], np.arange(block.max(initial=-1) + 2))
     first_atom = np.append(starts, len(particles))[first_cluster]
     return Blocks(
-        particles, atom_of, np.repeat(block[order], sizes[order]), starts, sizes[order], ranked, first_cluster, first_atom
+        particles,
+        atom_of,
+        np.repeat(block[order], sizes[order]),
+        starts,
+        sizes[order],
+        ranked,
+        first_cluster,
+        first_atom,
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +17,12 @@ ORDERS, SETTLED, SHORTEST = 20, 1e-16, 0.5**12
 _VECTORS = 4 * ORDERS + 6 + 10
 
 
-def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, object]]:
+def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return the kernel's arrays of clusters, and its constants."""
     n, graphs, constraints = len(blocks.particles), 0, 0
     table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
-    of_stars, lengths, ends = np.zeros(n), [], [np.zeros((0, 2), int)]
+    of_stars, ends = np.zeros(n), [np.zeros((0, 2), int)]
+    lengths: list[NDArray[Any]] = []
     most = 0
     for group, clusters in blocks.groups:
         m, count = len(group.pairs), len(clusters)
@@ -32,7 +35,12 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, object]]:
         ends.append(np.tile(group.pairs, (count, 1)))
         graphs, constraints, most = graphs + count, constraints + m * count, max(most, m)
     sizes = [group.particles.shape[1] for group, _ in blocks.groups if is_star(group)]
-    constants = {"GRAPHS": graphs, "MOST_CONSTRAINTS": most, "ALL_ATOMS": n, "STAR": max(sizes, default=1)}
+    constants: dict[str, Any] = {
+        "GRAPHS": graphs,
+        "MOST_CONSTRAINTS": most,
+        "ALL_ATOMS": n,
+        "STAR": max(sizes, default=1),
+    }
     room = graphs * (most * (_VECTORS + most) + 3 * LARGEST)
     made = {
         "clusters": table.astype(np.int32),
@@ -41,7 +49,9 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray], dict[str, object]]:
         "room": np.zeros(room),
     }
     constants |= {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
-    cases = (f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in range(2, max(sizes, default=1) + 1))
+    cases = (
+        f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in range(2, max(sizes, default=1) + 1)
+    )
     return made, constants | {"MOVE_STARS": " ".join(cases)}
 
 

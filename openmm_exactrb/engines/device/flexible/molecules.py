@@ -100,8 +100,8 @@ def _refuse_large(bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
-                f"constraints hold {kind.particles.shape[1]} atoms together, {kind.name(0)}, and the device has kernels "
-                f"for {LARGEST} at most: create the System with constraints=HBonds"
+                f"constraints hold {kind.particles.shape[1]} atoms together, {kind.name(0)}, and the device has "
+                f"kernels for {LARGEST} at most: create the System with constraints=HBonds"
             )
 
 

@@ -117,7 +117,7 @@ class FlexiblePart:
         return "flexible_z" if here == "flexible_y" else "flexible_y"
 
     def _launch(self, rows: tuple[int, int], what: int, state: tuple[str, ...]) -> Launch:
-        arguments = (
+        arguments: tuple[str | int, ...] = (
             *_CONTEXT,
             *state,
             *(f"flexible_{name}" for name in ("memory", *_ATOMS, *_TABLES)),

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
 from openmm_exactrb.engines.device.flexible.blocks import Blocks
+from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Kinds of terms in the order of the kernel's tables, and the numbers of particles of each.
-KINDS = {"bonds": 2, "angles": 3, "torsions": 4, "pairs": 2, "impropers": 4, "maps": 8}
+#: Kinds of terms in the order of the kernel's tables.
+KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
 
 
 class Kind(NamedTuple):
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """Terms of a kind, one for each block that they touch: which (C,), of which block (C,), and of which atoms (C, k)."""
+    """Terms of a kind, once for each block that they touch: which (C,), of which block (C,), of which atoms (C, k)."""
 
     terms: Indices
     block: Indices
@@ -40,22 +40,24 @@ class Local(NamedTuple):
     first: Indices
 
 
-def kinds_of(terms: Terms, precision: type[np.floating]) -> dict[str, Kind]:
+def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]:
     """Return the terms of the host's kernel, with the numbers of the device's."""
     length, strength = terms.of_bonds
     square = length * length
-    near = square.astype(precision).astype(float)
-    none = lambda particles: np.zeros((0, len(particles)))  # noqa: E731
-    rows = {
-        "bonds": (terms.bonds, np.stack([length, near, square - near, strength])),
-        "angles": (terms.angles, terms.of_angles),
-        "torsions": (terms.torsions, terms.of_torsions.reshape(2 * terms.of_torsions.shape[1], -1)),
-        "pairs": (terms.pairs, terms.of_pairs),
-        "impropers": (terms.impropers, terms.of_impropers),
-        "maps": (terms.maps[:, :8], none(terms.maps)),
+    near = square.astype(precision).astype(np.float64)
+    numbers = (
+        np.stack([length, near, square - near, strength]),
+        terms.of_angles,
+        terms.of_torsions.reshape(2 * terms.of_torsions.shape[1], len(terms.torsions)),
+        terms.of_pairs,
+        terms.of_impropers,
+        np.zeros((0, len(terms.maps))),
+    )
+    kinds = {
+        name: Kind(of_kind, np.zeros((0, len(of_kind)), dtype=np.int64), values)
+        for name, of_kind, values in zip(KINDS, particles(terms), numbers, strict=True)
     }
-    others = {"maps": terms.maps[:, 8:].T}
-    return {name: Kind(rows[name][0], others.get(name, none(rows[name][0]).astype(int)), rows[name][1]) for name in KINDS}
+    return kinds | {"maps": kinds["maps"]._replace(others=terms.maps[:, 8:].T)}
 
 
 def particles(terms: Terms) -> list[Indices]:
@@ -97,7 +99,9 @@ def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
     return np.where(inside, found.atoms - blocks.first_atom[found.block][:, None], by_key)
 
 
-def arrays(terms: Terms, blocks: Blocks, precision: type[np.floating]) -> tuple[dict[str, NDArray], dict[str, int]]:
+def arrays(
+    terms: Terms, blocks: Blocks, precision: type[np.floating]
+) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
     """Return the kernel's arrays of terms and blocks, and its constants."""
     kinds = kinds_of(terms, precision)
     found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
