@@ -107,7 +107,7 @@ def terms_of(system: openmm.System, groups: int) -> Terms | None:
 
 
 def unknown(system: openmm.System) -> str | None:
-    """Return the name of a force of a System that has terms of other forms; None if there is none."""
+    """Return the name of a force of a System that has terms of other forms, or None."""
     return next((force.getName() for force in system.getForces() if not _known(force)), None)
 
 

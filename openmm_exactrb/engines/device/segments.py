@@ -46,7 +46,7 @@ class Segment:
     shows : bool
         Whether the velocities are shown behind it, because a step ends that somebody may look at.
     behind : float
-        The part of the drift of bodies with inner steps that ends here, and whose last inner kick is due; 0 if none is.
+        The part of the drift of bodies with inner steps that ends here, and whose last inner kick is due, or 0.
     leaves : bool
         Whether that of its own last drift is due in the next segment.
     places : bool

@@ -129,7 +129,7 @@ def _molecules(members: Sequence[Indices], count: int) -> Indices:
 def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
     """Return the block of each cluster: some whole molecules, or a part of a large one.
 
-    Clusters of a molecule stand in the order of their particles, which follows the chain of a protein.
+    Clusters of a molecule are in the order of their particles, which follows the chain of a protein.
     """
     total = np.bincount(molecule, cost).astype(int)
     large = total > COST_OF_MOLECULE

@@ -68,17 +68,21 @@ def particles(terms: Terms) -> list[Indices]:
 def copies(particles: Indices, blocks: Blocks) -> Copies:
     """Return terms of particles (T, k) by blocks, each once in every block that it touches."""
     atoms = blocks.atom_of[particles]
-    keys = np.unique(blocks.block_of[atoms] * len(atoms) + np.arange(len(atoms))[:, None])
-    terms, block = keys % max(len(atoms), 1), keys // max(len(atoms), 1)
-    return Copies(terms, block, atoms[terms])
+    block, number, count = blocks.block_of[atoms], np.arange(len(atoms)), max(len(atoms), 1)
+    crosses = (block != block[:, :1]).any(axis=1)
+    of_several = np.unique(block[crosses] * count + number[crosses, None])
+    keys = np.sort(np.concatenate([block[~crosses, 0] * count + number[~crosses], of_several]))
+    return Copies(keys % count, keys // count, atoms[keys % count])
 
 
 def local(blocks: Blocks, found: list[Copies]) -> Local:
     """Return the atoms that each block reads: its own ones, and those of its terms that are of others."""
     n = len(blocks.particles)
-    keys = [(of_kind.block[:, None] * n + of_kind.atoms).ravel() for of_kind in found]
-    partners = np.unique(np.concatenate([np.zeros(0, int), *keys]))
-    partners = partners[blocks.block_of[partners % n] != partners // n]
+    keys = [np.zeros(0, int)]
+    for of_kind in found:
+        foreign = blocks.block_of[of_kind.atoms] != of_kind.block[:, None]
+        keys.append((of_kind.block[:, None] * n + of_kind.atoms)[foreign])
+    partners = np.unique(np.concatenate(keys))
     block = np.concatenate([blocks.block_of, partners // n])
     order = np.argsort(block, kind="stable")  # own atoms stay in front
     atoms = np.concatenate([np.arange(n), partners % n])[order]
@@ -86,7 +90,7 @@ def local(blocks: Blocks, found: list[Copies]) -> Local:
 
 
 def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
-    """Return the places of the atoms of terms within their blocks (C, k)."""
+    """Return where the atoms of terms are in their blocks (C, k)."""
     n, own = len(blocks.particles), np.diff(blocks.first_atom)
     block = np.repeat(np.arange(len(blocks)), np.diff(room.first))
     within = np.arange(len(room.atoms)) - room.first[block]
