@@ -37,6 +37,8 @@ class Thermostat(ABC):
         In K.
     numbers : tuple of str
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+    factors : str
+        The kernel of a device that makes the two numbers by which an exchange multiplies momenta, if it is of this kind.
     on_device : bool
         Whether the program of a device has it.
     scheme : str
@@ -46,6 +48,7 @@ class Thermostat(ABC):
 
     temperature: float
     numbers: tuple[str, ...] = ()
+    factors: ClassVar[str] = ""
     on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "BAOA"
 
@@ -95,6 +98,13 @@ class Thermostat(ABC):
     def settings(self) -> Mapping[str, Any]:
         """Return the settings that decide on the bits of a run."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
+
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...] | None:
+        """Return the numbers that kernels of a device need for an exchange over tau (ps), None if it is not served.
+
+        `freedom` are the degrees of freedom of translation and of rotation.
+        """
+        return None
 
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs, by the names of its variables."""

@@ -141,9 +141,12 @@ class Synchronisation:
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""
+        return self._compared(known, x, v, _SAME, _SAME_PART)
+
+    def _compared(self, known: State, x: Array, v: Array, same: float, part: float) -> State:
         rounded = known.rounded
-        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), _SAME, _SAME_PART)
-        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), _SAME, _SAME_PART)
+        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), same, part)
+        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), same, part)
         return self._refitted(known, x, v, moved, pushed)
 
     def _velocities(self, rounded: BodyState, v: Array) -> Array:

@@ -33,6 +33,7 @@ Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
 # Different times of a heat exchange in a step whose factors are kept.
 _TIMES = 16
+_BACKWARD = "stepSize must be positive when friction is non-zero"
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,14 @@ class Langevin(Thermostat):
             frictions = of_translation, of_rotation[: bodies.n_turning]
         return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *frictions)
 
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
+        """Return the fade and the spread of translation and of rotation, then those of bodies in flexible molecules."""
+        kT = gas_constant_times(self.temperature)
+        rates = *self.frictions, *self.flexible_frictions
+        if tau < 0.0 and any(rates):
+            raise ValueError(_BACKWARD)
+        return tuple(number for rate in rates for number in (math.expm1(-rate * tau), _spread(rate, tau) * math.sqrt(kT)))
+
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs."""
         numbers = gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
@@ -143,6 +152,10 @@ def ornstein_uhlenbeck(
     return exchange
 
 
+def _spread(rate: float, tau: float) -> float:
+    return math.sqrt(-math.expm1(-2.0 * rate * tau))
+
+
 _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
@@ -161,10 +174,10 @@ def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
         if tau == 0.0 or not rates.any():
             return None
         if tau < 0.0:
-            raise ValueError("stepSize must be positive when friction is non-zero")
+            raise ValueError(_BACKWARD)
         fade, spread = np.zeros(rates.shape), np.zeros(rates.shape)
         for rate, of_rate in kinds:  # by the same function for one friction as for many: bits do not depend on it
-            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), math.sqrt(-math.expm1(-2.0 * rate * tau))
+            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), _spread(rate, tau)
         return fade, spread * width
 
     return fading

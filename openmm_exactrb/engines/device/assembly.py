@@ -24,15 +24,15 @@ class Assembly:
     parts : list of Part
     table : Table
     program : Program
-    demands : Demands
+    scheme : Scheme
     """
 
     def __init__(self, bodies: RigidBodies, scheme: Scheme, updates: Any, sites: bool, scales: bool = False) -> None:
-        processed = bool(scheme.processor)
+        self.scheme, processed = scheme, bool(scheme.processor)
         step = Step.of(scheme.sequence, splits_exchanges=scales, remembers=any(scheme.memory))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
-        self.demands = Demands(
+        self._demands = demands = Demands(
             (forces, max(per_step, 1)),
             (differences, max(of_differences, 1)),
             processed,
@@ -41,7 +41,7 @@ class Assembly:
             own,
         )
         self.table = Table(own)
-        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, self.demands)
+        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, demands)
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0}
         sequences = Sequences(self.parts, self.table, sites)
@@ -54,7 +54,11 @@ class Assembly:
         to.array("totals", 3)
         for part in self.parts:
             part.declare(to)
-        to.scalars["interval"], to.scalars["leaves"] = updates.periods
+
+    def cheap(self, turns: float) -> bool:
+        """Return whether the output is made of forces that are remembered: as many as are needed behind so many steps."""
+        pairs = (self._demands.memory, self._demands.differences)
+        return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
 
 
 def _moves(scheme: Scheme) -> Iterable[Move]:

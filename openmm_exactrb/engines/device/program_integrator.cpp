@@ -462,7 +462,7 @@ void ProgramIntegrator::launch(Kernel& k) {
 // Evaluate the forces of some groups (bits) that act, unless the buffer has those of the present positions.
 void ProgramIntegrator::evaluate(int groups) {
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
-    forceCount = cc->getComputeForceCount(), forceGroups = groups, forcesStale = false;
+    forceCount = cc->getComputeForceCount(), forceGroups = getIntegrationForceGroups(), forcesStale = false;
     forceCalls++;
 }
 
@@ -522,7 +522,7 @@ void ProgramIntegrator::makeSteps(int steps) {
     bool begins = true;
     for (int i = 0; i < steps; i++) {
         if (begins) {
-            if (forcesStale || cc->getComputeForceCount() != forceCount)
+            if (forcesStale || cc->getComputeForceCount() != forceCount || getIntegrationForceGroups() != forceGroups)
                 carryOut("forces");
             carryOut("open");
         }

@@ -312,7 +312,7 @@ class Sequences:
 
     def write_processor(self, to: Program, scheme: Scheme) -> None:
         """Write "enter", the way to inner coordinates, and the ways back: "output" and the exact "postprocess"."""
-        to.sequence("enter", self._way(scheme.processor, copied=False))
+        to.sequence("enter", [*self._each("returns"), *self._way(scheme.processor, copied=False)])
         to.sequence("postprocess", [*self._each("copies"), *self._way(scheme.postprocessor, copied=True)])
         to.sequence("output", [*self._each("copies"), *self._way(scheme.output, copied=True)])
 
@@ -329,7 +329,7 @@ class Sequences:
             to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
             to.sequence("moved", self._each("moved", False))
             return
-        enters = [*self._each("returns"), *to.sequences["enter"]]
+        enters = to.sequences["enter"]
         pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []
         to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
         to.sequence("leave", to.sequences["postprocess"])
