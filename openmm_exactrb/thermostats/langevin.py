@@ -99,7 +99,9 @@ class Langevin(Thermostat):
         rates = *self.frictions, *self.flexible_frictions
         if tau < 0.0 and any(rates):
             raise ValueError(_BACKWARD)
-        return tuple(number for rate in rates for number in (math.expm1(-rate * tau), _spread(rate, tau) * math.sqrt(kT)))
+        return tuple(
+            number for rate in rates for number in (math.expm1(-rate * tau), _spread(rate, tau) * math.sqrt(kT))
+        )
 
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs."""

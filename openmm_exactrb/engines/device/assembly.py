@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Program
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
 from openmm_exactrb.engines.device.segments import Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 
 # Numbers of a heat exchange beside its time: see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
@@ -27,9 +29,22 @@ class Assembly:
     scheme : Scheme
     """
 
-    def __init__(self, bodies: RigidBodies, scheme: Scheme, updates: Any, sites: bool, scales: bool = False) -> None:
+    def __init__(
+        self,
+        bodies: RigidBodies,
+        scheme: Scheme,
+        updates: Any,
+        sites: bool,
+        scales: bool = False,
+        flexible: Flexible | None = None,
+    ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
-        step = Step.of(scheme.sequence, splits_exchanges=scales, remembers=any(scheme.memory))
+        late = flexible is not None and flexible.molecules.late
+        step = Step.of(
+            canonical_momenta(scheme.sequence) if late else scheme.sequence,
+            splits_exchanges=scales,
+            remembers=any(scheme.memory),
+        )
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
         self._demands = demands = Demands(
@@ -41,7 +56,9 @@ class Assembly:
             own,
         )
         self.table = Table(own)
-        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, demands)
+        molecules = [] if flexible is None else [FlexiblePart(*flexible, demands)]
+        others = molecules[0].bodies if molecules else None
+        self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0}
         sequences = Sequences(self.parts, self.table, sites)

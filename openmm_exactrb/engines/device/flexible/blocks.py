@@ -15,7 +15,7 @@ Indices = NDArray[np.int64]
 #: Costs of a block: places of terms, and of atoms so many. A protein has about 30 places of terms an atom.
 COST_OF_ATOM = 8
 #: Molecules up to the second one are left whole, larger ones are divided into blocks of about the first one.
-COST_OF_BLOCK, COST_OF_MOLECULE = 2400, 6000
+COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 3200
 
 
 class Group(NamedTuple):

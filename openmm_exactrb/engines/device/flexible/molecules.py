@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
@@ -16,8 +18,8 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, Terms, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
-from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
-from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
+from openmm_exactrb.openmm_access import arrays
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -43,6 +45,8 @@ class Molecules:
         Their fast forces, of particles of the System.
     inner : InnerSteps or None
         None without fast forces.
+    late : bool
+        Whether drifts between the last heat exchange and the end of a step begin the next one.
     """
 
     groups: Sequence[Group]
@@ -50,15 +54,20 @@ class Molecules:
     body_of: Indices
     terms: Terms = NO_TERMS
     inner: InnerSteps | None = None
+    late: bool = False
 
-    def columns(self) -> Indices:
-        """Return which of all bodies these are."""
-        owners = self.body_of[np.concatenate([group.particles.ravel() for group in self.groups])]
-        return np.asarray(np.sort(owners[owners >= 0]))
+
+def bodies_of(context: Any, settings: Any) -> RigidBodies:
+    """Return the bodies of a Context; beside flexible molecules two particles with a constraint are a cluster."""
+    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    box = arrays.periodic_box(context)
+    bodies = find_bodies(system, x, settings.named, box)
+    flexible = len(bodies.clusters) or fast_forces(system, bodies, settings.fast) is not None
+    return find_bodies(system, x, settings.named, box, pairs=True) if flexible else bodies
 
 
 def molecules_of(
-    system: openmm.System, bodies: RigidBodies, fast: FastForces | None, scheme: Scheme, h: float, groups: int
+    system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any
 ) -> Molecules | None:
     """Return the molecules whose atoms constraints hold or fast forces move, None if there are none.
 
@@ -66,13 +75,10 @@ def molecules_of(
     ----------
     system : openmm.System
     bodies : RigidBodies
-        Where two particles with a constraint are a cluster.
+        As `bodies_of` returns them.
     fast : FastForces or None
-        None without inner steps.
-    scheme : Scheme
-        The outer one, in steps of h (ps).
-    groups : int
-        The force groups that act (bits).
+        Theirs.
+    settings : Settings
 
     Raises
     ------
@@ -80,8 +86,9 @@ def molecules_of(
         If a cluster is too large, or fast forces are of other kinds, or act on rigid bodies.
     """
     _refuse_large(bodies)
+    scheme, h = settings.splitting, settings.h
+    excerpt = None if fast is None or not fast.acts(scheme, h) else _excerpt(system, bodies, fast)
     masses = np.array([mass._value for mass in map(system.getParticleMass, range(system.getNumParticles()))])
-    excerpt = None if fast is None else _excerpt(system, bodies, fast)
     clusters = [Group(kind.particles, kind.pairs, kind.lengths) for kind in bodies.clusters.kinds]
     if fast is None or excerpt is None:
         return Molecules(clusters, masses, bodies.owner) if clusters else None
@@ -91,8 +98,9 @@ def molecules_of(
         [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))],
         masses,
         bodies.owner,
-        terms_of_system(excerpt, groups),
+        _terms(excerpt, settings.groups),
         InnerSteps(fast.inner(scheme).sequence, lambda part: repetitions(part * h)),
+        late=fast.excerpt is not None,
     )
 
 
@@ -124,7 +132,7 @@ def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Ex
     return excerpt
 
 
-def terms_of_system(excerpt: Excerpt, groups: int) -> Terms:
+def _terms(excerpt: Excerpt, groups: int) -> Terms:
     """Return the terms of an excerpt in some groups (bits), numbered as in the whole System."""
     terms, number = terms_of(excerpt.system, groups), excerpt.particles
     assert terms is not None  # none is unknown

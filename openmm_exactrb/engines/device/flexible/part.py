@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from openmm_exactrb.moves import Op
 from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.intp]
 
 #: Threads of a block of atoms.
 THREADS = 64
@@ -32,21 +32,28 @@ _ATOMS = ("atoms", "bodies", "inverse")
 _TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "patches")
 
 
-class FlexiblePart:
-    """The part of flexible molecules in a program.
+class Flexible(NamedTuple):
+    """The flexible molecules of a Context.
 
-    Parameters
+    Attributes
     ----------
     molecules : Molecules
-    demands : Demands
     particles : (n_particles, 3) array
         The positions of all particles, kept up to date, for those without mass.
     precision : type
         Of fast forces: np.float32 or np.float64.
     """
 
+    molecules: Molecules
+    particles: Array
+    precision: type[np.floating[Any]]
+
+
+class FlexiblePart:
+    """The part of flexible molecules in a program; arguments but the last one are those of `Flexible`."""
+
     def __init__(
-        self, molecules: Molecules, demands: Demands, particles: Array, precision: type[np.floating[Any]]
+        self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
     ) -> None:
         self._particles = particles
         self._inner, self._demands = molecules.inner, demands
@@ -160,7 +167,10 @@ class FlexiblePart:
             "bodies": self.columns.astype(np.int32),
             "inverse": np.divide(1.0, self._mass, out=np.zeros(self.n), where=self._mass > 0.0),
         }
-        return {f"flexible_{name}": values for name, values in (of_atoms | self._of_clusters | self._of_terms).items()}
+        every = of_atoms | self._of_clusters | self._of_terms
+        return {
+            f"flexible_{name}": values if values.size else np.zeros(1, values.dtype) for name, values in every.items()
+        }
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
         """Write the state of all bodies, and the positions of particles without mass, to the device."""
@@ -180,6 +190,16 @@ class FlexiblePart:
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
         """Do nothing: all are in flexible molecules."""
+
+    @property
+    def bodies(self) -> Indices:
+        """Which of all bodies these are."""
+        return np.sort(self.columns[self.columns >= 0])
+
+    @property
+    def has_fixed(self) -> bool:
+        """Whether there are atoms without mass, which others may move."""
+        return bool((self._mass == 0.0).any())
 
     def change(self, device: Device, terms: Terms) -> None:
         """Write other numbers of the same terms."""
