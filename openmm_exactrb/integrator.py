@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
+from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
 from openmm_exactrb.engines.custom_program.selection import Engine, Selection
 from openmm_exactrb.engines.host.environment import Settings
@@ -381,6 +383,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._propagator.sync.taken_elsewhere = _parting(self)
         return self._propagator
 
+
+minimise_by_integrators(ExactRigidBodyIntegrator)
+draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"

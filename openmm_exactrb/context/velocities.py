@@ -1,0 +1,73 @@
+"""Velocities that a Context draws, `Context.setVelocitiesToTemperature`, where its integrator is one of this package.
+
+OpenMM draws those of particles, and its solver of constraints makes them fit. The momenta of rigid bodies are canonical
+then, for no impulse along a constraint changes them. But where constraints are redundant the solver does not converge,
+it knows no body that a user named, and it sets the centre of mass in motion, which a CMMotionRemover stops.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.units import gas_constant_times
+
+Array = NDArray[np.float64]
+# Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
+_LEFT = 1e-3
+
+
+def draw_by_integrators(kind: type[Any]) -> None:
+    """Have integrators of a kind draw the velocities that OpenMM cannot, by their method of the same name.
+
+    The method of the class is replaced, since a Context may be asked for velocities before its integrator knows it.
+    """
+    method = openmm.Context.setVelocitiesToTemperature
+
+    @functools.wraps(method)
+    def draw(context: Any, *arguments: Any) -> None:
+        integrator: Any = context.getIntegrator()
+        if not isinstance(integrator, kind):
+            method(context, *arguments)
+            return
+        before = context.getState(velocities=True).getVelocities()
+        if not integrator.getNamedBodies():
+            method(context, *arguments)
+            if _fit(context, *arguments):
+                _stop(context)
+                return
+        context.setVelocities(before)
+        integrator.setVelocitiesToTemperature(*arguments)
+
+    openmm.Context.setVelocitiesToTemperature = draw
+
+
+def _masses(system: openmm.System) -> Array:
+    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+
+def _fit(context: Any, temperature: Any, *_: Any) -> bool:
+    """Return whether velocities that were drawn are finite, and have nothing along the constraints."""
+    system, state = context.getSystem(), context.getState(positions=True, velocities=True)
+    x, v, masses = arrays.positions(state), arrays.velocities(state), _masses(system)
+    ends = [system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints())]
+    i, j = np.reshape(ends, (-1, 2)).astype(int).T
+    apart = x[i] - x[j]
+    with np.errstate(all="ignore"):
+        along = np.abs(np.einsum("ij,ij->i", v[i] - v[j], apart)) / np.linalg.norm(apart, axis=1)
+    slow = _LEFT * math.sqrt(gas_constant_times(temperature) / np.min(masses, where=masses > 0.0, initial=math.inf))
+    return bool(np.isfinite(v).all() and (along <= slow).all())
+
+
+def _stop(context: Any) -> None:
+    """Bring the centre of mass to rest if the System has a CMMotionRemover, which does so at the first step."""
+    system = context.getSystem()
+    if any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
+        v, masses = arrays.velocities(context.getState(velocities=True)), _masses(system)
+        context.setVelocities(v - np.where(masses[:, None] > 0.0, masses @ v / masses.sum(), 0.0))

@@ -1,0 +1,186 @@
+"""The temperatures that OpenMM's own reporters print, and the velocities that its Context draws, for any molecules."""
+
+import io
+import itertools
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+KB = 0.00831446261815324
+REFERENCE = openmm.Platform.getPlatform("Reference")
+BATH = 260.0
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+HEXAGON = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.pi / 3 * np.arange(6)])
+WATER = np.array([[0.0, 0.0, 0.0], [0.0757, 0.0, 0.0587], [-0.0757, 0.0, 0.0587]])
+
+#: Masses, places (nm), constrained pairs or None for all, and degrees of freedom, counted by hand.
+MOLECULES = {
+    "CO2": ([12.011, 15.999, 15.999], 0.116 * np.array([[0, 0, 0], [0, 0, 1], [0, 0, -1]]), None, 5),
+    "N2": ([14.007, 14.007], 0.11 * np.array([[0, 0, 0], [1, 0, 0]]), None, 5),
+    "methane": ([12.011, *4 * [1.008]], np.vstack([np.zeros(3), 0.109 * TETRAHEDRON]), None, 6),
+    "benzene": ([*6 * [12.011], *6 * [1.008]], np.vstack([0.1391 * HEXAGON, 0.2471 * HEXAGON]), None, 6),
+    "water": ([15.999, 1.008, 1.008], WATER, None, 6),
+    "hinge": ([15.999, 1.008, 1.008], WATER, [(0, 1), (0, 2)], 7),
+    "ion": ([22.99], np.zeros((1, 3)), None, 3),
+    "chain": (4 * [14.0], 0.15 * np.tri(4, 3, -1), [(0, 1), (1, 2), (2, 3)], 9),
+}
+MIXED = [name for name in MOLECULES if name != "N2"]
+INTEGRATORS = {
+    "constant energy": lambda **options: rb.ExactRigidBodyIntegrator(0.002, **options),
+    "Langevin": lambda **options: rb.ExactRigidBodyLangevinIntegrator(BATH, 5.0, 0.002, **options),
+    "rescaling": lambda **options: rb.ExactRigidBodyRescalingIntegrator(BATH, 0.1, 0.002, **options),
+    "Nosé-Hoover": lambda **options: rb.ExactRigidBodyNoseHooverIntegrator(BATH, 5.0, 0.002, **options),
+    "hybrid": lambda **options: rb.ExactRigidBodyHybridIntegrator(BATH, 5.0, 0.002, **options),
+}
+
+
+def gas(names, named=False, remover=False):
+    """Return a System of molecules that do not see each other, places, bodies to be named, and degrees of freedom."""
+    system, places, bodies, freedom = openmm.System(), [], [], -3 * remover
+    for number, name in enumerate(names):
+        masses, x, pairs, own = MOLECULES[name]
+        first = system.getNumParticles()
+        for mass in masses:
+            system.addParticle(mass)
+        particles = range(first, first + len(masses))
+        if named and pairs is None and len(masses) > 1:
+            bodies.append(list(particles))
+        else:
+            for i, j in itertools.combinations(range(len(masses)), 2) if pairs is None else pairs:
+                system.addConstraint(first + i, first + j, np.linalg.norm(x[i] - x[j]))
+        places.append(x + 2.0 * number * np.eye(3)[0])
+        freedom += own
+    if remover:
+        system.addForce(openmm.CMMotionRemover())
+    return system, np.concatenate(places), bodies or None, freedom
+
+
+def simulation_of(system, places, integrator):
+    topology = app.Topology()
+    residue = topology.addResidue("ALL", topology.addChain())
+    for i in range(system.getNumParticles()):
+        topology.addAtom(f"A{i}", None, residue)
+    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation.context.setPositions(places)
+    return simulation
+
+
+def printed(simulation, steps, every=1):
+    """Return the temperatures that OpenMM's reporter prints in some steps."""
+    text = io.StringIO()
+    simulation.reporters.append(app.StateDataReporter(text, every, temperature=True))
+    simulation.step(steps)
+    simulation.reporters.pop()
+    return np.array([float(line) for line in text.getvalue().splitlines()[1:]])
+
+
+def of_particles(context, freedom):
+    """Return 2 K / (f k) by the velocities of the particles."""
+    system, v = context.getSystem(), context.getState(velocities=True).getVelocities(asNumpy=True)._value
+    masses = [system.getParticleMass(i)._value for i in range(system.getNumParticles())]
+    return masses @ (v**2).sum(axis=1) / (freedom * KB)
+
+
+@pytest.mark.parametrize("remover", [False, True], ids=["", "remover"])
+@pytest.mark.parametrize(
+    ("kind", "names", "named"),
+    [
+        ("constant energy", 4 * ["CO2"], False),
+        ("constant energy", 4 * ["CO2"], True),
+        ("constant energy", 4 * ["benzene"], False),
+        ("constant energy", MIXED, False),
+        *((kind, 2 * MIXED, True) for kind in INTEGRATORS),
+    ],
+    ids=["linear and redundant", "linear and named", "planar and redundant", "mixed", *INTEGRATORS],
+)
+def test_openmms_reporter_prints_the_temperature_of_the_bodies(kind, names, named, remover):
+    system, places, bodies, freedom = gas(names, named, remover)
+    integrator = INTEGRATORS[kind](bodies=bodies)
+    simulation = simulation_of(system, places, integrator)
+    integrator.setVelocitiesToTemperature(BATH, 1)
+    found = printed(simulation, 3)[-1]
+    assert found == pytest.approx(of_particles(simulation.context, freedom), rel=1e-12)
+    parts = zip(integrator.degreesOfFreedom(), integrator.temperatures(), strict=True)
+    assert found == pytest.approx(sum(n * temperature._value for n, temperature in parts) / freedom, rel=1e-12)
+
+
+@pytest.mark.parametrize("names", [4 * ["CO2"], ["CO2", "benzene", "water", "ion"]], ids=["linear", "mixed"])
+def test_it_prints_the_same_on_the_device(names):
+    system, places, _, freedom = gas(names)
+    field = openmm.CustomExternalForce("x+0.5*y")
+    for i in range(0, system.getNumParticles(), 2):
+        field.addParticle(i)
+    system.addForce(field)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(BATH, 5.0, 0.002, engine="device")
+    simulation = simulation_of(system, places, integrator)
+    integrator.setVelocitiesToTemperature(BATH, 1)
+    found = printed(simulation, 3)[-1]
+    assert integrator.getEngine() == "device"
+    assert found == pytest.approx(of_particles(simulation.context, freedom), rel=1e-9)
+
+
+@pytest.mark.parametrize("remover", [False, True], ids=["", "remover"])
+@pytest.mark.parametrize(("names", "named"), [(["CO2"], False), (["CO2"], True), (MIXED, False)])
+def test_the_mean_that_it_prints_is_that_of_the_bath(names, named, remover):
+    """Without forces every exchange draws momenta anew where the friction is high."""
+    system, places, bodies, freedom = gas(8 * names, named, remover)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(BATH, 5e3, 0.002, bodies=bodies)
+    integrator.setRandomNumberSeed(3)
+    found = printed(simulation_of(system, places, integrator), 400)
+    assert abs(found[20:].mean() - BATH) < 4.0 * BATH * np.sqrt(2.0 / (freedom * 380))
+
+
+def test_without_degrees_of_freedom_there_is_no_temperature():
+    system, places, _, _ = gas(["ion"], remover=True)
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    simulation = simulation_of(system, places, integrator)
+    assert np.isnan(integrator.computeSystemTemperature().value_in_unit(unit.kelvin))
+    assert np.isnan(printed(simulation, 1)).all()
+
+
+# -- velocities that the Context draws --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("remover", [False, True], ids=["", "remover"])
+@pytest.mark.parametrize(
+    ("names", "named"),
+    [(4 * ["CO2"], False), (4 * ["CO2"], True), (4 * ["methane"], False), (2 * ["benzene"], False), (MIXED, False)],
+)
+def test_a_context_draws_canonical_velocities_before_the_first_step(names, named, remover):
+    """OpenMM's solver of constraints diverges for most of these molecules."""
+    system, places, bodies, freedom = gas(names, named, remover)
+    simulation = simulation_of(system, places, rb.ExactRigidBodyIntegrator(0.002, bodies=bodies))
+    found = []
+    for seed in range(1, 61):
+        simulation.context.setVelocitiesToTemperature(BATH * unit.kelvin, seed)
+        found.append(of_particles(simulation.context, freedom))
+    assert abs(np.mean(found) - BATH) < 4.0 * BATH * np.sqrt(2.0 / (freedom * 60))
+    simulation.step(2)
+    assert of_particles(simulation.context, freedom) == pytest.approx(found[-1], rel=1e-9)
+
+
+def test_the_context_and_the_integrator_draw_the_same():
+    drawn = []
+    for draws in (lambda s: s.context, lambda s: s.integrator):
+        system, places, _, _ = gas(MIXED)
+        simulation = simulation_of(system, places, rb.ExactRigidBodyIntegrator(0.002))
+        draws(simulation).setVelocitiesToTemperature(BATH, 5)
+        drawn.append(simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value)
+    np.testing.assert_array_equal(*drawn)
+    assert drawn[0].any()
+
+
+def test_integrators_of_openmm_draw_as_they_did():
+    drawn = []
+    for draw in (openmm.Context.setVelocitiesToTemperature, openmm.Context.setVelocitiesToTemperature.__wrapped__):
+        system, places, _, _ = gas(["water", "ion"])
+        context = openmm.Context(system, openmm.VerletIntegrator(0.002), REFERENCE)
+        context.setPositions(places)
+        draw(context, BATH, 5)
+        drawn.append(context.getState(velocities=True).getVelocities(asNumpy=True)._value)
+    np.testing.assert_array_equal(*drawn)
+    assert drawn[0].any()
