@@ -6,7 +6,7 @@ import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import openmm
@@ -26,6 +26,18 @@ _SEEDS = 2**31  # those of OpenMM that are not negative
 _STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
 
 
+class Factors(NamedTuple):
+    """The kernel that makes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
+
+    Its defines come with it, and how many persistent numbers it has: first those of `Thermostat.numbers`, then the
+    thermostat's own.
+    """
+
+    kernel: str
+    defines: tuple[tuple[str, object], ...]
+    size: int
+
+
 class Thermostat(ABC):
     """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
 
@@ -37,8 +49,8 @@ class Thermostat(ABC):
         In K.
     numbers : tuple of str
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
-    factors : str
-        The kernel of a device that makes the two numbers by which an exchange multiplies momenta, if it is of this kind.
+    factors : Factors, optional
+        The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
     on_device : bool
         Whether the program of a device has it.
     scheme : str
@@ -48,7 +60,7 @@ class Thermostat(ABC):
 
     temperature: float
     numbers: tuple[str, ...] = ()
-    factors: ClassVar[str] = ""
+    factors: Factors | None = None
     on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "BAOA"
 

@@ -18,6 +18,7 @@ Normals are those of G. E. P. Box and M. E. Muller (1958), doi:10.1214/aoms/1177
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from enum import IntEnum
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 _WORD = 2**64 - 1
 # Words of a block.
 _BLOCK = 4
+# Of a gamma variate that are looked at together: one in twenty fails.
+_ATTEMPTS = 8
 
 
 class Purpose(IntEnum):
@@ -65,6 +68,10 @@ class Instant(NamedTuple):
         """Return standard normal numbers for a purpose."""
         return normals(self.seed, self.step, self.stream(purpose), shape)
 
+    def gamma(self, purpose: Purpose, shape: float) -> float:
+        """Return one gamma variate for a purpose, independent of its first four normals of a body."""
+        return gamma(self.seed, self.step, self.stream(purpose), shape)
+
     def uniform(self, purpose: Purpose) -> float:
         """Return one number uniform on [0, 1) for a purpose."""
         return float(self.generator(purpose).random())
@@ -83,6 +90,26 @@ def normals(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
     return np.ascontiguousarray(np.concatenate([np.zeros((0, n)), *blocks])[:count].reshape(shape))
 
 
+def gamma(seed: int, step: int, stream: int, shape: float) -> float:
+    """Return a variate of the gamma distribution: G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414.
+
+    Attempts are the bodies of the second block. Other arguments are as of `generator`.
+    """
+    if shape <= 0.0:
+        return 0.0
+    d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
+    for n in itertools.count(_ATTEMPTS, _ATTEMPTS):
+        words = _raw(seed, step, stream, 1, n)
+        x, u = _normals_of(words)[0], _open_uniforms(words)
+        root = 1.0 + x / math.sqrt(9.0 * d)
+        v = np.where(root > 0.0, root, 1.0) ** 3
+        (good,) = np.nonzero((root > 0.0) & (np.log(u[2]) < 0.5 * x * x + d * (1.0 - v + np.log(v))))
+        if len(good):
+            first = good[0]
+            return float(d * v[first] * (u[3, first] ** (1.0 / shape) if shape < 1.0 else 1.0))
+    raise AssertionError
+
+
 def _raw(seed: int, step: int, stream: int, block: int, n: int) -> NDArray[np.uint64]:
     """Return words of a block of n bodies, (4, n)."""
     shared = _local.generator.bit_generator
@@ -94,8 +121,7 @@ def _raw(seed: int, step: int, stream: int, block: int, n: int) -> NDArray[np.ui
 
 def _open_uniforms(words: NDArray[np.uint64]) -> Array:
     """Return numbers between 0 and 1, neither of which they are: the 53 upper bits of words, and a half."""
-    uniforms: Array = ((words >> np.uint64(11)) + 0.5) * 2.0**-53
-    return uniforms
+    return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53, dtype=np.float64)
 
 
 def _normals_of(words: NDArray[np.uint64]) -> Array:

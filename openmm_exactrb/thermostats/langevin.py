@@ -7,6 +7,7 @@ rotate.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -99,9 +100,8 @@ class Langevin(Thermostat):
         rates = *self.frictions, *self.flexible_frictions
         if tau < 0.0 and any(rates):
             raise ValueError(_BACKWARD)
-        return tuple(
-            number for rate in rates for number in (math.expm1(-rate * tau), _spread(rate, tau) * math.sqrt(kT))
-        )
+        pairs = ((math.expm1(-rate * tau), math.sqrt(kT) * _spread(rate, tau)) for rate in rates)
+        return tuple(itertools.chain(*pairs))
 
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs."""

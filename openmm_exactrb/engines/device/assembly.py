@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
-from openmm_exactrb.engines.device.program import Program
+from openmm_exactrb.engines.device.program import Launch, Program, Source
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
 from openmm_exactrb.engines.device.segments import Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
+from openmm_exactrb.thermostat import Factors
 
 # Numbers of a heat exchange beside its time: see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
@@ -35,16 +36,13 @@ class Assembly:
         scheme: Scheme,
         updates: Any,
         sites: bool,
-        scales: bool = False,
+        factors: Factors | None = None,
         flexible: Flexible | None = None,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
         late = flexible is not None and flexible.molecules.late
-        step = Step.of(
-            canonical_momenta(scheme.sequence) if late else scheme.sequence,
-            splits_exchanges=scales,
-            remembers=any(scheme.memory),
-        )
+        rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
+        step = Step.of(rows, splits_exchanges=factors is not None, remembers=any(scheme.memory))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
         self._demands = demands = Demands(
@@ -52,7 +50,7 @@ class Assembly:
             (differences, max(of_differences, 1)),
             processed,
             any(move.op == Op.DISPLACE for move in _moves(scheme)),
-            scales,
+            factors is not None,
             own,
         )
         self.table = Table(own)
@@ -61,19 +59,26 @@ class Assembly:
         self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0}
-        sequences = Sequences(self.parts, self.table, sites)
+        to.array("factors", 2)
+        to.array("totals", 3)
+        to.array("thermostat", factors.size if factors else 0, saved=True)
+        sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors))
         sequences.write_step(to, step, processed)
         if processed:
             sequences.write_processor(to, scheme)
         sequences.write_updates(to, updates, processed)
         self.table.declare(to, EXCHANGE_NUMBERS)
-        to.array("factors", 2)
-        to.array("totals", 3)
         for part in self.parts:
             part.declare(to)
 
+    def _factors(self, factors: Factors) -> Callable[[int], Launch]:
+        """Return what launches the kernel of factors for a row of the table."""
+        source = Source(("random.cl", "thermostats.cl"), factors.defines)
+        arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
+        return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
+
     def cheap(self, turns: float) -> bool:
-        """Return whether the output is made of forces that are remembered: as many as are needed behind so many steps."""
+        """Return whether the output is made of remembered forces: after so many steps there are enough."""
         pairs = (self._demands.memory, self._demands.differences)
         return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
 

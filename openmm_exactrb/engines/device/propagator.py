@@ -25,6 +25,7 @@ from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.thermostat import Factors
 
 # Of the bodies that are lost, so many are named.
 _NAMED = 5
@@ -80,7 +81,7 @@ class DevicePropagator:
     def _load(self) -> None:
         """Give the integrator the program of the settings, and its tables."""
         self._assembly = assembly = Assembly(
-            self.sync.bodies, self._settings.scheme, self.updates, self._sites, flexible=self._flexible
+            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors, self._flexible
         )
         self.device.load(assembly.program.text)
         context: Any = self.sync.context
@@ -119,6 +120,11 @@ class DevicePropagator:
             flexible = in_flexible_molecules(self.sync.context, self.sync.bodies, settings.named)
             for part in self._assembly.parts:
                 part.flag(self.device, flexible)
+
+    @property
+    def _factors(self) -> Factors | None:
+        thermostat = self._settings.thermostat
+        return None if thermostat is None else thermostat.factors
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
         """Return the numbers of a heat exchange, as many as the table has room for."""
@@ -232,7 +238,7 @@ class DevicePropagator:
 
     def _potential(self) -> float:
         self._timings.evaluations += 1
-        state = self.sync.context.getState(energy=True, groups=self._integrator().getIntegrationForceGroups())
+        state = self.sync.context.getState(energy=True, groups=self._settings.groups)
         return float(state.getPotentialEnergy()._value)
 
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------

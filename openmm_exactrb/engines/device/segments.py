@@ -11,7 +11,8 @@ of a step and the begin of the next one in one segment.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -160,7 +161,8 @@ class Step:
         segments = divided(rows, known, splits_exchanges, remembers)
         if len(segments) == 1:
             segments.insert(0, Segment())
-        needs = next((move.groups for move in segments[0].moves if move.groups), None)
+        before = itertools.takewhile(lambda segment: segment.groups is None, segments)
+        needs = next((move.groups for segment in before for move in segment.moves if move.groups), None)
         segments[-1] = replace(segments[-1], shows=True)
         return cls(tuple(_joined(segments)), needs)
 
@@ -257,14 +259,14 @@ class Sequences:
     ----------
     sites : bool
         Whether the System has virtual sites.
-    factors : sequence of operations
-        What makes the factors of a heat exchange out of the kinetic energies in "totals".
+    factors : callable, optional
+        factors(row) -> what makes the factors of the heat exchange in a row of the table out of the energies.
     """
 
     parts: Sequence[Part]
     table: Table
     sites: bool
-    factors: Sequence[Operation] = ()
+    factors: Callable[[int], Operation] | None = None
 
     def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
         """Return the operations of segments, each behind the evaluation that it needs."""
@@ -273,7 +275,9 @@ class Sequences:
     def before(self, segment: Segment) -> list[Operation]:
         """Return the evaluation before a segment."""
         if segment.reduces:
-            return [*self.reductions(segment.copied), *self.factors]
+            assert self.factors is not None
+            row, _ = self.table.rows(segment.moves)
+            return [*self.reductions(segment.copied), self.factors(row)]
         return [] if segment.groups is None else self.evaluation(segment.groups, segment.time)
 
     def reductions(self, copied: bool = False) -> list[Operation]:
