@@ -58,7 +58,7 @@ class Molecules:
 
 
 def bodies_of(context: Any, settings: Any) -> RigidBodies:
-    """Return the bodies of a Context; beside flexible molecules two particles with a constraint are a cluster."""
+    """Return the bodies of a Context; if it has flexible molecules, two particles with a constraint are a cluster."""
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     box = arrays.periodic_box(context)
     bodies = find_bodies(system, x, settings.named, box)
