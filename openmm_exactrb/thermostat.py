@@ -51,8 +51,6 @@ class Thermostat(ABC):
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
     factors : Factors, optional
         The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
-    on_device : bool
-        Whether the program of a device has it.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once a step.
@@ -61,7 +59,6 @@ class Thermostat(ABC):
     temperature: float
     numbers: tuple[str, ...] = ()
     factors: Factors | None = None
-    on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "BAOA"
 
     @property
@@ -118,9 +115,9 @@ class Thermostat(ABC):
         """
         return None
 
-    def device_numbers(self) -> Mapping[str, float]:
-        """Return the numbers that a program on a device needs, by the names of its variables."""
-        return {}
+    def device_numbers(self) -> tuple[float, ...] | None:
+        """Return the numbers that kernels of a device need, None if they do not serve it."""
+        return None
 
 
 class Noise:

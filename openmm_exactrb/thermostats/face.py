@@ -9,8 +9,6 @@ from typing import Any, TypedDict, Unpack
 
 from openmm import unit
 
-from openmm_exactrb.engines.custom_program.engine import DevicePropagator
-from openmm_exactrb.engines.custom_program.selection import Engine
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
@@ -24,7 +22,7 @@ class Options(TypedDict, total=False):
     fast: str | Sequence[int] | None
     inner: str | Scheme | None
     innerSteps: int | None
-    engine: Engine
+    engine: str
     forceInterval: float | unit.Quantity | None
     checkDivergence: bool
 
@@ -80,10 +78,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             If the state of the bodies is not that after a step of this integrator.
         """
         propagator = self._up_to_date()
-        if isinstance(propagator, DevicePropagator):
-            raise ValueError("momenta within a step are not available on the device: use engine='host'")
-        around = None if self._left is None else propagator.environment.around
-        if around is None or self._left is not propagator.sync.state:
+        if (around := propagator.around) is None:
             raise ValueError("there are no temperatures around a heat exchange yet: make a step first")
         energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in around]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.engines.custom_program import names
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.rng import Instant, Purpose
@@ -58,8 +57,6 @@ class Langevin(Thermostat):
     friction: float
     rotationalFriction: float | None = None
     flexibleFriction: float | None = field(default=None, kw_only=True)
-
-    on_device: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "temperature", kelvin(self.temperature))
@@ -103,10 +100,9 @@ class Langevin(Thermostat):
         pairs = ((math.expm1(-rate * tau), math.sqrt(kT) * _spread(rate, tau)) for rate in rates)
         return tuple(itertools.chain(*pairs))
 
-    def device_numbers(self) -> Mapping[str, float]:
-        """Return the numbers that a program on a device needs."""
-        numbers = gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
-        return dict(zip((names.KT, *names.FRICTIONS, *names.FLEXIBLE_FRICTIONS), numbers, strict=True))
+    def device_numbers(self) -> tuple[float, ...] | None:
+        """Return kT, the frictions of translation and of rotation, and the same in molecules of more than one body."""
+        return gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
 
 
 def _rate(friction: Any) -> float:

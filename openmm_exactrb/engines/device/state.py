@@ -37,7 +37,6 @@ class DeviceState(Synchronisation):
 
     def pull(self) -> bool:
         """Bring the state up to date with the device, and both with what was set in the Context."""
-        self.refuse_others()
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -119,10 +118,6 @@ class DeviceState(Synchronisation):
         """Give the bodies another state and push it."""
         self.state, self.inner, self._behind = state, None, False
         self.push()
-
-    def refuse_others(self) -> None:
-        """Raise ValueError for variables that another kind of integrator wrote."""
-        variables.refuse_others(self._integrator(), (0.0, variables.FROM_DEVICE))
 
     def _write(self) -> None:
         """Do nothing: the program has the state, which OpenMM saves with it."""
