@@ -8,14 +8,13 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.engines.custom_program import record as flexible
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, bodies_of, molecules_of
 from openmm_exactrb.engines.device.library import MissingLibraryError, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.moves import of_substep
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
-from openmm_exactrb.openmm_access import arrays, platforms
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
 
@@ -40,30 +39,25 @@ def _unsupported(settings: Settings) -> str | None:
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
     """Return why a Context is not served."""
-    if _is_flexible(context, settings):
-        return flexible.DEVICE.unsupported(settings) or flexible.DEVICE.unsupported_in(context, settings)
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
         return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
     if "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
+    system, bodies = context.getSystem(), bodies_of(context, settings)
+    try:
+        molecules = molecules_of(system, bodies, fast_forces(system, bodies, settings.fast), settings)
+    except NotServedError as error:
+        return str(error)
+    if molecules is not None and settings.scheme.has_gradients:
+        return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
     return None
-
-
-def _is_flexible(context: Any, settings: Settings) -> bool:
-    """Return whether molecules have inner steps or constraints that leave them a motion of their own."""
-    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
-    bodies = find_bodies(system, x, settings.named)
-    found = fast_forces(system, bodies, settings.fast)
-    return bool(len(bodies.clusters)) or (found is not None and found.acts(settings.outer, settings.h))
 
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
     if why := platforms.no_gpu(context):
         return False, why
-    if _is_flexible(context, settings):
-        return flexible.DEVICE.advice(context, settings)
     try:
         library()
     except MissingLibraryError as error:
@@ -72,7 +66,7 @@ def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
 
 
 def _marks(settings: Settings) -> tuple[float, ...]:
-    return variables.device(settings.own_numbers), *flexible.DEVICE.marks(settings)
+    return (variables.device(settings.own_numbers),)
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
@@ -89,9 +83,6 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
     """Return a propagator, with an integrator of the library behind the Python object."""
-    if _is_flexible(context, settings):
-        made: Propagator = flexible.DEVICE.propagator(context, integrator, settings, timings)
-        return made
     if not library().owns(integrator):
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)
@@ -107,5 +98,4 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
-    release=flexible.DEVICE.release,
 )
