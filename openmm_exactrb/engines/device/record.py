@@ -12,7 +12,7 @@ from openmm_exactrb.engines.device.flexible.molecules import NotServedError, bod
 from openmm_exactrb.engines.device.library import MissingLibraryError, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
-from openmm_exactrb.moves import of_substep
+from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
@@ -50,8 +50,18 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         molecules = molecules_of(system, bodies, fast_forces(system, bodies, settings.fast), settings)
     except NotServedError as error:
         return str(error)
-    if molecules is not None and settings.scheme.has_gradients:
+    if molecules is not None:
+        return _unsupported_beside_molecules(settings)
+    return None
+
+
+def _unsupported_beside_molecules(settings: Settings) -> str | None:
+    """Return what the kernels of flexible molecules do not have."""
+    if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
+    for substep, part in settings.scheme.sequence:
+        if any(move.op == Op.OWN for move in of_substep(substep, part)):
+            return f"the device has no kernel of {substep!r} for flexible molecules"
     return None
 
 

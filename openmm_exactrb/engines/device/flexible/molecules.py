@@ -10,13 +10,15 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
+from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED
-from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, Terms, terms_of, unknown
+from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
 from openmm_exactrb.openmm_access import arrays
@@ -59,6 +61,7 @@ class Molecules:
 
 def bodies_of(context: Any, settings: Any) -> RigidBodies:
     """Return the bodies of a Context; if it has flexible molecules, two particles with a constraint are a cluster."""
+    refuse_unset(context)
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     box = arrays.periodic_box(context)
     bodies = find_bodies(system, x, settings.named, box)

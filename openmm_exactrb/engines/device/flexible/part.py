@@ -15,10 +15,10 @@ from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
 from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
-from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

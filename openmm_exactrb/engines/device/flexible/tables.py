@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks
-from openmm_exactrb.multiple_time_steps.compiled_forces import Terms
+from openmm_exactrb.kernels.records import Terms
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
