@@ -16,10 +16,11 @@ from openmm import unit
 import openmm_exactrb as rb
 import three_masses
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.multiple_time_steps import inner_drift
 from orders import slope
+from peptides import peptide
 from starts import context_of
 
 ROOT = Path(__file__).parent.parent
@@ -196,16 +197,31 @@ def pushed(scheme):
 
 
 @pytest.mark.parametrize("scheme", ["V2", "Chin4A"])
-def test_a_constraint_type_is_a_free_motion(monkeypatch, scheme):
+def test_a_constraint_type_is_one_entry(monkeypatch, scheme):
     """With forces at displaced positions too."""
     _, space = pushed(scheme)
-    (page, _), names = recipe("A constraint type"), typed("A constraint type")
-    assert named(page, "of_bodies").removesuffix(".py").replace("/", ".") == inner_drift.of_bodies.__module__
-    monkeypatch.setattr(inner_drift, "of_bodies", names["of_bodies_on_a_plane"])
+    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
+    typed("A constraint type")
     begin, plane = pushed(scheme)
     np.testing.assert_array_equal(plane.R[:, :2], space.R[:, :2])
     np.testing.assert_array_equal(plane.R[:, 2], begin.R[:, 2])
     assert abs(space.R[0, 2] - begin.R[0, 2]) > 1e-3
+
+
+def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
+    """Also where the compiled ones, which know distances alone, would be faster."""
+    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
+    typed("A constraint type")
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
+    _context = context_of(system, integrator, x, kelvin=300.0)
+    _, begin = integrator.fullState()
+    integrator.step(3)
+    bodies, end = integrator.fullState()
+    free = slice(bodies.clustered.stop, None)
+    np.testing.assert_array_equal(end.R[:, 2, free], begin.R[:, 2, free])
+    assert np.abs(end.R[0, :2, free] - begin.R[0, :2, free]).min() > 0.0
+    assert integrator.timings.fast_evaluations > 0
 
 
 FADING = """
