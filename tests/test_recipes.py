@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from textwrap import indent
 
 import numpy as np
 import openmm
@@ -15,6 +14,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
+from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
@@ -63,8 +63,6 @@ def checkout(tmp_path_factory):
     registry = root / named(page, "ROTORS")
     put_after(registry, "from openmm_exactrb.rotors import ", f"{Path(file).stem}, ")
     put_after(registry, "        for entry in (\n", f"{entry.rstrip()},\n")
-    page, (field, _) = recipe("A device stage")
-    put_after(root / named(page, "Row"), "    after: float = 0.0\n", indent(field, "    "))
     page, (option,) = recipe("A command option")
     put_after(
         root / named(page, "OPTIONS"), "OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (\n", f"{option.rstrip()},\n"
@@ -227,15 +225,17 @@ def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
 FADING = """
 import copy, sys
 import numpy as np, openmm, openmm_exactrb as rb
-names, method = {}, {}
+from openmm_exactrb.moves import Move, Op
+names, method = {}, {"Move": Move, "Op": Op}
 exec(sys.argv[1], names)
 exec(sys.argv[2], method)
-names["Friction"].device_rows = method["device_rows"]
+names["Friction"].device_moves = method["device_moves"]
+platform = openmm.Platform.getPlatform(sys.argv[3])
 _, system, positions = rb.rigid_water(3)
 found = []
 for engine in ("host", "device"):
     integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
-    context = openmm.Context(copy.deepcopy(system), integrator, openmm.Platform.getPlatform("Reference"))
+    context = openmm.Context(copy.deepcopy(system), integrator, platform, {"Precision": "double"})
     context.setPositions(positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(20)
@@ -246,9 +246,10 @@ for host, device in zip(*found, strict=True):
 """
 
 
-def test_a_device_stage_is_one_field_and_moves_as_on_the_host(checkout):
-    (friction,), (_, method) = recipe("A substep")[1], recipe("A device stage")[1]
-    carried_out(checkout, "-c", FADING, friction, method)
+@pytest.mark.opencl
+def test_a_device_stage_is_one_method_and_moves_as_on_the_host(checkout):
+    (friction,), (method,) = recipe("A substep")[1], recipe("A device stage")[1]
+    carried_out(checkout, "-c", FADING, friction, method, device_platform().getName())
 
 
 def test_a_substep_without_a_device_stage_is_left_to_the_host():
