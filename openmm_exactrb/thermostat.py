@@ -116,10 +116,6 @@ class Thermostat(ABC):
         """
         return None
 
-    def device_numbers(self) -> tuple[float, ...] | None:
-        """Return the numbers that kernels of a device need, None if they do not serve it."""
-        return None
-
 
 class Noise:
     """The seed of an integrator's noise, and which of its streams is in use.

@@ -119,9 +119,6 @@ class HybridMonteCarlo(Langevin):
         positive(self.temperature, "the temperature of Metropolis's rule", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
 
-    def device_numbers(self) -> None:
-        """Return None: no program decides on proposals."""
-
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""
         proposal = thermostatted.proposal(scheme, self.stepsPerProposal)
