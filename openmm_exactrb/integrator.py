@@ -16,7 +16,8 @@ from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.context.velocities import draw_by_integrators
+from openmm_exactrb.context.updates import warn_of_removed_motion
+from openmm_exactrb.context.velocities import draws_velocities_of_contexts
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
 from openmm_exactrb.engines.custom_program.selection import Engine, Selection
 from openmm_exactrb.engines.host.environment import Settings
@@ -36,6 +37,7 @@ from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 Array = NDArray[np.float64]
 
 
+@draws_velocities_of_contexts
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
@@ -51,8 +53,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of hybrid
-        Monte Carlo is "S2_2".
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of
+        Nosé-Hoover chains is "BAOAB", that of hybrid Monte Carlo "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
@@ -380,10 +382,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 self._engine.install_host(context, self)
                 self._propagator = Propagator(*options, self._fast)
             self._propagator.sync.taken_elsewhere = _parting(self)
+            warn_of_removed_motion(context.getSystem(), self._thermostat is None)
         return self._propagator
 
-
-draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"

@@ -13,6 +13,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
@@ -36,12 +37,13 @@ class Thermostat(ABC):
     temperature : float
         In K.
     numbers : tuple of str
-        Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+        Persistent numbers of `openmm_exactrb.context.variables` that its steps change; the energy that it adds to the
+        bodies is added up if ``variables.HEAT`` is one of them.
     on_device : bool
         Whether the program of a device has it.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
-        evaluates forces once a step.
+        evaluates forces once a step. A deterministic thermostat has one that is symmetric in time.
     """
 
     temperature: float
@@ -72,12 +74,15 @@ class Thermostat(ABC):
         """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside
+        bodies, numbers, counts = environment.bodies, environment.numbers, variables.HEAT in self.numbers
 
         def flow(state: State, tau: float) -> State:
             along = tangent(state)
             P, m = exchange(along.P, along.m, tau, Instant(environment.key, clock.number, number))
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
+            if counts and not same:
+                numbers.present[variables.HEAT] += _heat(bodies, along, after)
             outside(state, after)
             environment.around = state, after
             return after
@@ -99,6 +104,15 @@ class Thermostat(ABC):
     def device_numbers(self) -> Mapping[str, float]:
         """Return the numbers that a program on a device needs, by the names of its variables."""
         return {}
+
+
+def _heat(bodies: RigidBodies, before: State, after: State) -> float:
+    """Return the kinetic energy (kJ/mol) that bodies gained, from momenta along the constraints."""
+    gains = (
+        np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))
+        for a, b, inertia in ((before.P, after.P, bodies.mass), (before.m, after.m, bodies.inertia.T))
+    )
+    return float(sum(gains))
 
 
 class Noise:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,6 +30,10 @@ _OURS = ("SoftDipoleForce", "GayBernePotential")  # PythonForces of this package
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps: without them a System conserves its energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
+
+
+class RemovedMotionWarning(UserWarning):
+    """A CMMotionRemover takes momentum away that the forces of the System give: the energy has errors of order 1."""
 
 
 class ContextUpdates:
@@ -139,6 +144,26 @@ def conserve_energy(system: openmm.System) -> bool:
         type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
         for force in system.getForces()
     )
+
+
+def warn_of_removed_motion(system: openmm.System, conserved: bool) -> None:
+    """Warn of a CMMotionRemover in a System whose forces push its centre of mass, where the energy is `conserved`.
+
+    Where a thermostat holds the temperature, a force on single particles is no reason: positions are restrained so.
+    """
+    if not any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
+        return
+    sites = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
+    pushed_by = [] if all(map(system.isVirtualSite, sites)) else ["frozen particles, of mass 0"]
+    outside = [f for f in system.getForces() if isinstance(f, openmm.CustomExternalForce) and f.getNumParticles()]
+    pushed_by += ["a CustomExternalForce"] if outside and conserved else []
+    if pushed_by:
+        warnings.warn(
+            f"the CMMotionRemover takes away the momentum that {' and '.join(pushed_by)} give, so that the energy has "
+            "errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            RemovedMotionWarning,
+            stacklevel=2,
+        )
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
+from openmm_exactrb.context import variables
 from openmm_exactrb.engines.custom_program import names
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
@@ -27,7 +28,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import not_negative
 from openmm_exactrb.thermostat import Exchange, Thermostat
-from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
@@ -57,6 +58,7 @@ class Langevin(Thermostat):
     rotationalFriction: float | None = None
     flexibleFriction: float | None = field(default=None, kw_only=True)
 
+    numbers = (variables.HEAT,)
     on_device: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -170,7 +172,7 @@ def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
     return fading
 
 
-class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
+class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body, for as many
