@@ -15,7 +15,7 @@ from openmm_exactrb.schemes import CATALOGUE as SCHEMES
 from openmm_exactrb.states import loadState
 from openmm_exactrb.support.files import written_whole
 from openmm_exactrb.support.version import version
-from openmm_exactrb.systems import dipole_fluid, ellipsoids, heavy_hydrogens, rigid_water
+from openmm_exactrb.systems import dipole_fluid, ellipsoids, exclude_within, heavy_hydrogens, rigid_water
 from openmm_exactrb.thermostats import (
     CanonicalMomenta,
     ExactRigidBodyHybridIntegrator,
@@ -52,6 +52,7 @@ __all__ = [
     "dipole_strength",
     "ellipsoids",
     "ensemble",
+    "exclude_within",
     "free_rotor",
     "heavy_hydrogens",
     "loadState",

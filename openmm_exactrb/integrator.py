@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
+from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
-from openmm_exactrb.context.velocities import draws_velocities_of_contexts
+from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.custom_program.engine import DevicePropagator
 from openmm_exactrb.engines.custom_program.selection import Engine, Selection
 from openmm_exactrb.engines.host.environment import Settings
@@ -37,7 +38,6 @@ from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
 Array = NDArray[np.float64]
 
 
-@draws_velocities_of_contexts
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
@@ -385,6 +385,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             warn_of_removed_motion(context.getSystem(), self._thermostat is None)
         return self._propagator
 
+
+minimise_by_integrators(ExactRigidBodyIntegrator)
+draw_by_integrators(ExactRigidBodyIntegrator)
 
 #: The scheme at constant energy, if none is named.
 DEFAULT = "W2_1"

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, overload
 
 import numpy as np
 import openmm
 from openmm import unit
 
 from openmm_exactrb.context.forces import ContextForces, Positions
+from openmm_exactrb.context.group_motion import of_groups
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.minimise import minimised
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access.units import FORCE, gas_constant_times, plain
 from openmm_exactrb.support import checks
+
+#: Of translation and of rotation.
+Temperatures = tuple[unit.Quantity, unit.Quantity]
 
 
 class BodyAccess:
@@ -64,11 +69,37 @@ class BodyAccess:
         bodies = propagator.sync.bodies
         return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
 
-    def temperatures(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return the translational and the rotational temperature of the bodies; nan without degrees of freedom."""
-        pairs, R = zip(self.kineticEnergies(), self.degreesOfFreedom(), strict=True), unit.MOLAR_GAS_CONSTANT_R
-        one, other = ((2.0 * energy / ((n or math.nan) * R)).in_units_of(unit.kelvin) for energy, n in pairs)
-        return one, other
+    @overload
+    def temperatures(self) -> Temperatures: ...
+
+    @overload
+    def temperatures(self, groups: Mapping[str, Iterable[int]]) -> dict[str, Temperatures]: ...
+
+    def temperatures(self, groups: Mapping[str, Iterable[int]] | None = None) -> Temperatures | dict[str, Temperatures]:
+        """Return the translational and the rotational temperature of the bodies; nan without degrees of freedom.
+
+        Parameters
+        ----------
+        groups : dict of str to sequences of int, optional
+            Particles of groups of whole bodies and clusters, such as domains, linkers and solvent.
+
+        Returns
+        -------
+        tuple of Quantity, or dict of str to tuples
+            The two temperatures of all bodies, or of each group.
+
+        Raises
+        ------
+        ValueError
+            If a group has some particles of a body or cluster and not all.
+        """
+        if groups is None:
+            energies = (energy.value_in_unit(unit.kilojoule_per_mole) for energy in self.kineticEnergies())
+            return _temperatures(tuple(energies), self.degreesOfFreedom())
+        propagator = self._up_to_date()
+        sync = propagator.sync
+        motions = of_groups(sync.bodies, sync.state, groups, propagator.updates.removes_motion)
+        return {name: _temperatures(*motion) for name, motion in motions.items()}
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan without any.
@@ -105,8 +136,8 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those named by hand, which OpenMM's own minimiser would deform. If molecules are
-        constrained but not rigid, OpenMM's minimiser is used.
+        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method where there
+        are some. If molecules are constrained but not rigid, OpenMM's minimiser is used.
 
         Parameters
         ----------
@@ -139,7 +170,7 @@ class BodyAccess:
             if self.getNamedBodies():
                 raise ValueError(
                     "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
-                    "call simulation.minimizeEnergy() before you name bodies"
+                    "minimise with an integrator without bodies= before you name them"
                 )
             start = sync.context.getState(positions=True).getPositions()
             try:
@@ -187,3 +218,12 @@ class BodyAccess:
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
         sync.replace(State(*map(np.ascontiguousarray, full)))
+
+
+def _temperatures(energies: Sequence[float], freedom: Sequence[float]) -> Temperatures:
+    """Return the temperatures of kinetic energies (kJ/mol) of translation and rotation: nan without freedom."""
+    R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+    one, other = (
+        2.0 * energy / ((n or math.nan) * R) * unit.kelvin for energy, n in zip(energies, freedom, strict=True)
+    )
+    return one, other

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import openmm
@@ -19,12 +19,11 @@ from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 
 Array = NDArray[np.float64]
-_Kind = TypeVar("_Kind")
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
 
 
-def draws_velocities_of_contexts(kind: type[_Kind]) -> type[_Kind]:
+def draw_by_integrators(kind: type[Any]) -> None:
     """Have integrators of a class draw the velocities that OpenMM cannot, by their method of the same name.
 
     The method of all Contexts is replaced, since one may be asked for velocities before its integrator knows it.
@@ -47,7 +46,6 @@ def draws_velocities_of_contexts(kind: type[_Kind]) -> type[_Kind]:
         integrator.setVelocitiesToTemperature(*arguments)
 
     openmm.Context.setVelocitiesToTemperature = draw
-    return kind
 
 
 def _masses(system: openmm.System) -> Array:

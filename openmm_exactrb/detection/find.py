@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from openmm_exactrb.detection.shapes import (
 from openmm_exactrb.detection.whole import constraints, whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
+from openmm_exactrb.mechanics.fit import ShapeWarning
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -157,6 +159,14 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
             raise ValueError(f"body {number} has no particle with mass")
+        if len(particles) > 2 * len(massive):
+            warnings.warn(
+                f"body {number} has the mass and inertia of {len(massive)} particles, for the other "
+                f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
+                "them, name the body in the System as it was before",
+                ShapeWarning,
+                stacklevel=2,
+            )
         named.append(massive)
     return named
 

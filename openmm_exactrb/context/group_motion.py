@@ -1,0 +1,67 @@
+"""Kinetic energies and degrees of freedom of groups of bodies, such as domains, linkers and solvent."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.support import checks
+
+
+class Motion(NamedTuple):
+    """Kinetic energies in kJ/mol, and degrees of freedom, of translation and of rotation."""
+
+    energies: tuple[float, float]
+    freedom: tuple[float, float]
+
+
+def of_groups(
+    bodies: RigidBodies, state: State, groups: Mapping[str, Iterable[int]], removes_motion: bool
+) -> dict[str, Motion]:
+    """Return the motion of groups of particles, each of whole bodies and clusters.
+
+    Where the centre of mass of all is at rest, a group has lost three degrees of freedom times its part of the mass.
+    ValueError if a group has some particles of a body or cluster and not all.
+    """
+    lists = checks.lists_of_indices(list(groups.values()), "groups")
+    found = {}
+    for name, particles in zip(groups, lists, strict=True):
+        chosen = _chosen(bodies, name, particles)
+        part = Part(bodies.chosen(chosen, np.arange(bodies.n_particles), bodies.n_particles), chosen)
+        lost = 3.0 * removes_motion * float(part.bodies.mass.sum() / bodies.mass.sum())
+        freedom = part.bodies.translational_freedom - lost, part.bodies.rotational_freedom
+        found[name] = Motion(part.bodies.kinetic_energies(part.of(state).rounded), freedom)
+    return found
+
+
+def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.bool_]:
+    """Return which bodies (N,) a group of particles consists of; particles without mass do not matter."""
+    beyond = [k for k in particles if not 0 <= k < bodies.n_particles]
+    if beyond:
+        raise ValueError(f"group {name!r} has particle {beyond[0]}, but the System has {bodies.n_particles} particles")
+    within = np.zeros(bodies.n_particles, dtype=bool)
+    within[particles] = True
+    chosen = np.zeros(len(bodies), dtype=bool)
+    for kind in bodies.kinds:
+        some = within[kind.particles].any(axis=1)
+        _refuse_parts(bodies, name, np.asarray(some & ~within[kind.particles].all(axis=1)), kind.bodies.start)
+        chosen[kind.bodies] = some
+    for _, columns in bodies.clusters.columns():
+        atoms = columns + bodies.n_turning
+        torn = chosen[atoms].any(axis=1) & ~chosen[atoms].all(axis=1)
+        if torn.any():
+            _refuse_parts(bodies, name, np.array([True]), int(atoms[np.argmax(torn), 0]))
+    return chosen
+
+
+def _refuse_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
+    if torn.any():
+        raise ValueError(
+            f"group {name!r} has some particles of {bodies.name(first + int(np.argmax(torn)))} and not all: name all "
+            "or none, since they move together"
+        )

@@ -1,0 +1,99 @@
+"""Pairs within rigid bodies that no force need compute."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.support import checks
+
+Pair = tuple[int, int]
+
+
+def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> int:
+    """Exclude all pairs of particles within rigid bodies from the nonbonded forces of a System.
+
+    Forces within a body do not move it, so that forces and torques on the bodies remain the same to roundoff, and so do
+    pressures and barostats: OpenMM scales molecules as a whole. The energy changes by a constant; if it depends on
+    parameters of the Context, as in free energy calculations, this constant does too.
+
+    Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
+    the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
+    bodies become zero. Call it before the Context is created.
+
+    Parameters
+    ----------
+    system : openmm.System
+        The System, which is changed.
+    bodies : sequence of sequences of int
+        Particles of the bodies, as for ``bodies=`` of the integrators. They must move as rigid bodies. The smallest
+        distance between opposite sides of a periodic box must be longer than each body and the cutoff together. Virtual
+        sites that depend on particles of one body alone belong to it.
+
+    Returns
+    -------
+    int
+        Number of pairs within bodies.
+
+    Raises
+    ------
+    ValueError
+        If a particle is named twice or does not exist.
+    """
+    members = _members(system, checks.lists_of_indices(bodies, "bodies"))
+    within = [pair for body in members for pair in itertools.combinations(body, 2)]
+    for force in system.getForces():
+        if isinstance(force, openmm.CustomNonbondedForce):
+            present = {_sorted(force.getExclusionParticles(i)) for i in range(force.getNumExclusions())}
+            for pair in _missing(within, present):
+                force.addExclusion(*pair)
+        elif isinstance(force, openmm.NonbondedForce | openmm.GayBerneForce):
+            _except(force, within)
+    return len(within)
+
+
+def _except(force: Any, within: list[Pair]) -> None:
+    """Give a force exceptions of zero: charge, size and depth, or size and depth of a GayBerneForce."""
+    numbers = (0.0, 1.0, 0.0) if isinstance(force, openmm.NonbondedForce) else (1.0, 0.0)
+    present = {_sorted(force.getExceptionParameters(i)[:2]): i for i in range(force.getNumExceptions())}
+    for pair in within:
+        if pair in present:
+            force.setExceptionParameters(present[pair], *pair, *numbers)
+        else:
+            force.addException(*pair, *numbers)
+
+
+def _missing(within: list[Pair], present: set[Pair]) -> Iterator[Pair]:
+    return (pair for pair in within if pair not in present)
+
+
+def _sorted(pair: Iterable[int]) -> Pair:
+    i, j = pair
+    return (i, j) if i < j else (j, i)
+
+
+def _members(system: openmm.System, bodies: list[list[int]]) -> list[list[int]]:
+    """Return the particles of each body in ascending order, with the virtual sites that depend on it alone."""
+    owner: dict[int, int] = {}
+    for number, body in enumerate(bodies):
+        for particle in body:
+            if not 0 <= particle < system.getNumParticles():
+                raise ValueError(
+                    f"body {number} names particle {particle}, but the System has {system.getNumParticles()} particles"
+                )
+            if particle in owner:
+                raise ValueError(f"particle {particle} is named twice, in bodies {owner[particle]} and {number}")
+            owner[particle] = number
+    for particle in range(system.getNumParticles()):
+        if particle not in owner and system.isVirtualSite(particle):
+            site = system.getVirtualSite(particle)
+            owners = {owner.get(site.getParticle(k), -1) for k in range(site.getNumParticles())}
+            if len(owners) == 1 and owners != {-1}:
+                owner[particle] = owners.pop()
+    members: list[list[int]] = [[] for _ in bodies]
+    for particle in sorted(owner):
+        members[owner[particle]].append(particle)
+    return members

@@ -1,0 +1,178 @@
+"""Bodies named by hand and OpenMM's own functions: minimisation, virtual sites, temperatures of groups."""
+
+import warnings
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def domains(remover=False):
+    """Return a chain of 16 beads, two domains of five and a linker, beside four waters; its bodies and positions."""
+    rng = np.random.default_rng(3)
+    system, bonds, pairs = openmm.System(), openmm.HarmonicBondForce(), openmm.CustomNonbondedForce("2*(0.4/r)^8")
+    x = [[0.38 * k, 0.1 * (k % 2), 0.05 * (k % 3)] for k in range(16)]
+    for k in range(16):
+        system.addParticle(100.0 + k)
+        if k:
+            bonds.addBond(k - 1, k, 0.3, 8000.0)
+    for k in range(4):
+        first = system.getNumParticles()
+        for mass, place in ((16.0, [0.0, 0.0, 0.0]), (1.0, [0.1, 0.0, 0.0]), (1.0, [-0.02, 0.09, 0.0])):
+            system.addParticle(mass)
+            x.append(np.array([1.0 + k, 2.0, 0.3]) + place)
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            length = float(np.linalg.norm(np.subtract(x[first + i], x[first + j])))
+            system.addConstraint(first + i, first + j, length)
+    for _ in range(system.getNumParticles()):
+        pairs.addParticle([])
+    for force in (bonds, pairs):
+        system.addForce(force)
+    if remover:
+        system.addForce(openmm.CMMotionRemover())
+    return system, np.array(x) + 0.01 * rng.standard_normal((len(x), 3)) * (np.arange(len(x)) < 16)[:, None]
+
+
+DOMAINS = [range(5), range(11, 16)]
+GROUPS = {"domains": [*range(5), *range(11, 16)], "linker": range(5, 11), "water": range(16, 28)}
+
+
+def simulation_of(system, x, integrator):
+    topology = app.Topology()
+    residue = topology.addResidue("X", topology.addChain())
+    for _ in range(system.getNumParticles()):
+        topology.addAtom("X", None, residue)
+    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation.context.setPositions(x)
+    return simulation
+
+
+def apart(x):
+    return np.linalg.norm(x[:, None] - x[None], axis=2)
+
+
+def places(context):
+    return context.getState(positions=True).getPositions(asNumpy=True)._value
+
+
+def test_the_minimiser_of_a_simulation_keeps_their_shape():
+    system, x = domains()
+    simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
+    before = simulation.context.getState(energy=True).getPotentialEnergy()
+    simulation.minimizeEnergy(maxIterations=20)
+    assert simulation.context.getState(energy=True).getPotentialEnergy() < before
+    y = places(simulation.context)
+    for body in DOMAINS:
+        np.testing.assert_allclose(apart(y[list(body)]), apart(x[list(body)]), rtol=0.0, atol=1e-13)
+    assert np.abs(y - x).max() > 1e-3
+
+
+def test_the_minimiser_is_openmms_where_no_body_is_named():
+    system, x = domains()
+    ends = []
+    for integrator in (rb.ExactRigidBodyIntegrator(0.001), openmm.VerletIntegrator(0.001)):
+        simulation = simulation_of(system, x, integrator)
+        simulation.minimizeEnergy(maxIterations=20)
+        ends.append(places(simulation.context))
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_reporter_of_the_minimiser_is_refused():
+    system, x = domains()
+    simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
+    with pytest.raises(ValueError, match="leave out reporter="):
+        simulation.minimizeEnergy(reporter=openmm.MinimizationReporter())
+
+
+@pytest.mark.parametrize("remover", [False, True])
+def test_temperatures_of_groups_are_those_of_momenta_that_were_drawn(remover):
+    """Means over draws, against the temperature and the spread of chi-squared variables."""
+    system, x = domains(remover)
+    simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
+    integrator, found = simulation.integrator, []
+    for seed in range(400):
+        integrator.setVelocitiesToTemperature(300, seed)
+        found.append([[t._value for t in pair] for pair in integrator.temperatures(GROUPS).values()])
+    mean = np.mean(found, axis=0)
+    freedom = np.array([[6, 6], [18, 0], [12, 12]]) - remover * 3 * np.array([[1, 0]]) * shares(system)[:, None]
+    expected, spread = np.full((3, 2), 300.0), 300.0 * np.sqrt(2.0 / (400 * np.maximum(freedom, 1)))
+    expected[1, 1] = np.nan
+    assert (np.abs(mean - expected)[freedom > 0] < 4.0 * spread[freedom > 0]).all()
+    np.testing.assert_array_equal(np.isnan(mean), freedom == 0)
+
+
+def shares(system):
+    mass = np.array([system.getParticleMass(i)._value for i in range(28)])
+    return np.array([mass[list(group)].sum() for group in GROUPS.values()]) / mass.sum()
+
+
+def test_groups_share_the_energy_of_all():
+    system, x = domains()
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS)
+    _kept = simulation_of(system, x, integrator)
+    integrator.setVelocitiesToTemperature(300, 1)
+    of_groups, freedom = integrator.temperatures(groups=GROUPS), np.array([[6, 6], [18, 0], [12, 12]])
+    temperatures = np.nan_to_num([[t._value for t in pair] for pair in of_groups.values()])
+    energies = 0.5 * R * (freedom * temperatures).sum(axis=0)
+    np.testing.assert_allclose(energies, [energy._value for energy in integrator.kineticEnergies()], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        ([0, 1], r"group 'x' has some particles of body 0 \(particles 0, 1, 2, 3, 4\) and not all"),
+        ([99], "group 'x' has particle 99, but the System has 28 particles"),
+        ([0.5], "groups must be lists of numbers of particles"),
+    ],
+)
+def test_groups_that_are_none_are_refused(group, message):
+    system, x = domains()
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS)
+    _kept = simulation_of(system, x, integrator)
+    with pytest.raises(ValueError, match=message):
+        integrator.temperatures(groups={"x": group})
+
+
+def test_a_group_has_all_atoms_of_a_cluster():
+    system = openmm.System()
+    for _ in range(3):
+        system.addParticle(12.0)
+    for k in range(2):
+        system.addConstraint(k, k + 1, 0.15)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    _kept = simulation_of(system, np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.15, 0.15, 0.0]]), integrator)
+    integrator.setVelocitiesToTemperature(300, 1)
+    (alone,) = integrator.temperatures(groups={"chain": range(3)}).values()
+    assert alone[0]._value == pytest.approx(integrator.temperatures()[0]._value, rel=1e-12)
+    with pytest.raises(ValueError, match="group 'x' has some particles of the cluster of particles 1, 0, 2 and"):
+        integrator.temperatures(groups={"x": [0, 1]})
+
+
+def test_a_body_whose_masses_openmm_moved_to_four_particles_is_pointed_out():
+    """As createRigidBodies leaves a domain: four particles with mass, which hold the others as virtual sites."""
+    rng = np.random.default_rng(1)
+    x, system = rng.uniform(-1.0, 1.0, (12, 3)), openmm.System()
+    for k in range(12):
+        system.addParticle(25.0 if k < 4 else 0.0)
+        if k >= 4:
+            system.setVirtualSite(k, openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [-1, 0, 1], x[k]))
+    integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[range(12)])
+    _kept = simulation_of(system, x, integrator)
+    with pytest.warns(rb.ShapeWarning, match="body 0 has the mass and inertia of 4 particles, for the other 8 are"):
+        integrator.step(1)
+
+
+def test_a_named_water_with_a_virtual_site_is_not():
+    topology, system, positions = rb.rigid_water(1, model="tip4pew", nonbondedMethod=app.NoCutoff)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[range(4)])
+        simulation = app.Simulation(topology, system, integrator, REFERENCE)
+        simulation.context.setPositions(positions)
+        integrator.step(1)
