@@ -382,7 +382,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 self._engine.install_host(context, self)
                 self._propagator = Propagator(*options, self._fast)
             self._propagator.sync.taken_elsewhere = _parting(self)
-            warn_of_removed_motion(context.getSystem(), self._thermostat is None)
+            warn_of_removed_motion(context.getSystem())
         return self._propagator
 
 

@@ -37,8 +37,9 @@ class Thermostat(ABC):
     temperature : float
         In K.
     numbers : tuple of str
-        Persistent numbers of `openmm_exactrb.context.variables` that its steps change; the energy that it adds to the
-        bodies is added up if ``variables.HEAT`` is one of them.
+        Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+    heat : str or None
+        The one of them in which the energy is added up that it gives to the bodies.
     on_device : bool
         Whether the program of a device has it.
     scheme : str
@@ -48,6 +49,7 @@ class Thermostat(ABC):
 
     temperature: float
     numbers: tuple[str, ...] = ()
+    heat: ClassVar[str | None] = None
     on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "BAOA"
 
@@ -74,15 +76,15 @@ class Thermostat(ABC):
         """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside
-        bodies, numbers, counts = environment.bodies, environment.numbers, variables.HEAT in self.numbers
+        bodies, numbers, heat = environment.bodies, environment.numbers, self.heat
 
         def flow(state: State, tau: float) -> State:
             along = tangent(state)
             P, m = exchange(along.P, along.m, tau, Instant(environment.key, clock.number, number))
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
-            if counts and not same:
-                numbers.present[variables.HEAT] += _heat(bodies, along, after)
+            if heat is not None and not same:
+                numbers.present[heat] += _gain(bodies, along, after)
             outside(state, after)
             environment.around = state, after
             return after
@@ -106,7 +108,7 @@ class Thermostat(ABC):
         return {}
 
 
-def _heat(bodies: RigidBodies, before: State, after: State) -> float:
+def _gain(bodies: RigidBodies, before: State, after: State) -> float:
     """Return the kinetic energy (kJ/mol) that bodies gained, from momenta along the constraints."""
     gains = (
         np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))

@@ -33,7 +33,7 @@ UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class RemovedMotionWarning(UserWarning):
-    """A CMMotionRemover takes momentum away that the forces of the System give: the energy has errors of order 1."""
+    """A CMMotionRemover takes away momentum that frozen particles give: the energy has errors of order 1."""
 
 
 class ContextUpdates:
@@ -146,21 +146,14 @@ def conserve_energy(system: openmm.System) -> bool:
     )
 
 
-def warn_of_removed_motion(system: openmm.System, conserved: bool) -> None:
-    """Warn of a CMMotionRemover in a System whose forces push its centre of mass, where the energy is `conserved`.
-
-    Where a thermostat holds the temperature, a force on single particles is no reason: positions are restrained so.
-    """
-    if not any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
-        return
-    sites = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
-    pushed_by = [] if all(map(system.isVirtualSite, sites)) else ["frozen particles, of mass 0"]
-    outside = [f for f in system.getForces() if isinstance(f, openmm.CustomExternalForce) and f.getNumParticles()]
-    pushed_by += ["a CustomExternalForce"] if outside and conserved else []
-    if pushed_by:
+def warn_of_removed_motion(system: openmm.System) -> None:
+    """Warn of a CMMotionRemover in a System with frozen particles, which push the centre of mass of the others."""
+    massless = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
+    removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    if removes and not all(map(system.isVirtualSite, massless)):
         warnings.warn(
-            f"the CMMotionRemover takes away the momentum that {' and '.join(pushed_by)} give, so that the energy has "
-            "errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that the "
+            "energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
             RemovedMotionWarning,
             stacklevel=2,
         )

@@ -126,7 +126,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         """
         if isinstance(self._propagator, DevicePropagator):
             raise ValueError(_NO_BALANCE)
-        return variables.get(self, variables.HEAT) * unit.kilojoule_per_mole
+        return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange less the heat: the energy balance of the run.

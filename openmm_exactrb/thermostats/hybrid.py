@@ -110,7 +110,7 @@ class HybridMonteCarlo(Langevin):
 
     stepsPerProposal: int = 1
 
-    numbers = (variables.HEAT, variables.ACCEPTED, variables.PROPOSED)
+    numbers = (variables.HEAT_OF_FRICTION, variables.ACCEPTED, variables.PROPOSED)
     on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "S2_2"
 

@@ -58,7 +58,8 @@ class Langevin(Thermostat):
     rotationalFriction: float | None = None
     flexibleFriction: float | None = field(default=None, kw_only=True)
 
-    numbers = (variables.HEAT,)
+    numbers = (variables.HEAT_OF_FRICTION,)
+    heat: ClassVar[str | None] = variables.HEAT_OF_FRICTION
     on_device: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +50,7 @@ class StochasticRescaling(Thermostat):
     together: bool = True
 
     numbers = (variables.HEAT,)
+    heat: ClassVar[str | None] = variables.HEAT
 
     def __post_init__(self) -> None:
         time = plain(self.relaxationTime, unit.picosecond, "a relaxation time")
