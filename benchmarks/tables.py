@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.common.records import DOCS
 from benchmarks.common.starts import R
+from benchmarks.water.averages import averages
 from benchmarks.water.equipartition_record import LFM, markdown, with_error
 from openmm_exactrb import SCHEMES
 
@@ -422,7 +423,7 @@ def all_tables() -> dict[str, str]:
     functions = (
         *(default_energies, default_stability, default_temperatures, one_line),
         *(protein_steps, protein_limits, villin_steps, heating, populations),
-        *(outputs, validation, ensembles, earlier_schemes),
+        *(outputs, validation, ensembles, earlier_schemes, averages),
         *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
     )
     return {function.__name__: function() for function in functions}

@@ -1,6 +1,7 @@
 """Rigid-body dynamics for OpenMM with the exact free rotation and high-order symplectic splittings."""
 
 from openmm_exactrb import ensemble
+from openmm_exactrb.averages import AverageReporter, corrected, pressure_offset
 from openmm_exactrb.dielectric import dielectric_constant
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
@@ -30,6 +31,7 @@ __version__ = version("0+unknown")
 __all__ = [
     "ROTORS",
     "SCHEMES",
+    "AverageReporter",
     "CanonicalMomenta",
     "EnergyReporter",
     "Ewald",
@@ -47,6 +49,7 @@ __all__ = [
     "Run",
     "ShapeWarning",
     "StepSizeWarning",
+    "corrected",
     "dielectric_constant",
     "dipole_fluid",
     "dipole_strength",
@@ -56,6 +59,7 @@ __all__ = [
     "free_rotor",
     "heavy_hydrogens",
     "loadState",
+    "pressure_offset",
     "rigid_water",
     "separate_bonded",
     "soft_dipole_force",

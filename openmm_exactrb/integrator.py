@@ -19,11 +19,8 @@ from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import warn_of_removed_motion
 from openmm_exactrb.context.velocities import draw_by_integrators
-from openmm_exactrb.engines.custom_program.engine import DevicePropagator
-from openmm_exactrb.engines.custom_program.selection import Engine, Selection
-from openmm_exactrb.engines.host.environment import Settings
-from openmm_exactrb.engines.host.propagator import Propagator
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.engines.engine import Propagator, Settings
+from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.openmm_access.closed_program import OwnProgram
 from openmm_exactrb.openmm_access.find_context import find_context
@@ -89,7 +86,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     Raises
     ------
     ValueError
-        If an argument is invalid, or not supported by ``engine="device"``.
+        If an argument is invalid, or not supported by the engine that was asked for.
 
     Attributes
     ----------
@@ -105,7 +102,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         fast: str | Sequence[int] | None = "auto",
         inner: str | Scheme | None = None,
         innerSteps: int | None = None,
-        engine: Engine = "auto",
+        engine: str = "auto",
         thermostat: Thermostat | None = None,
         forceInterval: float | unit.Quantity | None = None,
         checkDivergence: bool = True,
@@ -123,13 +120,12 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._bodies = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
         self._h = self._step_of(stepSize, forceInterval)
         super().__init__(self._h)
-        self._noise, self._version = Noise(), 0
-        self._engine = Selection(engine, self._steps(), self._rotor, self._fast, thermostat)
-        self._engine.declare(self)
+        self._noise, self._version, self._groups = Noise(), 0, -1
+        self._selection = Selection(engine, self._settings())
+        self._selection.engine.declare(self, self._settings())
         self.timings = Timings()
         self._context: weakref.ref[Any] | None = None
-        self._propagator: Propagator | DevicePropagator | None = None
-        self._left: State | None = None  # what the last call of `step` ended with
+        self._propagator: Propagator | None = None
         self._at_work = threading.Lock()  # held within `step`
         self._made = True
 
@@ -179,14 +175,14 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is not a time, or engine="device" does not support it.
+            If it is not a time, or not supported by the engine that was asked for.
         """
         before, self._h = self._h, picoseconds(size)
         super().setStepSize(self._h)
         self._changed()
-        if self._propagator is not None and not self._propagator.sync.outdated:
+        if self._propagator is not None and not self._propagator.outdated:
             try:
-                self._engine.settle(self._propagator.sync.context, self)
+                self._selection.settle(self._propagator.sync.context, self, self._settings())
             except ValueError:
                 self._h = before
                 super().setStepSize(before)
@@ -194,14 +190,13 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
         """Set the force groups that act, as a set or by their bits; a ValueError is raised for anything else."""
-        self._engine.set_groups(self, checks.force_groups(groups))
+        super().setIntegrationForceGroups(checks.force_groups(groups))
+        self._groups = openmm.CustomIntegrator.getIntegrationForceGroups(self)
         self._changed()
-        if isinstance(self._propagator, DevicePropagator):
-            self._propagator = None  # OpenMM reads the groups where it makes the kernels
 
     def getIntegrationForceGroups(self) -> int:
         """Return the bits of the force groups that act, as they were set."""
-        return self._engine.groups
+        return self._groups
 
     def setRandomNumberSeed(self, seed: int) -> None:
         """Set the seed of the noise; with 0 the next step draws one, which is then kept.
@@ -222,15 +217,15 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return self._noise.in_use(self)
 
     def getEngine(self) -> str:
-        """Return the engine that performs the steps, "host" or "device"; with engine="auto" the Context decides."""
-        if self._engine.open and self._unsettled():
-            self._engine.settle(self._found(), self)
-        return "device" if self._engine.on_device else "host"
+        """Return the name of the engine that performs the steps; with engine="auto" the Context decides."""
+        if self._selection.open and self._unsettled():
+            self._selection.settle(self._found(), self, self._settings())
+        return self._selection.engine.name
 
     def engineNote(self) -> str:
         """Return the reason for the choice of the engine, as a sentence."""
         self.getEngine()
-        return self._engine.note
+        return self._selection.note
 
     def bind(self, context: openmm.Context) -> None:
         """Bind the integrator to its Context.
@@ -277,7 +272,6 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """
         count = steps if type(steps) is int and steps >= 0 else checks.whole(steps, "the number of steps", least=0)
         self._begin_work()
-        self._left = None
         start = time.perf_counter()
         try:
             propagator = self._present()
@@ -286,8 +280,6 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 propagator.updates.refuse_other_temperatures(propagator.sync.context, thermostat.temperature)
             key = 0 if thermostat is None else self._noise.key(self, count)
             propagator.advance(self._version, self._settings, key, count)
-            if count and not self._engine.on_device:
-                self._left = propagator.sync.state
         finally:
             self.timings.total += time.perf_counter() - start
             self._at_work.release()
@@ -303,7 +295,19 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        return Settings(scheme, self._h, self.getIntegrationForceGroups(), splitting, splits, thermostat, self._check)
+        return Settings(
+            scheme,
+            self._scheme,
+            splitting,
+            splits,
+            self._h,
+            self._groups,
+            self._rotor,
+            self._fast,
+            thermostat,
+            self._bodies,
+            self._check,
+        )
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
@@ -351,10 +355,10 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     def _arguments(self) -> dict[str, Any]:
         """Return the arguments of a copy in addition to those that all have."""
-        others = {"engine": self._engine.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
+        others = {"engine": self._selection.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 
-    def _up_to_date(self) -> Propagator | DevicePropagator:
+    def _up_to_date(self) -> Propagator:
         """Return the propagator of the present Context, which knows what was set there."""
         self._begin_work()
         self._at_work.release()
@@ -363,25 +367,18 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return propagator
 
     def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
-        if self._propagator is None or self._propagator.sync.outdated or self._engine.outdated:
-            return True
-        return self._engine.open and self.getGlobalVariable(0) not in self._engine.marks
+        return self._propagator is None or self._propagator.outdated or not self._selection.settled(self)
 
     def _found(self) -> Any:
         return (self._context and self._context()) or find_context(self)
 
-    def _present(self) -> Propagator | DevicePropagator:
+    def _present(self) -> Propagator:
         """Return the propagator of the present Context."""
         if self._propagator is None or self._unsettled():
-            context = self._found()
-            self._engine.settle(context, self)
-            options = context, self, self._rotor, self._bodies, self.timings
-            if self._engine.on_device:
-                self._propagator = DevicePropagator(*options, self._engine)
-            else:
-                self._engine.install_host(context, self)
-                self._propagator = Propagator(*options, self._fast)
-            self._propagator.sync.taken_elsewhere = _parting(self)
+            context, settings = self._found(), self._settings()
+            self._selection.settle(context, self, settings)
+            self._propagator = self._selection.propagator(context, self, settings, self.timings)
+            self._propagator.sync.new_trajectory = _parting(self)
             warn_of_removed_motion(context.getSystem())
         return self._propagator
 

@@ -6,7 +6,7 @@ import secrets
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import openmm
@@ -27,6 +27,18 @@ _SEEDS = 2**31  # those of OpenMM that are not negative
 _STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of OpenMM
 
 
+class Factors(NamedTuple):
+    """The kernel that makes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
+
+    Its defines come with it, and how many persistent numbers it has: first those of `Thermostat.numbers`, then the
+    thermostat's own.
+    """
+
+    kernel: str
+    defines: tuple[tuple[str, object], ...]
+    size: int
+
+
 class Thermostat(ABC):
     """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
 
@@ -40,17 +52,17 @@ class Thermostat(ABC):
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
     heat : str or None
         The one of them in which the energy is added up that it gives to the bodies.
-    on_device : bool
-        Whether the program of a device has it.
+    factors : Factors, optional
+        The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
         evaluates forces once a step. A deterministic thermostat has one that is symmetric in time.
     """
 
     temperature: float
-    numbers: tuple[str, ...] = ()
+    numbers: ClassVar[tuple[str, ...]] = ()
     heat: ClassVar[str | None] = None
-    on_device: ClassVar[bool] = False
+    factors: Factors | None = None
     scheme: ClassVar[str] = "BAOA"
 
     @property
@@ -103,9 +115,16 @@ class Thermostat(ABC):
         """Return the settings that decide on the bits of a run."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
-    def device_numbers(self) -> Mapping[str, float]:
-        """Return the numbers that a program on a device needs, by the names of its variables."""
-        return {}
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...] | None:
+        """Return the numbers that kernels of a device need for an exchange over tau (ps), None if it is not served.
+
+        `freedom` are the degrees of freedom of translation and of rotation.
+        """
+        return None
+
+    def device_numbers(self) -> tuple[float, ...] | None:
+        """Return the numbers that kernels of a device need, None if they do not serve it."""
+        return None
 
 
 def _gain(bodies: RigidBodies, before: State, after: State) -> float:

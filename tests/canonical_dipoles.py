@@ -4,9 +4,10 @@ import io
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import unit
 
 import openmm_exactrb as rb
+import starts
 
 KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -19,8 +20,7 @@ def simulation_of(n, density, kT, mu2, *, step, draw=0.5, sample=0.1, seed=1, **
     ends = {"C": -2.0 * mu2**0.5, "D": 2.0 * mu2**0.5}
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]
     integrator = rb.ExactRigidBodyIntegrator(step, scheme="S2_2")
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
+    simulation = starts.simulation_of(topology, system, integrator, positions)
     openmm.LocalEnergyMinimizer.minimize(simulation.context, 100.0, 50)
     integrator.setVelocitiesToTemperature(kT / KB, seed)
     text = io.StringIO()

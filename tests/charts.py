@@ -1,8 +1,9 @@
-"""Canonical coordinates of turning bodies, for Jacobians of flows."""
+"""Canonical coordinates of turning bodies and of constrained clusters, for Jacobians of flows."""
 
 import numpy as np
 
 from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.mechanics.clusters import ClusterState
 
 
 def state_at(q_ref, x):
@@ -52,3 +53,42 @@ def symplectic_defect(J):
     block = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
     form = np.kron(np.eye(len(J) // 6), block)
     return np.abs(J.T @ form @ J - form).max()
+
+
+class ClusterChart:
+    """Canonical coordinates about a place of one cluster: x = x0 + T xi + M^-1 G0^T mu, pi = (dx/dxi)^T p."""
+
+    def __init__(self, clusters, state):
+        self.kind, self.n = clusters.kinds[0], clusters.mass.size
+        self.x0, self.mass = state.x[0].T.ravel(), np.repeat(clusters.mass, 3)
+        self.G0 = self.gradients(self.x0)
+        root = np.sqrt(self.mass)
+        _, _, Vt = np.linalg.svd(self.G0 / root)
+        self.T = (Vt[len(self.G0) :] / root).T
+
+    def gradients(self, x):
+        x, (i, j) = x.reshape(-1, 3), self.kind.pairs.T
+        G = np.zeros((len(i), self.n, 3))
+        G[np.arange(len(i)), i], G[np.arange(len(i)), j] = x[i] - x[j], x[j] - x[i]
+        return G.reshape(len(i), -1)
+
+    def tangents(self, x):
+        G, normal = self.gradients(x), (self.G0 / self.mass).T
+        return self.T - normal @ np.linalg.solve(G @ normal, G @ self.T)
+
+    def state(self, z):
+        xi, pi = np.split(z, 2)
+        x, normal = self.x0 + self.T @ xi, (self.G0 / self.mass).T
+        for _ in range(12):
+            r = np.subtract(*x.reshape(-1, 3)[self.kind.pairs.T])
+            x = x + normal @ np.linalg.solve(
+                self.gradients(x) @ normal, (self.kind.lengths**2 - (r * r).sum(axis=1)) / 2
+            )
+        J = self.tangents(x)
+        p = self.mass * (J @ np.linalg.solve(J.T @ (self.mass[:, None] * J), pi))
+        high = np.array([x, p]).reshape(2, -1, 3).swapaxes(1, 2)
+        return ClusterState(*(np.stack([a, np.zeros(a.shape)]) for a in high))
+
+    def coordinates(self, state):
+        x, p = ((a[0] + a[1]).T.ravel() for a in state)
+        return np.concatenate([self.T.T @ (self.mass * (x - self.x0)), self.tangents(x).T @ p])

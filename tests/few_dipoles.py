@@ -1,9 +1,10 @@
 """A few dipoles in a Simulation."""
 
 import openmm
-from openmm import app, unit
+from openmm import unit
 
 import openmm_exactrb as rb
+import starts
 from openmm_exactrb.openmm_access import arrays
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -14,10 +15,7 @@ def simulation_of(n=8, h=0.02, scheme="SRKN4_6b", rotor="exact", platform=REFERE
     """Return a Simulation of n dipoles that is about to start, at the temperature `KT` (K)."""
     topology, system, positions = rb.dipole_fluid(n, seed=1, trap=trap, **options)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
-    simulation = app.Simulation(topology, system, integrator, platform)
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(KT, 2)
-    return simulation
+    return starts.simulation_of(topology, system, integrator, positions, kelvin=KT, seed=2, platform=platform)
 
 
 def snapshot(simulation):

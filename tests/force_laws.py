@@ -7,6 +7,7 @@ import openmm
 import pytest
 from openmm import unit
 
+import starts
 from openmm_exactrb.openmm_access import arrays
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -14,9 +15,7 @@ REFERENCE = openmm.Platform.getPlatform("Reference")
 
 def context_of(system, positions):
     """Return a Context of a System on the Reference platform, with these positions (nm)."""
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
-    context.setPositions(positions)
-    return context
+    return starts.context_of(system, openmm.VerletIntegrator(0.001), positions)
 
 
 def of_free_particles(force, positions, box=None):

@@ -9,8 +9,8 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
+from starts import context_of
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
 FORCE_FIELD = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
 CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles, "None": None}
@@ -23,8 +23,7 @@ def peptide(constraints="HBonds", **options):
     system = FORCE_FIELD.createSystem(
         pdb.topology, constraints=CONSTRAINTS[constraints], removeCMMotion=False, **options
     )
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
-    context.setPositions(pdb.positions)
+    context = context_of(system, openmm.VerletIntegrator(0.001), pdb.positions)
     context.applyConstraints(1e-9)
     return pdb.topology, system, positions_of(context)
 
@@ -53,8 +52,7 @@ def _in_water(constraints, waters):
     modeller.delete(water[waters:])
     modeller.topology.setPeriodicBoxVectors(None)
     system = FORCE_FIELD.createSystem(modeller.topology, constraints=CONSTRAINTS[constraints], removeCMMotion=False)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
-    context.setPositions(modeller.positions)
+    context = context_of(system, openmm.VerletIntegrator(0.001), modeller.positions)
     context.applyConstraints(1e-9)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 200)
     return modeller.topology, system, positions_of(context)
@@ -79,8 +77,7 @@ def in_water(constraints="HBonds", waters=6):
 def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):
     """Return our integrator and its Context, with momenta of a temperature."""
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(temperature, 3)
     return integrator, context
 

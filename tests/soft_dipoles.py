@@ -7,8 +7,9 @@ import openmm
 from openmm import unit
 
 import openmm_exactrb as rb
-from force_laws import REFERENCE, positions_of
+from force_laws import positions_of
 from openmm_exactrb.potentials import SoftDipoles
+from starts import context_of
 
 PARAMETERS = {"soft_repulsion": 4.0, "dipole_coupling": 2.0}
 FIELD = {"boundary": rb.ReactionField(cutoff=1.8, switch=1.0, dielectric=7.0), "density": 0.5}
@@ -18,8 +19,7 @@ def fluid(n, scheme="SRKN4_6b", **options):
     """Return the Context of a fluid and its integrator."""
     _, system, positions = rb.dipole_fluid(n, **({"seed": 5, "perturbation": 0.08} | options))
     integrator = rb.ExactRigidBodyIntegrator(0.005, scheme=scheme)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     return context, integrator
 
 
@@ -61,8 +61,7 @@ def liquid(n):
     options = {"dipole": (0.0, 0.0, 2.0), "inertia": (0.3, 0.3, 0.3), "kernel": "compiled"}
     _, system, positions = rb.dipole_fluid(n, 3, boundary=rb.ReactionField(), **options)
     integrator = rb.ExactRigidBodyIntegrator(0.005, scheme="S2_2")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
     for k in range(4):
         integrator.setVelocitiesToTemperature(1.35 * unit.kilojoule_per_mole / unit.MOLAR_GAS_CONSTANT_R, k)

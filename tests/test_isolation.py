@@ -14,6 +14,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+import starts
 import three_masses
 from benchmarks.paper import problems
 from openmm_exactrb.mathematics import quaternions
@@ -28,10 +29,9 @@ KINDS = [("SRKN4_6b", "exact", 0.01), ("V2", "mclachlan_reich", 0.005), ("S2_4",
 def context_of(kind, seed):
     scheme, rotor, h = kind
     _, system, positions = rb.dipole_fluid(4, seed=seed, trap=0.5)
-    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor), REFERENCE)
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(20.0, seed)
-    return context
+    return starts.context_of(
+        system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor), positions, kelvin=20.0, seed=seed
+    )
 
 
 def result(context):
@@ -138,8 +138,7 @@ def megabytes():
 
 def context_of_a_three_masses():
     """Return a Context with an integrator that has made a step."""
-    context = openmm.Context(three_masses.system(), rb.ExactRigidBodyIntegrator(0.01), REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    context = starts.context_of(three_masses.system(), rb.ExactRigidBodyIntegrator(0.01), three_masses.POSITIONS)
     context.getIntegrator().bind(context)  # the search for it would take most of the time
     context.getIntegrator().step(1)
     return context
@@ -173,8 +172,7 @@ def nested_and_dropped():
     """Return weak references to a Context and an integrator with inner steps that were used and dropped."""
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = starts.context_of(system, integrator, x)
     integrator.step(1)
     inner = [found for found in gc.get_objects() if isinstance(found, ExcerptContext)]
     assert len(inner) == 1
@@ -198,9 +196,7 @@ def test_a_copy_of_an_integrator_moves_as_the_original(name, duplicate):
     context.getIntegrator().bodyState()
     x, v = result(context)
     twin = duplicate(context.getIntegrator())
-    other = openmm.Context(context.getSystem(), twin, REFERENCE)
-    other.setPositions(x)
-    other.setVelocities(v)
+    other = starts.context_of(context.getSystem(), twin, x, v)
     with pytest.raises(ValueError, match="no Context yet"):
         duplicate(twin).step(1)
     for integrator in (context.getIntegrator(), twin):

@@ -9,6 +9,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import starts
 import three_masses
 from canonical_dipoles import moments_in, simulation_of
 from force_laws import positions_of
@@ -35,10 +36,7 @@ water = functools.cache(rb.rigid_water)
 def molecules_of_water(charges, model="spce"):
     """Return a Simulation of two molecules, and the text that moments of the charges go to."""
     topology, system, positions = water(2, model=model, nonbondedMethod=app.NoCutoff)
-    simulation = app.Simulation(
-        topology, system, rb.ExactRigidBodyIntegrator(0.001), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions(positions)
+    simulation = starts.simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.001), positions)
     text = io.StringIO()
     simulation.reporters.append(rb.MomentReporter(text, 1, charges))
     return simulation, text
@@ -127,8 +125,7 @@ def test_bodies_that_are_named_are_molecules(bodies):
     residue = topology.addResidue("X", topology.addChain())
     for _ in range(3):
         topology.addAtom("X", None, residue)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(three_masses.POSITIONS)
+    simulation = starts.simulation_of(topology, system, integrator, three_masses.POSITIONS)
     text = io.StringIO()
     simulation.reporters.append(rb.MomentReporter(text, 1, [1.0, 1.0, -2.0]))
     if bodies is None:
@@ -159,8 +156,7 @@ def test_a_molecule_that_a_box_has_split_is_whole(length):
         for _ in x:
             topology.addAtom("X", None, residue)
         integrator = rb.ExactRigidBodyIntegrator(1e-6)
-        simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-        simulation.context.setPositions(places)
+        simulation = starts.simulation_of(topology, system, integrator, places)
         text = io.StringIO()
         simulation.reporters.append(rb.MomentReporter(text, 1, charges))
         simulation.step(1)

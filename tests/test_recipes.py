@@ -15,12 +15,12 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
-from few_dipoles import REFERENCE
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps import inner_drift
 from orders import slope
+from starts import context_of
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
@@ -121,8 +121,7 @@ def test_a_rotor_is_one_file_and_one_entry_and_its_laws_are_tested(tested):
 
 def moving(integrator, kelvin=100.0):
     """Return the Context of a triangle in motion."""
-    context = openmm.Context(three_masses.system(), integrator, REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    context = context_of(three_masses.system(), integrator, three_masses.POSITIONS)
     integrator.setVelocitiesToTemperature(kelvin, 1)
     return context
 
@@ -189,8 +188,7 @@ def pushed(scheme):
         force.addParticle(i)
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme=scheme)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(three_masses.POSITIONS)
+    _context = context_of(system, integrator, three_masses.POSITIONS)
     integrator.setVelocitiesToTemperature(100.0, 1)
     begin = integrator.fullState()[1]
     integrator.step(5)

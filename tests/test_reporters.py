@@ -2,17 +2,15 @@
 
 import openmm
 import pytest
-from openmm import app
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 
 def simulation_of_two_dipoles():
     topology, system, positions = rb.dipole_fluid(2)
     platform = openmm.Platform.getPlatform("Reference")
-    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.005), platform)
-    simulation.context.setPositions(positions)
-    return simulation
+    return simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.005), positions, platform=platform)
 
 
 @pytest.mark.parametrize("make", [lambda n: rb.EnergyReporter("x", n), lambda n: rb.MomentReporter("x", n, [])])

@@ -1,7 +1,6 @@
 """The search for splittings: its droplets are OpenMM's, its oscillators are those of the steps."""
 
 import numpy as np
-import openmm
 import pytest
 
 import openmm_exactrb as rb
@@ -10,8 +9,7 @@ from sequences import advanced
 pytest.importorskip("numba")
 from benchmarks.common import droplets
 from benchmarks.schemes import search
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from starts import context_of
 
 
 @pytest.mark.validate  # it compiles the droplets, which takes as long as all other tests of the searches
@@ -21,8 +19,7 @@ def test_a_droplet_moves_as_it_does_in_openmm(model):
     start = droplets.start(4, model, 1, picoseconds=2)
     scheme, h, n = rb.SCHEMES["W2_5"], 0.01, 10
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(lattice.getState(positions=True).getPositions())
+    _context = context_of(system, integrator, lattice.getState(positions=True).getPositions())
     integrator.setBodyState(start)
     before = integrator.totalEnergy()._value
     integrator.step(n)

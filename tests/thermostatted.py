@@ -5,6 +5,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import starts
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -60,18 +61,13 @@ def simulation_of(integrator, system, places):
     residue = topology.addResidue("ALL", topology.addChain())
     for i in range(system.getNumParticles()):
         topology.addAtom(f"A{i}", None, residue)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(places)
-    return simulation
+    return starts.simulation_of(topology, system, integrator, places)
 
 
 def droplet_of(integrator, n=4):
     """Return a Simulation of some dipoles in a trap, at 30 K."""
     topology, system, positions = rb.dipole_fluid(n, seed=1, trap=0.5)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(30.0, 2)
-    return simulation
+    return starts.simulation_of(topology, system, integrator, positions, kelvin=30.0, seed=2)
 
 
 def snapshot(simulation):
@@ -113,7 +109,6 @@ def ideal_gas(integrator, pressure, force=0.0, temperature=300.0, **counts):
     barostat.setRandomNumberSeed(2)
     system.addForce(barostat)
     system.setDefaultPeriodicBoxVectors(*np.diag([6.0, 6.0, 6.0]))
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(places)
+    context = starts.context_of(system, integrator, places)
     integrator.setVelocitiesToTemperature(300.0, 1)
     return context

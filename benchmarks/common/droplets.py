@@ -197,11 +197,12 @@ def _energy(R, P, q, m, molecule, work):
 
 
 @njit(error_model="numpy", cache=True)
-def _run(R, P, q, m, molecule, body, enter, step, leave, h, every, samples):
+def _run(R, P, q, m, molecule, body, sequences, h, every, samples):
     """Return the total energies before and after `samples` times `every` steps, nan from where the run blows up.
 
     The state is in the coordinates of the steps; `leave` makes of it that of the problem, for each look.
     """
+    enter, step, leave = sequences
     k, n = molecule[0].shape[0], R.shape[1]
     work = (
         *(np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.empty((3, n))),
@@ -243,8 +244,8 @@ def run(model, state, scheme, h, duration, interval=0.02):
     every = max(1, round(interval / h))
     samples = max(1, round(duration / (every * h)))
     body = constants(model.inertia[:, None].copy())
-    tables = map(table, (scheme.processor, scheme.sequence, scheme.postprocessor))
-    energies = _run(R, P, q, m, (*model,), body, *tables, h, every, samples)
+    sequences = table(scheme.processor), table(scheme.sequence), table(scheme.postprocessor)
+    energies = _run(R, P, q, m, (*model,), body, sequences, h, every, samples)
     return energies / R.shape[1], BodyState(R, P, q[0], m[0])
 
 

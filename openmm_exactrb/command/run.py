@@ -50,6 +50,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
     add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
+    offset = "file of an AverageReporter at constant volume: set the barostat right for the error of this step"
+    add("--pressure-offset", metavar="CSV", help=offset)
     add("--duration", type=times, default=10.0, metavar="T", help="ps, or with a unit: 1ns (%(default)s)")
     add(
         "--step",
@@ -126,7 +128,7 @@ def _refuse_idle(args: argparse.Namespace, box: inputs.Box) -> None:
         (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
         (unboxed, "cutoff ewald_tolerance", "there is no cutoff without a periodic box"),
         (not args.solvate, "water", "it is the water of --solvate"),
-        (args.ensemble != "npt", "pressure", "only --ensemble npt has one"),
+        (args.ensemble != "npt", "pressure pressure_offset", "only --ensemble npt has one"),
         (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),
         (args.step is not None, "target", "only --step auto has one"),
         (box.moves, "equilibrate", "a State with velocities is used unchanged"),
@@ -144,6 +146,7 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     options, step = equilibration.step_of(job, args, box, start, platform)
     setup.pace(box.system, step)
     integrator = setup.integrator_of(args, options, step)
+    setup.correct_pressure(box.system, args.pressure_offset, integrator, args.temperature)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     inputs.begin_at(simulation, start)
 

@@ -10,6 +10,7 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb import kernels
+from openmm_exactrb.averages import pressure_offset
 from openmm_exactrb.command import arguments
 from openmm_exactrb.command.inputs import Box
 from openmm_exactrb.context.updates import UPDATES
@@ -58,6 +59,25 @@ def pace(system: openmm.System, step: float) -> None:
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):
             force.setFrequency(max(1, round(_MOVE / step)))
+
+
+def correct_pressure(
+    system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
+) -> None:
+    """Add the offset of a file to the pressure of the barostat at a temperature; ValueError for other settings."""
+    if file is None:
+        return
+    offset = pressure_offset(file)
+    scheme, step = integrator.getScheme().name, integrator.getStepSize().value_in_unit(unit.picosecond)
+    theirs, own = (offset.scheme, offset.step, offset.temperature), (scheme, step, temperature)
+    if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
+        raise ValueError(
+            f"the pressure offset of {file} is for {theirs[0]} at {theirs[1]:g} ps and {theirs[2]:g} K, and this run "
+            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume with its settings"
+        )
+    for force in system.getForces():
+        if isinstance(force, openmm.MonteCarloBarostat):
+            force.setDefaultPressure(force.getDefaultPressure() + offset.bar * unit.bar)
 
 
 def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:

@@ -72,10 +72,10 @@ class Synchronisation:
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
         #: Called when a user has set a State or a step count, or began again without a seed.
-        self.taken_elsewhere: Callable[[], None] = lambda: None
+        self.new_trajectory: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
-            _watch(context, name, after=lambda: self.taken_elsewhere())
+            _watch(context, name, after=lambda: self.new_trajectory())
         _watch(context, "createCheckpoint", self._write, self._withdraw)
         _watch(context, "getState", self._write, self._withdraw, _saves)
 
@@ -94,7 +94,7 @@ class Synchronisation:
         context: Any = self._context()
         integrator: Any = self._integrator()
         if not context.getStepCount() and not integrator.getRandomNumberSeed():  # OpenMM would draw a new seed too
-            self.taken_elsewhere()
+            self.new_trajectory()
 
     def pull(self) -> bool:
         """Bring the state up to date with what was set in the Context since it was pushed; return whether it changed.
@@ -104,10 +104,8 @@ class Synchronisation:
         Raises
         ------
         ValueError
-            If that is not finite, or no rigid bodies, or a checkpoint of another kind of integrator was loaded. The
-            state stays what it was.
+            If that is not finite, or no rigid bodies. The state stays what it was.
         """
-        self.refuse_others()
         x, v = self.held()
         saved, seen = self.saved(x, v), self._seen
         if saved is not None:
@@ -141,9 +139,12 @@ class Synchronisation:
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, but for the bodies whose particles are not where it says."""
+        return self._compared(known, x, v, _SAME, _SAME_PART)
+
+    def _compared(self, known: State, x: Array, v: Array, same: float, part: float) -> State:
         rounded = known.rounded
-        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), _SAME, _SAME_PART)
-        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), _SAME, _SAME_PART)
+        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), same, part)
+        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), same, part)
         return self._refitted(known, x, v, moved, pushed)
 
     def _velocities(self, rounded: BodyState, v: Array) -> Array:
@@ -187,14 +188,10 @@ class Synchronisation:
         """Keep a state in the inner coordinates with this mark, and the last forces; `push` writes them."""
         self.inner, self._coordinates, self.memory = inner, coordinates, memory
 
-    def refuse_others(self) -> None:
-        """Raise ValueError for variables that another kind of integrator wrote."""
-        variables.refuse_others(self._integrator(), self._marks)
-
     @functools.cached_property
-    def _marks(self) -> tuple[float, ...]:
-        """What the first number of the integrator can be: its variables are those that it was made with."""
-        return variables.marks(variables.own_numbers(self._integrator()))
+    def _mark(self) -> float:
+        """The first number of the integrator with a state: its variables are those that it was made with."""
+        return variables.written(variables.own_numbers(self._integrator()))
 
     def saved(self, x: Array, v: Array) -> State | None:
         """Return the state that a checkpoint or State brought along, if any; x and v are those of the Context."""
@@ -218,11 +215,11 @@ class Synchronisation:
             variables.write(integrator, self.bodies, self.inner, variables.INNER)
             variables.write_forces(integrator, self.bodies, self.memory)
         variables.put(integrator, variables.COORDINATES, self._coordinates if self.inner is not None else 0.0)
-        variables.mark(integrator, self._marks[1])
+        variables.mark(integrator, self._mark)
 
     def _unmark(self) -> None:
         """Take the mark away: variables that have it were loaded."""
-        variables.mark(self._integrator(), self._marks[0])
+        variables.mark(self._integrator(), variables.NOTHING)
 
     def _withdraw(self) -> None:
         """Take the mark away that `_write` set."""

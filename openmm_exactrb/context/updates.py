@@ -93,6 +93,16 @@ class ContextUpdates:
         """Whether the centre of mass is kept at rest."""
         return bool(self._removals)
 
+    @property
+    def periods(self) -> tuple[int, int]:
+        """After how many steps OpenMM has something to do, and after how many of these not only for velocities of all.
+
+        0 is never.
+        """
+        acts = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
+        interval = math.gcd(acts, *self._removals)
+        return interval, acts // interval if interval else 0
+
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
         """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
@@ -152,8 +162,8 @@ def warn_of_removed_motion(system: openmm.System) -> None:
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
         warnings.warn(
-            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that the "
-            "energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that "
+            "the energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
             RemovedMotionWarning,
             stacklevel=2,
         )

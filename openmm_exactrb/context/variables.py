@@ -26,7 +26,7 @@ SHOWN, INNER = "", "inner_"
 # Whether there is a state in them, and whether Python is at work. A state is there from _WRITTEN to below _STEPPING,
 # which says in which format; see `written`.
 _STORED = "stored"
-_NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
+NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
 #: What the program of a device has as its first number.
 FROM_DEVICE = 4.0
 #: The mark of the coordinates of the inner state, 0 if there is none, and how many forces and differences of displaced
@@ -63,7 +63,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     if memory is not None:
         for name in (*(INNER + name for name in _VECTORS), *(name for k in range(memory) for name in _last(k))):
             integrator.addPerDofVariable(_PREFIX + name, 0.0)
-    integrator.addGlobalVariable(stored, _NOTHING)
+    integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
     # Forces at such positions are an error where the platform looks at them: Reference does not.
@@ -84,18 +84,14 @@ def written(own: Sequence[str]) -> float:
     return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
 
 
-def marks(own: Sequence[str] = ()) -> tuple[float, float, float]:
-    """Return what the first number of an integrator with numbers of its own can be."""
-    return _NOTHING, written(own), _STEPPING
+def marks(own: Sequence[str] = ()) -> tuple[float, float]:
+    """Return what the first number of an integrator with a state and numbers of its own can be."""
+    return written(own), _STEPPING
 
 
-def refuse_others(integrator: openmm.CustomIntegrator, known: tuple[float, ...]) -> None:
-    """Raise ValueError for variables from a checkpoint of another engine or format than the `known` marks."""
-    stored = get(integrator, _STORED)
-    if stored in known:
-        return
-    from_device = stored == FROM_DEVICE and known == marks()
-    raise ValueError(OTHER_ENGINE.format("device") if from_device else OTHER_FORMAT)
+def declared(integrator: openmm.CustomIntegrator) -> bool:
+    """Return whether an integrator has these variables."""
+    return bool(integrator.getGlobalVariableName(0) == _PREFIX + _STORED)
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:
@@ -166,7 +162,7 @@ def mark(integrator: openmm.CustomIntegrator, value: float) -> None:
 
 def marked(integrator: openmm.CustomIntegrator) -> bool:
     """Return whether the variables of an integrator hold a state."""
-    return get(integrator, _STORED) != _NOTHING
+    return get(integrator, _STORED) != NOTHING
 
 
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = SHOWN) -> State | None:

@@ -92,7 +92,7 @@ class DivergenceCheck:
 
     def _refuse(self, state: State) -> None:
         """Raise NonFiniteError if there is a body of which squares are not finite, or that is faster than light."""
-        bad = np.flatnonzero(_lost(self._bodies, state.rounded))
+        bad = np.flatnonzero(lost(self._bodies, state.rounded))
         if len(bad):
             names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
             more = f" and {len(bad) - 3} more" if len(bad) > 3 else ""
@@ -154,12 +154,12 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
     )
 
 
-def _lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
+def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
     """Return which bodies have numbers without finite squares, or are faster than light, (N,)."""
-    lost = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
-    lost |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
-    lost[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
-    return lost
+    which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
+    which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
+    which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))
+    return which
 
 
 def _square(x: Array) -> float:

@@ -7,16 +7,19 @@ of 64 bits, the lowest first, the layout is::
     key     = (seed, 0)
     counter = (0, 0, stream, step)
 
-The words of seed and step are those of signed numbers. Only the two lower words of the counter run while the numbers of
-an array are drawn, so that no two arrays share a block. Hence no draw depends on how many others preceded it, or on
-where a run was interrupted. The stream is the number of the substep in the step, times `PURPOSES`, plus the purpose.
+The words of seed and step are those of signed numbers. A block of the counter is four words; the block of body n in an
+array (..., N) has the lowest word n + 1, and the second word counts further blocks where the array has more than four
+rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine makes the
+step: kernels/random.cl of the device engine has the same numbers. The stream is the number of the substep in the step,
+times `PURPOSES`, plus the purpose.
 
-NumPy keeps the bits of Philox, but may improve the transformation to normals (NEP 19): a trajectory is repeated to the
-bit with the same release of NumPy.
+Normals are those of G. E. P. Box and M. E. Muller (1958), doi:10.1214/aoms/1177706645, of neighbouring words.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 import threading
 from enum import IntEnum
 from typing import NamedTuple
@@ -28,6 +31,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _WORD = 2**64 - 1
+# Words of a block.
+_BLOCK = 4
+# Of a gamma variate that are looked at together: one in twenty fails.
+_ATTEMPTS = 8
 
 
 class Purpose(IntEnum):
@@ -61,6 +68,10 @@ class Instant(NamedTuple):
         """Return standard normal numbers for a purpose."""
         return normals(self.seed, self.step, self.stream(purpose), shape)
 
+    def gamma(self, purpose: Purpose, shape: float) -> float:
+        """Return one gamma variate for a purpose, independent of its first four normals of a body."""
+        return gamma(self.seed, self.step, self.stream(purpose), shape)
+
     def uniform(self, purpose: Purpose) -> float:
         """Return one number uniform on [0, 1) for a purpose."""
         return float(self.generator(purpose).random())
@@ -72,11 +83,54 @@ def generator(seed: int, step: int, stream: int) -> Generator:
 
 
 def normals(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
-    """Return standard normal numbers; arguments as of `generator`."""
-    shared = _local.generator
+    """Return standard normal numbers of bodies, the last axis of the shape; other arguments as of `generator`."""
+    *rows, n = shape
+    count = math.prod(rows)
+    blocks = [_normals_of(_raw(seed, step, stream, block, n)) for block in range(-(-count // _BLOCK))]
+    return np.ascontiguousarray(np.concatenate([np.zeros((0, n)), *blocks])[:count].reshape(shape))
+
+
+def gamma(seed: int, step: int, stream: int, shape: float) -> float:
+    """Return a variate of the gamma distribution: G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414.
+
+    Attempts are the bodies of the second block. Other arguments are as of `generator`.
+    """
+    if shape <= 0.0:
+        return 0.0
+    d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
+    for n in itertools.count(_ATTEMPTS, _ATTEMPTS):
+        words = _raw(seed, step, stream, 1, n)
+        x, u = _normals_of(words)[0], _open_uniforms(words)
+        root = 1.0 + x / math.sqrt(9.0 * d)
+        v = np.where(root > 0.0, root, 1.0) ** 3
+        (good,) = np.nonzero((root > 0.0) & (np.log(u[2]) < 0.5 * x * x + d * (1.0 - v + np.log(v))))
+        if len(good):
+            first = good[0]
+            return float(d * v[first] * (u[3, first] ** (1.0 / shape) if shape < 1.0 else 1.0))
+    raise AssertionError
+
+
+def _raw(seed: int, step: int, stream: int, block: int, n: int) -> NDArray[np.uint64]:
+    """Return words of a block of n bodies, (4, n)."""
+    shared = _local.generator.bit_generator
     address = _address(seed, step, stream)
-    shared.bit_generator.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
-    return shared.standard_normal(shape)
+    address["counter"][1] = block
+    shared.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
+    return np.ascontiguousarray(shared.random_raw(_BLOCK * n).reshape(n, _BLOCK).T)
+
+
+def _open_uniforms(words: NDArray[np.uint64]) -> Array:
+    """Return numbers between 0 and 1, neither of which they are: the 53 upper bits of words, and a half."""
+    return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53, dtype=np.float64)
+
+
+def _normals_of(words: NDArray[np.uint64]) -> Array:
+    """Return the four normals of each block (4, n)."""
+    u = _open_uniforms(words)
+    radius, angle = np.sqrt(-2.0 * np.log(u[::2])), 2.0 * np.pi * u[1::2]
+    out = np.empty(u.shape)
+    out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)
+    return out
 
 
 def _address(seed: int, step: int, stream: int) -> dict[str, NDArray[np.uint64]]:

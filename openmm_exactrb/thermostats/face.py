@@ -10,8 +10,7 @@ from typing import Any, TypedDict, Unpack
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.engines.custom_program.engine import DevicePropagator
-from openmm_exactrb.engines.custom_program.selection import Engine
+from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
@@ -25,7 +24,7 @@ class Options(TypedDict, total=False):
     fast: str | Sequence[int] | None
     inner: str | Scheme | None
     innerSteps: int | None
-    engine: Engine
+    engine: str
     forceInterval: float | unit.Quantity | None
     checkDivergence: bool
 
@@ -81,10 +80,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             If the state of the bodies is not that after a step of this integrator.
         """
         propagator = self._up_to_date()
-        if isinstance(propagator, DevicePropagator):
-            raise ValueError("momenta within a step are not available on the device: use engine='host'")
-        around = None if self._left is None else propagator.environment.around
-        if around is None or self._left is not propagator.sync.state:
+        if (around := propagator.around) is None:
             raise ValueError("there are no temperatures around a heat exchange yet: make a step first")
         energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in around]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
@@ -94,10 +90,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
     def _energyAtExchange(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange, where its errors are of the order of the scheme."""
-        propagator = self._up_to_date()
-        if isinstance(propagator, DevicePropagator):
-            raise ValueError(_NO_BALANCE)
-        return propagator.energy_at_exchange(self._version, self._settings) * unit.kilojoule_per_mole
+        return self._up_to_date().energy_at_exchange(self._version, self._settings) * unit.kilojoule_per_mole
 
     def _change(self, **settings: Any) -> None:
         """Change settings of the thermostat."""
@@ -108,9 +101,6 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         arguments = super()._arguments()
         del arguments["thermostat"]
         return {**arguments, **self._thermostat.settings()}
-
-
-_NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
 
 
 class HeatedIntegrator(ThermostattedIntegrator):
@@ -124,8 +114,8 @@ class HeatedIntegrator(ThermostattedIntegrator):
         ValueError
             On the device, which does not add it up.
         """
-        if isinstance(self._propagator, DevicePropagator):
-            raise ValueError(_NO_BALANCE)
+        if self._propagator is not None and self.getEngine() != "host":
+            raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:

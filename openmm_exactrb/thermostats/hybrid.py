@@ -111,13 +111,15 @@ class HybridMonteCarlo(Langevin):
     stepsPerProposal: int = 1
 
     numbers = (variables.HEAT_OF_FRICTION, variables.ACCEPTED, variables.PROPOSED)
-    on_device: ClassVar[bool] = False
     scheme: ClassVar[str] = "S2_2"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         positive(self.temperature, "the temperature of Metropolis's rule", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
+
+    def device_numbers(self) -> None:
+        """Return None: no program decides on proposals."""
 
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""

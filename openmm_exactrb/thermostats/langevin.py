@@ -7,8 +7,9 @@ rotate.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, ClassVar, Unpack
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.engines.custom_program import names
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.rng import Instant, Purpose
@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
 # Different times of a heat exchange in a step whose factors are kept.
 _TIMES = 16
+_BACKWARD = "stepSize must be positive when friction is non-zero"
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,8 @@ class Langevin(Thermostat):
     rotationalFriction: float | None = None
     flexibleFriction: float | None = field(default=None, kw_only=True)
 
-    numbers = (variables.HEAT_OF_FRICTION,)
+    numbers: ClassVar[tuple[str, ...]] = (variables.HEAT_OF_FRICTION,)
     heat: ClassVar[str | None] = variables.HEAT_OF_FRICTION
-    on_device: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "temperature", kelvin(self.temperature))
@@ -95,10 +95,18 @@ class Langevin(Thermostat):
             frictions = of_translation, of_rotation[: bodies.n_turning]
         return ornstein_uhlenbeck(bodies.mass, bodies.principal_moments, kT, *frictions)
 
-    def device_numbers(self) -> Mapping[str, float]:
-        """Return the numbers that a program on a device needs."""
-        numbers = gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
-        return dict(zip((names.KT, *names.FRICTIONS, *names.FLEXIBLE_FRICTIONS), numbers, strict=True))
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
+        """Return the fade and the spread of translation and of rotation, then those of bodies in flexible molecules."""
+        kT = gas_constant_times(self.temperature)
+        rates = *self.frictions, *self.flexible_frictions
+        if tau < 0.0 and any(rates):
+            raise ValueError(_BACKWARD)
+        pairs = ((math.expm1(-rate * tau), math.sqrt(kT) * _spread(rate, tau)) for rate in rates)
+        return tuple(itertools.chain(*pairs))
+
+    def device_numbers(self) -> tuple[float, ...] | None:
+        """Return kT, the frictions of translation and of rotation, and the same in molecules of more than one body."""
+        return gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
 
 
 def _rate(friction: Any) -> float:
@@ -146,6 +154,10 @@ def ornstein_uhlenbeck(
     return exchange
 
 
+def _spread(rate: float, tau: float) -> float:
+    return math.sqrt(-math.expm1(-2.0 * rate * tau))
+
+
 _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
@@ -164,10 +176,10 @@ def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
         if tau == 0.0 or not rates.any():
             return None
         if tau < 0.0:
-            raise ValueError("stepSize must be positive when friction is non-zero")
+            raise ValueError(_BACKWARD)
         fade, spread = np.zeros(rates.shape), np.zeros(rates.shape)
         for rate, of_rate in kinds:  # by the same function for one friction as for many: bits do not depend on it
-            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), math.sqrt(-math.expm1(-2.0 * rate * tau))
+            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), _spread(rate, tau)
         return fade, spread * width
 
     return fading

@@ -26,7 +26,7 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import whole
-from openmm_exactrb.thermostat import Exchange, Thermostat
+from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, reciprocal, scaled
 
@@ -104,6 +104,17 @@ class NoseHooverChain(Thermostat):
     def _names(self, chain: int) -> list[str]:
         links = range(self.chainLength)
         return [f"chain{chain}_{what}{link}" for what in ("coordinate", "velocity") for link in links]
+
+    @property
+    def factors(self) -> Factors:  # type: ignore[override]
+        """The kernel of the chains, for their length and their substeps."""
+        weights = WEIGHTS[self.numYoshidaSuzuki]
+        sizes = ("CHAIN", self.chainLength), ("REPETITIONS", self.numMTS), ("N_WEIGHTS", len(weights))
+        return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))), len(self.own_numbers))
+
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
+        """Return kT, the frequency, the degrees of freedom, and whether one chain is for all."""
+        return self._kT, self.collisionFrequency, *map(float, freedom), float(self.together)
 
     def bind(self, environment: Any) -> Exchange:
         """Return the flow of the chains and of the momenta that they scale."""
@@ -204,9 +215,9 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
 
     Notes
     -----
-    The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a step
-    are half a kick behind the chains, and `temperatures` is lower than the temperature of the thermostat by a part that
-    is proportional to the square of the step. `temperaturesAroundThermostat` is that of the thermostat.
+    The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a
+    step are half a kick from the chains, and `temperatures` is lower than the temperature of the chains by a part that
+    is proportional to the square of the step. `temperaturesAroundThermostat` is that of the chains.
 
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. A run continues only
     from a checkpoint or State of the same chain length. Small or stiff systems may not be ergodic; a harmonic

@@ -22,10 +22,12 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import not_negative, positive, whole
-from openmm_exactrb.thermostat import Exchange, Thermostat
+from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 Array = NDArray[np.float64]
+
+_BACKWARD = "stepSize must be positive with a thermostat"
 
 #: rescale(P, m, tau, at) -> (P, m, heat): momenta, and the energy that they gained.
 Rescaling = Callable[[Array, Array, float, Instant], tuple[Array, Array, float]]
@@ -51,6 +53,7 @@ class StochasticRescaling(Thermostat):
 
     numbers = (variables.HEAT,)
     heat: ClassVar[str | None] = variables.HEAT
+    factors = Factors("rescaling", (("RESCALING", 1),), 1)
 
     def __post_init__(self) -> None:
         time = plain(self.relaxationTime, unit.picosecond, "a relaxation time")
@@ -58,6 +61,12 @@ class StochasticRescaling(Thermostat):
         object.__setattr__(self, "relaxationTime", positive(time, "a relaxation time", "ps"))
         if not isinstance(self.together, bool):
             raise ValueError(f"together must be True or False, not {self.together!r}")
+
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
+        """Return kT, the relaxation time, the degrees of freedom, and whether one number is for all."""
+        if tau < 0.0:
+            raise ValueError(_BACKWARD)
+        return gas_constant_times(self.temperature), self.relaxationTime, *map(float, freedom), float(self.together)
 
     def bind(self, environment: Any) -> Exchange:
         """Return the rescaling of momenta."""
@@ -101,11 +110,10 @@ def rescaling(
 
     def factor(kinetic: float, f: int, tau: float, at: Instant, part: Purpose) -> float:
         if tau < 0.0:
-            raise ValueError("stepSize must be positive with a thermostat")
+            raise ValueError(_BACKWARD)
         if kinetic == 0.0 or f == 0 or tau == 0.0:
             return 1.0
-        rng = at.generator(part)
-        along, across = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (f - 1))
+        along, across = float(at.normals(part, (1, 1))[0, 0]), 2.0 * at.gamma(part, 0.5 * (f - 1))
         return scaling(kinetic, kT, tau / time, along, across)
 
     def rescale(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array, float]:

@@ -136,9 +136,9 @@ class ExactRigidBody(IntegratorUnderTest):
         options: dict[str, Any] = {"scheme": method.scheme, "fast": "bonded" if method.nested else None}
         make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
         super().__init__(state, make())
-        if self.integrator.getEngine() == "device":  # chosen by name, it is kept when the step changes
-            own = copy.deepcopy(state.system)  # the device adds a force to it
-            super().__init__(replace(state, system=own), make(engine="device"))
+        if (engine := self.integrator.getEngine()) != "host":  # chosen by name, it is kept when the step changes
+            own = copy.deepcopy(state.system)  # to which an engine may add forces
+            super().__init__(replace(state, system=own), make(engine=engine))
 
     @property
     def fast_share(self) -> float:

@@ -3,6 +3,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 
 @pytest.fixture
@@ -19,10 +20,7 @@ def droplet(tmp_path):
 def serialised(tmp_path):
     """The same in motion, as the files of its System and State."""
     topology, system, positions = rb.rigid_water(8)
-    simulation = app.Simulation(
-        topology, system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, openmm.VerletIntegrator(0.001), positions)
     simulation.minimizeEnergy(maxIterations=50)
     simulation.context.setVelocitiesToTemperature(200 * unit.kelvin, 3)
     files = tmp_path / "system.xml", tmp_path / "state.xml"

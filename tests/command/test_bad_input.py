@@ -10,6 +10,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.command.inputs import topology_of
 from openmm_exactrb.command.main import main
 from peptides import PEPTIDE
+from starts import context_of
 
 CASES = [
     (["droplet.pdb"], "droplet.pdb has no forces: name the force field"),
@@ -129,8 +130,7 @@ def test_a_wrong_option_is_one_line(capsys, arguments, message):
 def test_a_barostat_of_the_system_is_not_one_of_the_command(tmp_path, capsys):
     _, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
     system.addForce(openmm.MonteCarloBarostat(1 * unit.bar, 300 * unit.kelvin))
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, openmm.VerletIntegrator(0.001), positions)
     files = tmp_path / "system.xml", tmp_path / "state.xml"
     for file, content in zip(files, (system, context.getState(positions=True)), strict=True):
         file.write_text(openmm.XmlSerializer.serialize(content))
@@ -194,7 +194,6 @@ def test_molecules_that_are_interleaved_need_a_topology():
         system.addParticle(1.0)
     system.addConstraint(0, 2, 0.1)
     system.addConstraint(1, 3, 0.1)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions([openmm.Vec3(i, 0, 0) for i in range(4)])
+    context = context_of(system, openmm.VerletIntegrator(0.001), [openmm.Vec3(i, 0, 0) for i in range(4)])
     with pytest.raises(ValueError, match="give their PDB or PDBx file instead"):
         topology_of(system, context.getState(positions=True))

@@ -13,6 +13,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.command.description import described
 from openmm_exactrb.command.main import main
 from peptides import in_water
+from starts import context_of
 
 DATA = Path(__file__).parent.parent / "data"
 
@@ -130,8 +131,7 @@ def test_the_interval_at_constant_temperature_is_one_that_no_warning_follows(con
     (line,) = (line for line in lines if line.startswith("constant temperature"))
     assert f"forceInterval={interval:g}*femtoseconds" in line
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=1e-3 * interval, scheme="W2_3m")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(1)  # a warning would be an error
 

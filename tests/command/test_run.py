@@ -16,8 +16,9 @@ from processes_of_command import finish, launch
 import openmm_exactrb as rb
 from openmm_exactrb.command.equilibration import candidates
 from openmm_exactrb.command.main import main
-from openmm_exactrb.command.setup import couple, integrator_of, pace
+from openmm_exactrb.command.setup import correct_pressure, couple, integrator_of, pace
 from openmm_exactrb.tuning import CANDIDATES, Choice
+from starts import context_of
 
 
 def carry_out(capsys, *arguments):
@@ -158,9 +159,7 @@ def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
 def box(tmp_path):
     """27 molecules in motion in a periodic box, and the files of their System and State."""
     topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.4 * unit.nanometer)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(280 * unit.kelvin, 2)
+    context = context_of(system, openmm.VerletIntegrator(0.001), positions, kelvin=280 * unit.kelvin, seed=2)
     state = context.getState(positions=True, velocities=True)
     files = tmp_path / "system.xml", tmp_path / "state.xml"
     for file, content in zip(files, (system, state), strict=True):
@@ -286,3 +285,25 @@ def test_the_barostat_has_the_settings_of_the_options(box):
     for step, frequency in ((0.002, 25), (0.018, 3), (0.2, 1)):
         pace(system, step)
         assert barostat.getFrequency() == frequency
+
+
+def test_the_offset_of_averages_is_added_to_the_pressure_for_the_same_settings_alone(box, tmp_path):
+    """An observable with a slope of 1e6 bar/ps² and no covariances: the offset is -8e-3 (0.012 ps)² of it."""
+    settings = {
+        "scheme": "W2_3m", "step": 0.012, "alpha": 1e-3, "beta": 5e-3, "slopes": [8e-3, 1e-3], "temperature": 300.0,
+        "kT": 2.494, "frictions": [5.0], "freedom": 384, "mass": 1153.0,
+    }  # fmt: skip
+    names = ["step", "potential", "volume", "square", "work", "inner work", "damped work", "pressure"]
+    names += ["pressure slope", "pressure inner slope"]
+    row = "1,-2500,2,2e6,2e6,0,2e6,0,1e6,0\n"
+    file = tmp_path / "averages.csv"
+    file.write_text(f"# {json.dumps(settings)}\n{','.join(names)}\n{row * 50}")
+    (_, system, _, _), langevin = box, rb.ExactRigidBodyLangevinIntegrator
+    couple(system, Namespace(ensemble="npt", pressure=1.0, temperature=300.0, seed=7))
+    correct_pressure(system, None, langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
+    correct_pressure(system, str(file), langevin(300.0, 5.0, 0.012, scheme="W2_3m"), 300.0)
+    barostat = system.getForce(system.getNumForces() - 1)
+    assert barostat.getDefaultPressure()._value == pytest.approx(1.0 - 8e-3 * 0.012**2 * 1e6)
+    for step, kelvin, scheme in ((0.011, 300.0, "W2_3m"), (0.012, 310.0, "W2_3m"), (0.012, 300.0, "BAOA")):
+        with pytest.raises(ValueError, match=r"W2_3m at 0.012 ps and 300 K, and this run has"):
+            correct_pressure(system, str(file), langevin(kelvin, 5.0, step, scheme=scheme), kelvin)

@@ -11,7 +11,8 @@ from openmm import app, unit
 from scipy.integrate import solve_ivp
 
 import openmm_exactrb as rb
-from few_dipoles import REFERENCE, simulation_of
+import starts
+from few_dipoles import simulation_of
 from force_laws import context_of, evaluated
 from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
@@ -30,8 +31,7 @@ def water_with_a_barostat(scheme, pressure=1e3, n=64):
     barostat.setRandomNumberSeed(1)
     system.addForce(barostat)
     integrator = rb.ExactRigidBodyIntegrator(0.0005, scheme=scheme)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
+    simulation = starts.simulation_of(topology, system, integrator, positions)
     simulation.minimizeEnergy(tolerance=100.0, maxIterations=50)
     integrator.setVelocitiesToTemperature(300.0, 1)
     return simulation
@@ -218,8 +218,7 @@ def end_under_a_force_of_time(scheme, n, **inner):
     system.addForce(of_time)
     system.addForce(trap)
     integrator = rb.ExactRigidBodyIntegrator(0.2 / n, scheme=scheme, **inner)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions([[0.1, 0.2, -0.1]])
+    context = starts.context_of(system, integrator, [[0.1, 0.2, -0.1]])
     integrator.step(n)
     state = context.getState(positions=True)
     assert context.getStepCount() == n

@@ -7,8 +7,7 @@ import pytest
 import openmm_exactrb as rb
 from force_laws import positions_of
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from starts import context_of
 
 
 def spheres(distance, periodic=False):
@@ -26,8 +25,7 @@ def spheres(distance, periodic=False):
         x[1, 2] += 2.0
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     return context, integrator
 
 
@@ -54,8 +52,7 @@ def test_a_force_that_cannot_get_smaller_is_said():
     cusp.addParticle(0)
     system.addForce(cusp)
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions([[0.3, 0.0, 0.0]])
+    context = context_of(system, integrator, [[0.3, 0.0, 0.0]])
     with pytest.warns(MinimisationWarning, match="a force of 1e.03 kJ/mol/nm, above the tolerance of 10"):
         integrator.minimizeEnergy()
     assert abs(positions_of(context)[0, 0]) < 1e-3

@@ -61,11 +61,12 @@ def test_frozen_particles_are_pointed_out_once(engine):
     integrator = rb.ExactRigidBodyIntegrator(0.001, engine=engine)
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
-    with pytest.warns(RemovedMotionWarning, match=r"that frozen particles, of mass 0, give.*removeCMMotion=False") as said:
-        for _ in range(3):
-            integrator.step(1)
-            integrator.temperatures()
+    message = r"that frozen particles, of mass 0, give.*removeCMMotion=False"
+    with pytest.warns(RemovedMotionWarning, match=message) as said:
+        integrator.step(1)
     assert len(said) == 1
+    integrator.step(1)  # warnings are errors here
+    integrator.temperatures()
 
 
 @pytest.mark.parametrize("options", [{"remover": True}, {"remover": False, "frozen": True}], ids=str)
@@ -79,7 +80,7 @@ def test_elsewhere_nothing_is_said(options):
 
 
 def test_virtual_sites_are_not_frozen():
-    topology, system, positions = rb.dipole_fluid(4, seed=1)
+    _, system, positions = rb.dipole_fluid(4, seed=1)
     system.addForce(openmm.CMMotionRemover())
     integrator = rb.ExactRigidBodyIntegrator(0.01)
     context = openmm.Context(system, integrator, REFERENCE)

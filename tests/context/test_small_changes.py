@@ -5,6 +5,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+import starts
 from peptides import moving, peptide, positions_of
 
 SMALL = 1e-12  # nm, nm/ps
@@ -24,8 +25,7 @@ def system():
 def context_of(system, engine, scheme):
     system, positions = system
     integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, engine=engine)
-    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = starts.context_of(openmm.XmlSerializer.clone(system), integrator, positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(3)
     return context

@@ -6,6 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
+from starts import context_of
 
 
 def test_a_cluster_that_is_not_rigid_is_one_of_single_particles():
@@ -103,9 +104,7 @@ def octahedron(scale, integrator):
         for j in range(i):
             if i - j != 3:
                 system.addConstraint(i, j, 0.2)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(scale * OCTAHEDRON)
-    return context
+    return context_of(system, integrator, scale * OCTAHEDRON)
 
 
 def edges(context):

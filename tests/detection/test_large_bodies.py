@@ -8,9 +8,9 @@ import openmm_exactrb as rb
 from benchmarks.cost import large_bodies
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics import quaternions
+from starts import REFERENCE, context_of
 
 ATOMS, WATER = 200, 729  # no atom of the body is within the cutoff of the image of another one
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +60,7 @@ def test_forces_within_it_neither_push_nor_turn_it_and_add_a_constant_to_the_ene
 def test_it_moves_in_water_as_one(systems):
     system, x = systems[0]
     integrator = rb.ExactRigidBodyIntegrator(0.0005, "S2_2", bodies=[range(ATOMS)])
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300, 1)
     before = integrator.totalEnergy()._value
     integrator.step(4)

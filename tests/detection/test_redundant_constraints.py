@@ -9,6 +9,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
+from starts import context_of
 
 KB = 0.00831446261815324
 
@@ -60,9 +61,7 @@ def system_of(masses, x, pairs, copies=1, longer=None):
 
 
 def moving(system, x, integrator):
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
-    return context
+    return context_of(system, integrator, x)
 
 
 def moments_of(masses, x):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from openmm import unit
 
 import openmm_exactrb as rb
+import starts
 from openmm_exactrb.detection.find import find_bodies
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -35,8 +36,7 @@ def system_of(n, box, constraints=(), bonds=(), mass=12.0):
 
 def context_of(system, x, bodies=None, step=1e-4):
     integrator = rb.ExactRigidBodyIntegrator(step, "V2", bodies=bodies)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = starts.context_of(system, integrator, x)
     return context, integrator
 
 

@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-import openmm
 
 import openmm_exactrb as rb
 from peptides import in_water
+from starts import context_of
 
 SHORT = {"build": rb.dipole_fluid, "n": 8, "step": 0.02, "duration": 0.2, "temperature": 10.0}
 
@@ -18,8 +18,7 @@ def energies(build, *, step, duration, scheme="SRKN4_6b", temperature=None, seed
     """Return the total energies of a run on Reference."""
     _, system, positions = build(**arguments)
     integrator = rb.ExactRigidBodyIntegrator(step, scheme=scheme, engine="host")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions)
     if temperature is not None:
         integrator.setVelocitiesToTemperature(temperature, seed)
     totals = []

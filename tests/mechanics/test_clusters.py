@@ -9,6 +9,7 @@ import pytest
 import geodesics
 import openmm_exactrb as rb
 from benchmarks.constraints import clusters as constrained_clusters
+from charts import ClusterChart
 from openmm_exactrb.mathematics.quaternions import from_matrix, rotation_matrix
 from openmm_exactrb.mechanics.clusters import LARGEST, Clusters, ClusterState, sorted_into_kinds
 from reference_clusters import ReferenceClusters
@@ -212,7 +213,7 @@ def test_a_drift_is_symplectic(which, kernel):
     clusters, state = many(which, kernel)
     t = 0.004
     end = clusters.drift(state, t)
-    charts = [Chart(clusters, s) for s in (state, end)]
+    charts = [ClusterChart(clusters, s) for s in (state, end)]
     start = charts[0].coordinates(state)
 
     def step(z):
@@ -232,45 +233,6 @@ def test_a_drift_is_symplectic(which, kernel):
     assert np.abs(J - free_flight).max() > 1e-3  # constraints bend the motion
 
 
-class Chart:
-    """Canonical coordinates about a place of one cluster: x = x0 + T xi + M^-1 G0^T mu, pi = (dx/dxi)^T p."""
-
-    def __init__(self, clusters, state):
-        self.kind, self.n = clusters.kinds[0], clusters.mass.size
-        self.x0, self.mass = state.x[0].T.ravel(), np.repeat(clusters.mass, 3)
-        self.G0 = self.gradients(self.x0)
-        root = np.sqrt(self.mass)
-        _, _, Vt = np.linalg.svd(self.G0 / root)
-        self.T = (Vt[len(self.G0) :] / root).T
-
-    def gradients(self, x):
-        x, (i, j) = x.reshape(-1, 3), self.kind.pairs.T
-        G = np.zeros((len(i), self.n, 3))
-        G[np.arange(len(i)), i], G[np.arange(len(i)), j] = x[i] - x[j], x[j] - x[i]
-        return G.reshape(len(i), -1)
-
-    def tangents(self, x):
-        G, normal = self.gradients(x), (self.G0 / self.mass).T
-        return self.T - normal @ np.linalg.solve(G @ normal, G @ self.T)
-
-    def state(self, z):
-        xi, pi = np.split(z, 2)
-        x, normal = self.x0 + self.T @ xi, (self.G0 / self.mass).T
-        for _ in range(12):
-            r = np.subtract(*x.reshape(-1, 3)[self.kind.pairs.T])
-            x = x + normal @ np.linalg.solve(
-                self.gradients(x) @ normal, (self.kind.lengths**2 - (r * r).sum(axis=1)) / 2
-            )
-        J = self.tangents(x)
-        p = self.mass * (J @ np.linalg.solve(J.T @ (self.mass[:, None] * J), pi))
-        high = np.array([x, p]).reshape(2, -1, 3).swapaxes(1, 2)
-        return ClusterState(*(np.stack([a, np.zeros(a.shape)]) for a in high))
-
-    def coordinates(self, state):
-        x, p = ((a[0] + a[1]).T.ravel() for a in state)
-        return np.concatenate([self.T.T @ (self.mass * (x - self.x0)), self.tangents(x).T @ p])
-
-
 # -- the projection ---------------------------------------------------------------------------------------------------
 
 
@@ -279,7 +241,7 @@ def test_the_projection_is_the_orthogonal_one_of_the_mass_metric(name, kernel, r
     clusters, state = many(name, kernel)
     p = rng.standard_normal((3, clusters.mass.size))
     projected = clusters.tangent(ClusterState(state.x, np.stack([p, np.zeros(p.shape)]))).p[0]
-    chart = Chart(clusters, state)
+    chart = ClusterChart(clusters, state)
     root = np.sqrt(chart.mass)
     nearest = chart.T @ np.linalg.lstsq(root[:, None] * chart.T, p.T.ravel() / root, rcond=None)[0] * chart.mass
     np.testing.assert_allclose(projected.T.ravel(), nearest, rtol=0.0, atol=3e-14)

@@ -17,6 +17,7 @@ from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, gradient_kick, kick
 from orders import slope
 from sequences import gradient_kicks
+from starts import context_of
 
 CHIN = rb.SCHEMES["Chin4A"]
 
@@ -154,8 +155,7 @@ def water(n=8):
     _, system, positions = rb.rigid_water(n)
     langevin = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
     langevin.setRandomNumberSeed(1)
-    context = openmm.Context(system, langevin, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, langevin, positions)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
     context.setVelocitiesToTemperature(300.0, 1)
     langevin.step(200)
@@ -174,17 +174,13 @@ def dumbbells():
         system.addConstraint(i, i + 1, 0.1)
         force.addException(i, i + 1, 0.0, 0.25, 0.0)
     system.addForce(force)
-    context = openmm.Context(system, openmm.VerletIntegrator(1e-3), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(200.0, 3)
+    context = context_of(system, openmm.VerletIntegrator(1e-3), positions, kelvin=200.0, seed=3)
     return system, context.getState(positions=True, velocities=True)
 
 
 def integrator_at(system, state, h, scheme=CHIN):
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
+    context = context_of(system, integrator, state)
     return integrator, context
 
 

@@ -1,10 +1,11 @@
 """Counter-based random numbers: Philox with the documented layout; bits depend on seed, step and stream alone."""
 
+import mpmath
 import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, generator, normals
+from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, gamma, generator, normals
 
 _WORD = 2**64 - 1
 
@@ -47,12 +48,39 @@ def test_uniforms_are_the_53_upper_bits():
     np.testing.assert_array_equal(uniforms(1, 2, 3, (1, 4)), (words >> np.uint64(11)) * 2.0**-53)
 
 
-@pytest.mark.parametrize("draw", [normals, uniforms])
-def test_numbers_depend_on_neither_the_number_nor_the_order_of_draws(draw):
-    first = draw(4, 5, 6, (3, 100))
-    draw(4, 5, 7, (3, 10)), draw(4, 6, 6, (3, 10))
-    np.testing.assert_array_equal(draw(4, 5, 6, (3, 100)), first)
-    np.testing.assert_array_equal(draw(4, 5, 6, (2, 50)).ravel(), first.ravel()[:100])
+def test_normals_of_a_body_are_those_of_box_and_muller_from_its_block():
+    """Body n has the block n + 1, and further rows further blocks: so another engine can draw for each body alone."""
+    seed, step, stream, n = 5, 2**33 + 1, 81, 7
+    expected = []
+    for block in (0, 1):
+        words = [philox([body + 1, block, stream, step], [seed, 0]) for body in range(n)]
+        with mpmath.workdps(30):
+            u = [[((word >> 11) + mpmath.mpf(0.5)) * mpmath.mpf(2) ** -53 for word in some] for some in words]
+            for turn in (0, 2):
+                radius = [mpmath.sqrt(-2 * mpmath.log(some[turn])) for some in u]
+                angle = [2 * mpmath.pi * some[turn + 1] for some in u]
+                expected.append([float(r * mpmath.cos(a)) for r, a in zip(radius, angle, strict=True)])
+                expected.append([float(r * mpmath.sin(a)) for r, a in zip(radius, angle, strict=True)])
+    np.testing.assert_allclose(normals(seed, step, stream, (8, n)), expected, rtol=1e-14, atol=3e-15)
+
+
+def test_numbers_depend_on_neither_the_number_nor_the_order_of_draws():
+    first = normals(4, 5, 6, (3, 100))
+    normals(4, 5, 7, (3, 10)), normals(4, 6, 6, (3, 10))
+    np.testing.assert_array_equal(normals(4, 5, 6, (3, 100)), first)
+    np.testing.assert_array_equal(normals(4, 5, 6, (2, 50)), first[:2, :50])
+    np.testing.assert_array_equal(normals(4, 5, 6, (50,)), first[0, :50])
+
+
+@pytest.mark.parametrize("shape", [0.2, 0.5, 1.0, 7.5, 3e5])
+def test_gamma_variates_have_their_distribution(shape):
+    x = [gamma(30, step, 4, shape) for step in range(4000)]
+    assert stats.kstest(x, "gamma", args=(shape,)).pvalue > 1e-3
+
+
+def test_gamma_variates_are_independent_of_the_normals_of_their_stream():
+    x = np.array([(gamma(31, step, 4, 2.0), *normals(31, step, 4, (4, 1))[:, 0]) for step in range(4000)])
+    assert np.abs(np.corrcoef(x.T)[0, 1:]).max() < 4.0 / np.sqrt(len(x))
 
 
 def test_every_part_of_the_address_counts():

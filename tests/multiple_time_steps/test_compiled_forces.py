@@ -7,6 +7,7 @@ import pytest
 from openmm_exactrb import kernels
 from openmm_exactrb.multiple_time_steps.bonded import pairs_by_formula
 from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
+from starts import context_of
 
 pytest.importorskip("numba")
 RNG = np.random.default_rng(5)
@@ -85,8 +86,7 @@ def both(system, x, groups=-1):
     """Return the forces of the kernel and those of OpenMM."""
     out = np.empty_like(x)
     kernels.load("bonded", "numba").forces(x, *terms_of(system, groups), out)
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = context_of(system, openmm.VerletIntegrator(0.001), x)
     return out, context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
 
 

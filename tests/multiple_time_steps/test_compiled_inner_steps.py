@@ -1,12 +1,12 @@
 """Inner steps in one compiled call are those of the flows that they are made of."""
 
 import numpy as np
-import openmm
 import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.multiple_time_steps import compiled_inner_steps
 from peptides import peptide
+from starts import context_of
 
 pytest.importorskip("numba")
 
@@ -23,9 +23,7 @@ def test_a_peptide_moves_as_by_flows_that_numpy_turns(scheme, monkeypatch):
     found = []
     for rotor in ("exact", "exact_numpy"):
         integrator = rb.ExactRigidBodyIntegrator(0.004, scheme=scheme, fast="bonded", rotor=rotor, engine="host")
-        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-        context.setPositions(positions)
-        context.setVelocitiesToTemperature(300.0, 1)
+        context = context_of(system, integrator, positions, kelvin=300.0)
         integrator.step(5)
         assert bool(calls) == (rotor == "exact")
         calls.clear()

@@ -12,7 +12,8 @@ from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.multiple_time_steps.resonance import Resonances, growth
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.substeps import DRIFT
-from peptides import REFERENCE, in_water, peptide
+from peptides import in_water, peptide
+from starts import context_of
 
 
 def floquet(scheme, angle, strength):
@@ -49,9 +50,7 @@ def driven(scheme, interval, strength=2.8e5, mass=1.0):
     system.addForce(spring)
     options = {"fast": "bonded", "innerSteps": 24, "checkDivergence": False, "forceInterval": interval}
     integrator = rb.ExactRigidBodyIntegrator(scheme=scheme, **options)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]])
-    context.setVelocities([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    _context = context_of(system, integrator, [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     begin, largest = integrator.totalEnergy()._value, 0.0
     for _ in range(40):
         integrator.step(max(1, round(0.1 / integrator.getStepSize()._value)))
@@ -96,8 +95,7 @@ def nested(interval, mass=None, constraints="HBonds"):
         rb.heavy_hydrogens(system, topology, mass)
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, forceInterval=interval, scheme="W2_3m")
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300.0, 3)
     return integrator, context
 
@@ -129,8 +127,7 @@ def test_a_step_beyond_the_first_resonance_warns_once():
 def test_proposals_that_are_rejected_by_their_energy_need_no_warning():
     _, system, x = in_water()
     integrator = rb.ExactRigidBodyHybridIntegrator(300.0, 5.0, 0.016)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    _context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300.0, 3)
     assert Resonances(system).first(splitting("S2_2")).step < 0.016
     integrator.step(1)
@@ -161,8 +158,7 @@ def water(scheme, interval, temperature=300.0, friction=5.0):
     _, system, x = rb.rigid_water(27, **options)
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, friction, forceInterval=interval, scheme=scheme)
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     openmm.LocalEnergyMinimizer.minimize(context, 10.0, 50)
     integrator.setVelocitiesToTemperature(temperature, 3)
     return integrator, context
@@ -192,8 +188,7 @@ def looked_at(temperature, samples=400):
     """Let states of a temperature be seen, drawn from the canonical momenta of ten molecules."""
     _, system, x = rb.rigid_water(10)
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    _context = context_of(system, integrator, x)
     bodies, _ = integrator.bodyState()
     watch = Overheating(bodies, 300.0 * 0.00831446, 0.2)
     for k in range(samples):

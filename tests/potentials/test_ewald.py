@@ -9,7 +9,8 @@ import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
-from force_laws import REFERENCE, assert_gradient, context_of, evaluated, positions_of
+import starts
+from force_laws import assert_gradient, context_of, evaluated, positions_of
 from openmm_exactrb import kernels
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
@@ -243,8 +244,7 @@ def test_a_barostat_changes_the_box_of_the_sum(boundary):
     barostat.setRandomNumberSeed(1)
     system.addForce(barostat)
     integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = starts.context_of(system, integrator, positions)
     openmm.LocalEnergyMinimizer.minimize(context, 100.0, 50)
     integrator.setVelocitiesToTemperature(120.0, 1)
     volume = context.getState().getPeriodicBoxVolume()

@@ -5,8 +5,9 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from force_laws import REFERENCE, assert_lawful, evaluated, positions_of
+from force_laws import assert_lawful, evaluated, positions_of
 from soft_dipoles import FIELD, arrows, assert_same, fluid
+from starts import context_of
 
 OPEN = {}
 PERIODIC = {"boundary": rb.ReactionField(), "density": 0.5}
@@ -111,8 +112,7 @@ def test_a_barostat_is_refused_where_the_formula_needs_its_box(kernel, boundary)
     _, system, positions = rb.dipole_fluid(64, density=0.4, boundary=boundary, kernel=kernel)
     system.addForce(openmm.MonteCarloBarostat(1.0, 100.0))
     integrator = rb.ExactRigidBodyIntegrator(0.004)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions)
     with pytest.raises(ValueError, match=r"a barostat changes the box, .* use kernel='compiled'"):
         integrator.step(1)
 

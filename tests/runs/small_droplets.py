@@ -6,6 +6,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 #: Of the droplet in another process: reports do not fall on the chunks of ten steps.
 STEPS, INTERVAL = 1400, 7
@@ -18,10 +19,9 @@ def droplet(n=4, scheme="V2", h=0.005, trap=0.5, rotor="exact", platform="Refere
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, rotor=rotor)
     if groups is not None:
         integrator.setIntegrationForceGroups(groups)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform(platform))
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(30.0, 2)
-    return simulation
+    return simulation_of(
+        topology, system, integrator, positions, kelvin=30.0, seed=2, platform=openmm.Platform.getPlatform(platform)
+    )
 
 
 def make(folder, interval=7, **options):

@@ -10,6 +10,7 @@ from small_droplets import droplet, make, same_bytes
 
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint
+from starts import simulation_of
 
 
 def test_a_script_that_advances_twice_is_resumed_in_the_second_call(tmp_path):
@@ -170,10 +171,7 @@ def test_own_schemes_of_one_name_are_distinguished(tmp_path):
 def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
     system.addForce(openmm.PythonForce(lambda state: (0.0, np.zeros((20, 3)))))
-    simulation = app.Simulation(
-        topology, system, rb.ExactRigidBodyIntegrator(0.005), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.005), positions)
     with pytest.raises(ValueError, match="that OpenMM can serialise"):
         make(tmp_path).advance(simulation, 10)
     assert not list(tmp_path.iterdir())

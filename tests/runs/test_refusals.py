@@ -10,6 +10,7 @@ from small_droplets import droplet, go_on, make, same_bytes
 
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint, lock
+from starts import simulation_of
 
 
 def contents(folder):
@@ -109,9 +110,7 @@ def half_of(folder, simulation):
 
 def with_integrator(integrator):
     topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
-    return simulation
+    return simulation_of(topology, system, integrator, positions)
 
 
 def own_scheme(weight):

@@ -10,16 +10,15 @@ from openmm import app, unit
 from small_droplets import droplet, make
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 
 def in_a_box(integrator=None):
     """Return a Simulation of eight molecules in a periodic box, some of them across its faces."""
     topology, system, positions = rb.rigid_water(8, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.3)
-    simulation = app.Simulation(
-        topology, system, integrator or openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference")
+    return simulation_of(
+        topology, system, integrator or openmm.VerletIntegrator(0.001), np.asarray(positions._value) + 5.0
     )
-    simulation.context.setPositions(np.asarray(positions._value) + 5.0)
-    return simulation
 
 
 @pytest.mark.parametrize("stops", [[40], [15, 40]])
@@ -128,10 +127,7 @@ def test_lines_that_a_reporter_holds_back_are_in_every_checkpoint(tmp_path):
 def test_a_system_without_its_topology_runs(tmp_path):
     system = openmm.System()
     system.addParticle(1.0)
-    simulation = app.Simulation(
-        app.Topology(), system, rb.ExactRigidBodyIntegrator(0.001), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions([[0.0, 0.0, 0.0]])
+    simulation = simulation_of(app.Topology(), system, rb.ExactRigidBodyIntegrator(0.001), [[0.0, 0.0, 0.0]])
     run = rb.Run(tmp_path)
     run.add_reporter(rb.EnergyReporter, "energies.csv", 5)
     run.advance(simulation, 10)

@@ -14,6 +14,7 @@ from small_droplets import droplet, go_on, make, same_bytes
 import openmm_exactrb as rb
 from openmm_exactrb.runs import checkpoint
 from peptides import in_water
+from starts import simulation_of
 
 
 def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_checkpoint(tmp_path):
@@ -23,8 +24,7 @@ def test_bodies_named_by_hand_take_their_shape_from_the_start_not_from_the_check
     for folder, stops in (("whole", [200]), ("parts", [90, 200])):
         for until in stops:
             integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=np.arange(24).reshape(8, 3).tolist())
-            simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-            simulation.context.setPositions(positions)
+            simulation = simulation_of(topology, system, integrator, positions)
             make(tmp_path / folder, resume=True).advance(simulation, until)
     same_bytes(tmp_path / "parts", tmp_path / "whole")
 
@@ -35,8 +35,7 @@ def test_a_flexible_molecule_in_water_continues_with_the_same_bits(tmp_path):
     for folder, stops in (("whole", [60]), ("parts", [25, 60])):
         for until in stops:
             integrator = rb.ExactRigidBodyIntegrator(0.004, scheme="S2_2")
-            simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-            simulation.context.setPositions(positions)
+            simulation = simulation_of(topology, system, integrator, positions)
             integrator.setVelocitiesToTemperature(300.0, 1)
             make(tmp_path / folder, resume=True).advance(simulation, until)
             assert integrator.timings.fast_evaluations > 0
@@ -116,10 +115,7 @@ def test_other_reporters_and_integrators_can_be_used(tmp_path):
     table = partial(app.StateDataReporter, step=True, potentialEnergy=True)
     for name, stops in (("whole", [20]), ("parts", [9, 20])):
         for until in stops:
-            simulation = app.Simulation(
-                topology, system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference")
-            )
-            simulation.context.setPositions(positions)
+            simulation = simulation_of(topology, system, openmm.VerletIntegrator(0.001), positions)
             run = rb.Run(tmp_path / name, resume=True)
             run.add_reporter(table, "log.csv", 5)
             run.advance(simulation, until)

@@ -87,7 +87,7 @@ def test_without_a_thermostat_they_are_refused_by_name(name):
 
 
 def frequency_error(drifts, kicks):
-    """Return minus α + β of a symmetric splitting, by turns, in squares of the time per force evaluation."""
+    """Return α + β of a symmetric splitting, by turns, in squares of the time per force evaluation."""
     n, h = len(kicks), 0.01
     turns = zip(drifts, [*kicks, 0.0], strict=True)
     sequence = tuple((substep, part / n) for pair in turns for substep, part in zip((DRIFT, KICK), pair, strict=True))

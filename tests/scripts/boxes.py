@@ -9,6 +9,7 @@ import openmm
 from openmm import Vec3, app, unit
 
 import openmm_exactrb as rb
+import starts
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 DATA = Path(__file__).parents[1] / "data"
@@ -48,8 +49,7 @@ def smooth(system):
 def simulation_of(topology, system, positions, integrator=None, minimise=10, platform=REFERENCE):
     """Return a Simulation, minimised a little and warm, of our integrator unless another is given."""
     integrator = rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b") if integrator is None else integrator
-    simulation = app.Simulation(topology, system, integrator, platform)
-    simulation.context.setPositions(positions)
+    simulation = starts.simulation_of(topology, system, integrator, positions, platform=platform)
     if minimise:
         simulation.minimizeEnergy(maxIterations=minimise)
     simulation.context.setVelocitiesToTemperature(300, 1)

@@ -21,6 +21,7 @@ from boxes import (
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import context_of
 
 
 def heavier(simulation):
@@ -135,9 +136,9 @@ def test_copies_in_c_plus_plus_fail_loudly(way, platform):
     """They would let the clock run while nothing moves."""
     topology, positions = solvent()
     integrator = way(rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS, "SRKN4_6b"))
-    context = openmm.Context(droplet(topology), integrator, openmm.Platform.getPlatform(platform))
-    context.setPositions(positions)
-    context.setVelocitiesToTemperature(300, 1)
+    context = context_of(
+        droplet(topology), integrator, positions, kelvin=300, platform=openmm.Platform.getPlatform(platform)
+    )
     stands_still_in_silence(context, lambda: context.getIntegrator().step(2))
 
 

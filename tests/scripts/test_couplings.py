@@ -9,6 +9,7 @@ from boxes import FEMTOSECONDS, coordinates, misfit, quietly, simulation_of, sol
 from openmm import unit
 
 import openmm_exactrb as rb
+import starts
 
 BAR, KELVIN = unit.bar, unit.kelvin
 MEMBRANE = openmm.MonteCarloMembraneBarostat
@@ -160,8 +161,9 @@ def test_a_barostat_moves_particles_without_mass_as_openmm_does(fast):
     barostat.setRandomNumberSeed(2)
     system.addForce(barostat)
     integrator = rb.ExactRigidBodyIntegrator(1e-7, scheme="V2", fast=fast)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions([[2.5, 2.5, 2.5], [2.65, 2.5, 2.5], [1.0, 1.0, 1.0], [1.0, 2.0, 1.5]])
+    context = starts.context_of(
+        system, integrator, [[2.5, 2.5, 2.5], [2.65, 2.5, 2.5], [1.0, 1.0, 1.0], [1.0, 2.0, 1.5]]
+    )
     frozen = set()
     for _ in range(40):
         integrator.step(1)

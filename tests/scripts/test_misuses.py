@@ -8,11 +8,12 @@ import dask
 import numpy as np
 import openmm
 import pytest
-from boxes import FEMTOSECONDS, REFERENCE, quietly, water
+from boxes import FEMTOSECONDS, quietly, water
 from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import ensemble
+from starts import simulation_of
 
 
 def one_sentence(message, call, error=ValueError):
@@ -39,8 +40,7 @@ def test_a_scheme_is_a_name_that_the_integrator_accepts():
             integrator = rb.ExactRigidBodyIntegrator(0.0001, scheme=name)
             if "gradient" in name:  # whether OpenMM can serve it shows in a step
                 topology, system, positions = rb.dipole_fluid(4)
-                simulation = app.Simulation(topology, system, integrator, REFERENCE)
-                simulation.context.setPositions(positions)
+                simulation = simulation_of(topology, system, integrator, positions)
                 simulation.step(1)
 
 

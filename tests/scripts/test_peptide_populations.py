@@ -6,13 +6,11 @@ import pytest
 from openmm import app
 
 from benchmarks.proteins import peptide_populations as script
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from starts import REFERENCE, context_of
 
 
 def forces_at(system, x, platform=REFERENCE):
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
-    context.setPositions(x)
+    context = context_of(system, openmm.VerletIntegrator(0.001), x, platform=platform)
     return context.getState(forces=True).getForces(asNumpy=True)._value
 
 
@@ -22,8 +20,7 @@ def conformations():
     _, system, x = script.peptides(1)
     integrator = openmm.LangevinMiddleIntegrator(600.0, 5.0, 0.002)
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     openmm.LocalEnergyMinimizer.minimize(context)
     found = []
     for _ in range(3):

@@ -3,10 +3,11 @@
 import numpy as np
 import openmm
 import pytest
-from boxes import FEMTOSECONDS, REFERENCE, misfit, quietly, simulation_of, solvent, water, water_system
+from boxes import FEMTOSECONDS, misfit, quietly, simulation_of, solvent, water, water_system
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import starts
 
 
 class Warmed(rb.ExactRigidBodyIntegrator):
@@ -69,8 +70,9 @@ def test_metadynamics_of_a_bond_at_rest_is_no_blow_up():
     length.addBond(0, 1, [])
     variable = app.BiasVariable(length, 0.94, 1.06, 0.02, False)
     bias = app.Metadynamics(system, [variable], 300 * unit.kelvin, 3.0, 5.0 * unit.kilojoules_per_mole, 10)
-    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.001, scheme="V2"), REFERENCE)
-    simulation.context.setPositions([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    simulation = starts.simulation_of(
+        topology, system, rb.ExactRigidBodyIntegrator(0.001, scheme="V2"), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    )
     bias.step(simulation, 300)
     assert simulation.currentStep == 300
 

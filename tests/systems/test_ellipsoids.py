@@ -9,9 +9,9 @@ import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.potentials import GayBerne
+from starts import REFERENCE, context_of
 
 KB = 0.00831446261815324
-REFERENCE = openmm.Platform.getPlatform("Reference")
 SHAPES = [(3.0, 5.0), (4.4, 20.0), (0.345, 0.2)]
 
 
@@ -200,8 +200,7 @@ def small(*, equilibrate=400):
     _, system, positions = rb.ellipsoids(32, 1, kappa=1.5, kappa_prime=3.0, density=0.45, cutoff=2.05)
     integrator = rb.ExactRigidBodyLangevinIntegrator(1.2 / KB, 1.0, 0.005)
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(1.2 / KB, 1)
     integrator.step(equilibrate)
     return system, context.getState(positions=True, velocities=True)
@@ -214,10 +213,7 @@ def liquid():
 
 def started(liquid, integrator):
     system, state = liquid
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
-    return context
+    return context_of(system, integrator, state)
 
 
 @pytest.mark.parametrize(
@@ -259,8 +255,7 @@ def test_a_barostat_changes_the_volume_and_no_shape():
     _, system, positions = rb.ellipsoids(288, 1)
     system.addForce(openmm.MonteCarloBarostat(50.0, 1.0 / KB, 5))
     integrator = rb.ExactRigidBodyLangevinIntegrator(1.0 / KB, 1.0, 0.01)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(1.0 / KB, 1)
     before = context.getState().getPeriodicBoxVolume()._value
     integrator.step(60)
@@ -277,8 +272,7 @@ def test_a_deep_overlap_ends_a_run(liquid):
     x = state.getPositions(asNumpy=True)._value.copy()
     x[6:12] = x[:6] + 0.1  # beyond the pole of the formula
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    _context = context_of(system, integrator, x)
     with pytest.raises(rb.NonFiniteError):
         integrator.step(1)
 
@@ -287,8 +281,7 @@ def test_a_system_survives_xml(liquid):
     system, state = liquid
     energies = []
     for one in (system, openmm.XmlSerializer.clone(system)):
-        context = openmm.Context(one, openmm.VerletIntegrator(0.001), REFERENCE)
-        context.setPositions(state.getPositions())
+        context = context_of(one, openmm.VerletIntegrator(0.001), state.getPositions())
         energies.append(context.getState(energy=True).getPotentialEnergy()._value)
     assert energies[0] == energies[1]
 

@@ -7,6 +7,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from peptides import in_water, peptide
+from starts import context_of
 
 
 def masses(system):
@@ -63,8 +64,7 @@ def test_virtual_sites_of_water_stay_without_mass_and_the_body_turns_more_slowly
     for mass in (None, 3.0):
         if mass is not None:
             rb.heavy_hydrogens(system, topology, mass)
-        context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-        context.setPositions(positions)
+        context = context_of(system, rb.ExactRigidBodyIntegrator(0.001), positions)
         bodies, _ = context.getIntegrator().bodyState()
         moments.append(np.sort(bodies.principal_moments[:, 0]))
     assert masses(system)[3] == 0.0
@@ -112,8 +112,7 @@ def test_atoms_without_elements_are_refused_and_not_passed_over():
 def test_a_context_that_is_reinitialized_has_the_new_masses():
     topology, system, positions = peptide()
     integrator = rb.ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(1)
     rb.heavy_hydrogens(system, topology, 3.0)

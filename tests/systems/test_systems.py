@@ -8,6 +8,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.systems.fluids import rigid_sites
+from starts import context_of, simulation_of
 
 
 def inertia_tensor(sites, mass):
@@ -65,8 +66,7 @@ def droplet(request):
 
 def test_virtual_sites_and_constraints_fit_the_positions(droplet):
     _, system, positions, _ = droplet
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, openmm.VerletIntegrator(0.001), positions)
     context.computeVirtualSites()
     x = context.getState(positions=True).getPositions(asNumpy=True)._value
     np.testing.assert_allclose(x, positions._value, rtol=0.0, atol=2e-13)  # weights are 5e-14 off simple fractions
@@ -118,10 +118,7 @@ def test_the_seed_decides():
 
 def test_openmms_minimiser_works(droplet):
     topology, system, positions, _ = droplet
-    simulation = app.Simulation(
-        topology, system, rb.ExactRigidBodyIntegrator(0.01), openmm.Platform.getPlatform("Reference")
-    )
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.01), positions)
     before = simulation.context.getState(energy=True).getPotentialEnergy()
     simulation.minimizeEnergy(tolerance=0.5)
     assert simulation.context.getState(energy=True).getPotentialEnergy() < before
@@ -253,8 +250,9 @@ def test_a_box_that_is_no_cube_of_molecules_is_easy_to_minimise():
     options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": 0.6}
     _, system, positions = rb.rigid_water(70, model="spce", **options)
     platform = openmm.Platform.getPlatform("CPU")
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Threads": "1"})
-    context.setPositions(positions)
+    context = context_of(
+        system, openmm.VerletIntegrator(0.001), positions, platform=platform, properties={"Threads": "1"}
+    )
     energies = []
     for iterations in (1, 100):
         openmm.LocalEnergyMinimizer.minimize(context, 10.0, iterations)

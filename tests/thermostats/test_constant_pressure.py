@@ -6,6 +6,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
+from starts import context_of
 from thermostatted import KT, ideal_gas
 
 BAR = 0.06022140857  # kJ/mol/nm³
@@ -70,8 +71,7 @@ def density(model, integrator, picoseconds, seed):
     h = integrator.getStepSize()._value
     system.addForce(openmm.MonteCarloBarostat(1.0, 298.15, max(1, round(0.02 / h))))
     integrator.setRandomNumberSeed(seed)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions, platform=openmm.Platform.getPlatform("CPU"))
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
     context.setVelocitiesToTemperature(298.15, seed)
     integrator.step(round(20.0 / h))

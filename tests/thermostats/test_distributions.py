@@ -8,10 +8,10 @@ from scipy.linalg import solve_discrete_lyapunov
 
 import openmm_exactrb as rb
 from openmm_exactrb.schemes import scheme_for_thermostat, shadow
+from starts import context_of
 from thermal_tops import langevin_function
 from thermostatted import (
     KT,
-    REFERENCE,
     R,
     dipoles_in_a_field,
     mean_and_error,
@@ -98,9 +98,7 @@ def one_step(scheme, angle, friction, temperature, q, p, h=0.02):
     integrator.setRandomNumberSeed(1)
     system, places, strength = trap_for_ions(len(q), angle, h)
     wide, fast = np.sqrt(KT / strength), np.sqrt(23.0 * KT)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(places + wide * q)
-    context.setVelocities(fast * p / 23.0)
+    _context = context_of(system, integrator, places + wide * q, fast * p / 23.0)
     integrator.step(1)
     _, state = integrator.bodyState()
     return (state.R.T - places) / wide, state.P.T / fast

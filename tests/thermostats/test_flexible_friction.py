@@ -7,6 +7,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+import starts
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -44,10 +45,7 @@ def context_of(engine, flexible=FLEXIBLE, kelvin=0.0, **options):
         kelvin, FRICTION, H, "BAOAB", rotationalFriction=TURNING, flexibleFriction=flexible, engine=engine, **options
     )
     integrator.setRandomNumberSeed(5)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
-    context.setVelocitiesToTemperature(300.0, 2)
-    return context
+    return starts.context_of(system, integrator, x, kelvin=300.0, seed=2)
 
 
 def momenta(context):
@@ -148,9 +146,7 @@ def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
         integrator = rb.ExactRigidBodyLangevinIntegrator(
             0.0, FRICTION, 0.004, "BAOAB", flexibleFriction=FLEXIBLE, engine=engine
         )
-        context = openmm.Context(system, integrator, REFERENCE)
-        context.setPositions(x)
-        context.setVelocitiesToTemperature(300.0, 2)
+        context = starts.context_of(system, integrator, x, kelvin=300.0, seed=2)
         before = squared_velocity(context, (0, 1))
         integrator.step(5)
         assert integrator.timings.fast_evaluations > 0

@@ -13,7 +13,8 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from forked import FORKED
-from peptides import REFERENCE, R, moving, peptide, positions_of, velocities_of, violations
+from peptides import R, moving, peptide, positions_of, velocities_of, violations
+from starts import REFERENCE, context_of
 
 
 def test_strong_friction_makes_every_kinetic_energy_canonical():
@@ -21,8 +22,7 @@ def test_strong_friction_makes_every_kinetic_energy_canonical():
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1e5, 1e-4)
     integrator.setRandomNumberSeed(4)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     freedom, energies = sum(integrator.degreesOfFreedom()), []
     for _ in range(300):
         integrator.step(1)
@@ -37,8 +37,7 @@ def test_rescaling_accounts_for_the_energy_along_the_constraints_alone():
     _, system, x = peptide()
     integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.02, 0.0005, "W4_5")
     integrator.setRandomNumberSeed(4)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    _context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300.0, 1)
     before = integrator.effectiveEnergy()._value
     integrator.step(100)
@@ -55,8 +54,7 @@ THERMOSTATTED = {
 
 def started(integrator, system, x, seed=4):
     integrator.setRandomNumberSeed(seed)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(300.0, 3)
     return context
 
@@ -259,8 +257,7 @@ def bent(platform, integrator, kelvin):
     system.addForce(pairs)
     system.setDefaultPeriodicBoxVectors(*(2.0 * np.eye(3)))
     integrator.setRandomNumberSeed(1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
-    context.setPositions(places)
+    context = context_of(system, integrator, places, platform=openmm.Platform.getPlatform(platform))
     integrator.setVelocitiesToTemperature(kelvin, 1)
     return context
 

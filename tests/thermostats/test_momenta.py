@@ -3,9 +3,10 @@
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import unit
 
 import openmm_exactrb as rb
+from starts import simulation_of
 
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
@@ -17,8 +18,7 @@ def velocities_of(simulation):
 def test_momenta_are_canonical_and_depend_on_seed_and_step_only():
     topology, system, positions = rb.dipole_fluid(64, seed=1)
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S2_2")
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, integrator, positions)
     simulation.reporters.append(rb.CanonicalMomenta(1.5 / R, 10, seed=1))
     simulation.step(10)
     first = velocities_of(simulation)
@@ -63,8 +63,7 @@ def test_other_bad_input_is_refused_at_once(arguments, message):
 )
 def test_an_integrator_that_has_a_thermostat_or_no_bodies_is_refused(integrator):
     topology, system, positions = rb.dipole_fluid(64, seed=1)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, integrator, positions)
     simulation.reporters.append(rb.CanonicalMomenta(300.0, 10))
     with pytest.raises(ValueError, match=f"remove it from the reporters of a {type(integrator).__name__}"):
         simulation.step(1)

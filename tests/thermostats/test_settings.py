@@ -10,6 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+import starts
 from openmm_exactrb.context.updates import ContextUpdates, acting_updates
 from openmm_exactrb.schemes import Scheme, spelled
 from openmm_exactrb.substeps import DRIFT, KICK
@@ -124,8 +125,7 @@ def test_copies_have_all_settings(name, copied):
 def test_a_copy_by_openmm_moves_nothing():
     integrator = openmm.XmlSerializer.deserialize(openmm.XmlSerializer.serialize(langevin()))
     system, places = molecules(waters=1)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(places)
+    context = starts.context_of(system, integrator, places)
     integrator.step(1)
     assert np.isnan(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import openmm
 
+from starts import context_of
+
 
 def equilibrated(system, positions, platform="Reference", temperature=300.0, picoseconds=2.0):
     """Return a State at a temperature."""
     langevin = openmm.LangevinMiddleIntegrator(temperature, 5.0, 0.002)
     langevin.setRandomNumberSeed(1)
-    context = openmm.Context(system, langevin, openmm.Platform.getPlatform(platform))
-    context.setPositions(positions)
+    context = context_of(system, langevin, positions, platform=openmm.Platform.getPlatform(platform))
     openmm.LocalEnergyMinimizer.minimize(context, 10.0)
     context.setVelocitiesToTemperature(temperature, 1)
     langevin.step(round(picoseconds / 0.002))
@@ -34,10 +35,7 @@ def typical_long_run(choice, *arguments):
 def long_run(choice, result, system, state, platform):
     """Return the standard deviation of the energy a body over the horizon, from the start of the survey."""
     integrator = choice.integrator()
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform(platform))
-    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-    context.setPositions(state.getPositions())
-    context.setVelocities(state.getVelocities())
+    context = context_of(system, integrator, state, platform=openmm.Platform.getPlatform(platform))
     every = max(1, round(result.horizon / 400.0 / choice.step))
     energies = []
     for _ in range(int(result.horizon / (every * choice.step))):

@@ -11,6 +11,7 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb import tuning
 from openmm_exactrb.tuning.benchmark import VERLET
+from starts import context_of, simulation_of
 
 FEW = ("V2", "S2_2", "SRKN4_6b")
 
@@ -62,9 +63,7 @@ def test_the_promised_forces_are_those_of_a_simulation(updates):
             continue
         integrator = choice.integrator()
         integrator.setRandomNumberSeed(1)  # on Reference the barostat draws from it
-        simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-        simulation.context.setPositions(start.getPositions())
-        simulation.context.setVelocities(start.getVelocities())
+        simulation = simulation_of(topology, system, integrator, start)
         simulation.step(10)
         integrator.timings.reset()
         simulation.step(steps)
@@ -230,8 +229,7 @@ def pme_box():
 def dipoles():
     _, system, positions = rb.dipole_fluid(n=125, seed=0, trap=0.5)
     integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="S2_2")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     for seed in range(10):
         integrator.setVelocitiesToTemperature(120.0, seed)
         integrator.step(50)

@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 import pytest
 from equilibrium import arrays
-from openmm import app, unit
+from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb import schemes
@@ -14,6 +14,7 @@ from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
 from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised
+from starts import simulation_of
 
 VERLET = Method()
 
@@ -157,8 +158,7 @@ def test_bodies_named_in_a_simulation_are_those_that_are_measured():
         system.removeConstraint(0)
     named = [[0, 1, 2], [3, 4, 5]]
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=named)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, integrator, positions)
     begin, _ = initial_state(simulation, None, None, None, None, None)
     assert begin.bodies == named
     begin.bodies[0][0] = 7

@@ -13,14 +13,14 @@ import openmm_exactrb as rb
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
 from openmm_exactrb.tuning.initial_state import initial_state
+from starts import context_of, simulation_of
 
 
 def test_a_simulation_is_enough():
     topology, system, positions = rb.rigid_water(4, removeCMMotion=True)
     langevin = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.002)
     langevin.setRandomNumberSeed(1)
-    simulation = app.Simulation(topology, system, langevin, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
+    simulation = simulation_of(topology, system, langevin, positions)
     simulation.minimizeEnergy()
     simulation.context.setVelocitiesToTemperature(300.0, 1)
     simulation.step(100)
@@ -45,8 +45,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
     result = rb.tune(system, positions, temperature=100.0 * unit.kelvin, **options)
     assert list(result.seconds) == ["S2_2"]  # Verlet would move flexible molecules
     assert any("brought to 100 K" in note for note in result.notes)
-    context = openmm.Context(system, result.best(0.1).integrator(), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    context = context_of(system, result.best(0.1).integrator(), positions)
     context.getIntegrator().step(1)
 
 
@@ -82,8 +81,7 @@ def test_a_wrong_value_is_one_clear_error(droplet, options, message):
 
 def test_a_state_without_positions_is_refused(droplet):
     system, state = droplet
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
-    context.setPositions(state.getPositions())
+    context = context_of(system, openmm.VerletIntegrator(0.001), state.getPositions())
     with pytest.raises(ValueError, match="the State has no positions"):
         rb.tune(system, context.getState(energy=True))
     with pytest.raises(ValueError, match="all velocities of the start are zero"):
@@ -100,9 +98,7 @@ def periodic():
     lift.setForceGroup(1)
     system.addForce(lift)
     integrator = openmm.VerletIntegrator(0.001)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions(positions)
-    simulation.context.setVelocitiesToTemperature(300.0, 1)
+    simulation = simulation_of(topology, system, integrator, positions, kelvin=300.0)
     simulation.context.setPeriodicBoxVectors(*(1.1 * np.eye(3)))
     simulation.context.setParameter("lift", 7.0)
     integrator.setIntegrationForceGroups({0})

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.detection.find import find_bodies
@@ -21,14 +21,15 @@ from openmm_exactrb.engines.custom_program import fast_group, load, names
 from openmm_exactrb.engines.custom_program.gather import MOST
 from openmm_exactrb.engines.custom_program.noise import draws
 from openmm_exactrb.engines.custom_program.particle_copies import ParticleCopies
+from openmm_exactrb.engines.custom_program.program import Layout
 from openmm_exactrb.engines.custom_program.rotor import RANGE
-from openmm_exactrb.engines.custom_program.selection import Selection
-from openmm_exactrb.engines.host.environment import Settings
+from openmm_exactrb.engines.custom_program.support import UnsupportedError, needs
+from openmm_exactrb.engines.engine import NO_BALANCE, Settings
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained
+from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
-from openmm_exactrb.rotors import Rotor
 
 Array = NDArray[np.float64]
 
@@ -56,22 +57,20 @@ class DevicePropagator:
         self,
         context: Any,
         integrator: openmm.CustomIntegrator,
-        rotor: Rotor,
-        named: list[list[int]] | None,
+        settings: Settings,
         timings: Timings,
-        selection: Selection,
+        layout: Layout,
     ) -> None:
-        system = context.getSystem()
-        pairs = selection.table.constrained
-        selection.install_device(context, integrator, Synchronisation(context, integrator, named, pairs).bodies)
+        system, named = context.getSystem(), settings.named
         self.sync, self.updates = (
-            ParticleCopies(context, integrator, named, pairs),
+            ParticleCopies(context, integrator, named, layout.table.constrained),
             ContextUpdates(context, named or []),
         )
         fast_group.answer(context)
         self._integrator, self._timings = weakref.ref(integrator), timings
         timings.evaluations += 1  # OpenMM makes its kernels where it evaluates an energy
-        self._table, self._scheme = selection.table, selection.scheme
+        self._table, self._scheme, self._prepared = layout.table, settings.scheme, settings
+        self._layout = layout
         # A barostat or thermostat of the System acts on the true state, and OpenMM does not tell when.
         self._continues = self._table.continues and not (self.updates.moves or self.updates.pushes)
         # Box, parameters and step size at the end of the last call: inner coordinates are theirs.
@@ -91,6 +90,35 @@ class DevicePropagator:
         self._largest = 0.0  # kinetic energy before a call
         self._kept = False  # whether the program still holds the inner state of the begin of the call
 
+    @property
+    def outdated(self) -> bool:
+        """Whether the Context is gone, was made again, or needs another program."""
+        return self.sync.outdated or self._stale
+
+    @property
+    def _stale(self) -> bool:
+        """Whether the present step size or force groups need another program."""
+        integrator: Any = self._integrator()
+        present = replace(self._prepared, h=self._step_size(integrator), groups=integrator.getIntegrationForceGroups())
+        if present == self._prepared:
+            return False
+        try:
+            stale = present.groups != self._prepared.groups or needs(self.sync.context, present).layout != self._layout
+        except UnsupportedError:
+            stale = True
+        if not stale:
+            self._prepared = present
+        return stale
+
+    @property
+    def around(self) -> tuple[State, State] | None:
+        """Raise ValueError: the program shows no states within a step."""
+        raise ValueError("momenta within a step are not available on the device: use engine='host'")
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Raise ValueError: the device does not add up the heat of its thermostat."""
+        raise ValueError(NO_BALANCE)
+
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. After an error the Context holds what it held before.
 
@@ -103,7 +131,9 @@ class DevicePropagator:
         if version != self._version:
             present = settings()
             self._version, self._checks = version, present.check and self._conserves
-            self._numbers = {} if present.thermostat is None else present.thermostat.device_numbers()
+            numbers = None if present.thermostat is None else present.thermostat.device_numbers()
+            of = (names.KT, *names.FRICTIONS, *names.FLEXIBLE_FRICTIONS)
+            self._numbers = {} if numbers is None else dict(zip(of, numbers, strict=True))
         integrator, context = self._integrator(), self.sync.context
         x, v = self.sync.settle()
         if self._continues and self._leave(integrator):

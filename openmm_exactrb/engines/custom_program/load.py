@@ -98,14 +98,6 @@ def _of_bodies(kind: Kind, bodies: RigidBodies, state: BodyState) -> Mapping[str
     return rows
 
 
-def refuse_others(integrator: openmm.CustomIntegrator) -> None:
-    """Raise ValueError if a checkpoint brought variables that another engine or kind of integrator wrote."""
-    loaded = integrator.getGlobalVariableByName(names.LOADED)
-    if loaded not in (0.0, names.HELD):
-        by_host = loaded in variables.marks()
-        raise ValueError(variables.OTHER_ENGINE.format("host") if by_host else variables.OTHER_FORMAT)
-
-
 def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> State | None:
     """Return the state of the bodies, each where its first particle is; None if none was loaded.
 

@@ -52,10 +52,6 @@ class ParticleCopies(Synchronisation):
         """Forget the state: the next one comes from positions and velocities of the Context."""
         self._seen, self._copied = None, None
 
-    def refuse_others(self) -> None:
-        """Raise ValueError for variables that another kind of integrator wrote."""
-        load.refuse_others(self._integrator())
-
     def saved(self, x: Array, v: Array) -> State | None:
         """Return the state that the copies hold, in the periodic images of positions x, if it may be another one."""
         if self._seen is not None and all(map(np.array_equal, self._seen, (x, v))):

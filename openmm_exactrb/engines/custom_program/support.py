@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from openmm import unit
 
 from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.custom_program import fast_group, gather, names
 from openmm_exactrb.engines.custom_program.program import Layout
 from openmm_exactrb.engines.custom_program.rows import Inner, Table
+from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind
-from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
+from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.schemes.scheme import Scheme
@@ -65,7 +65,7 @@ class Needs:
 
 def unsupported_settings(scheme: Scheme, rotor: Rotor, thermostat: Thermostat | None) -> str | None:
     """Return why the settings of an integrator need the host, or None."""
-    if thermostat is not None and not thermostat.on_device:
+    if thermostat is not None and thermostat.device_numbers() is None:
         return f"the device supports the Langevin thermostat only, not {type(thermostat).__name__}"
     if rotor not in map(ROTORS.get, _ROTORS):
         own = "" if ROTORS.get(rotor.name) is rotor else "your own rotor "
@@ -77,18 +77,16 @@ def unsupported_settings(scheme: Scheme, rotor: Rotor, thermostat: Thermostat | 
     return None
 
 
-def needs(context: Any, integrator: Any, scheme: Scheme, fast: MultipleTimeSteps | None, groups: int) -> Needs:
-    """Return what a Context needs at the present step size; UnsupportedError if that is the host.
-
-    `scheme` has all substeps of a step; `groups` are the bits of the force groups that act.
-    """
+def needs(context: Any, settings: Settings) -> Needs:
+    """Return what a Context needs; UnsupportedError if that is the host."""
     _check_context(context)
-    system, outer = gather.without(context.getSystem()), integrator.getScheme()
-    x, named = arrays.positions(context.getState(positions=True)), integrator.getNamedBodies()
+    system, scheme, outer = gather.without(context.getSystem()), settings.scheme, settings.outer
+    h, groups, named = settings.h, settings.groups, settings.named
+    x = arrays.positions(context.getState(positions=True))
     refuse_unset(context)
     box = arrays.periodic_box(context)
-    bodies, h = find_bodies(system, x, named, box), integrator.getStepSize().value_in_unit(unit.picosecond)
-    found = fast_forces(system, bodies, fast)
+    bodies = find_bodies(system, x, named, box)
+    found = fast_forces(system, bodies, settings.fast)
     of = None if found is None or isinstance(found.settings.fast, str) else found.settings.fast
     which = fast_group.indices_of_fast(system, of, groups) if found is not None and found.acts(outer, h) else []
     if which or len(bodies.clusters):

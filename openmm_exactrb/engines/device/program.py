@@ -25,20 +25,24 @@ class Source:
 
     Parameters
     ----------
-    files : tuple of str
-        Names of files in the folder `kernels`, in their order.
+    pieces : tuple of str
+        Names of files in the folder `kernels` (NAME.cl), or text, in their order.
     defines : tuple of (str, object)
         Written in front of them.
     """
 
-    files: tuple[str, ...]
+    pieces: tuple[str, ...]
     defines: tuple[tuple[str, object], ...] = ()
 
     @property
     def text(self) -> str:
         """The text as it is compiled."""
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
-        return "".join([*defines, *((KERNELS / file).read_text(encoding="utf-8") for file in self.files)])
+        return "\n".join(["".join(defines), *map(_piece, self.pieces)])
+
+
+def _piece(piece: str) -> str:
+    return (KERNELS / piece).read_text(encoding="utf-8") if piece.endswith(".cl") else piece
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,9 @@ def copy(array: str, to: str) -> str:
 #: Operations: OpenMM computes virtual sites; reorders atoms, if it is time; and a step is complete.
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
+# Scalars of the integrator.
+_COUNTS = ("interval", "waiting", "leaves", "updates")
+
 #: A launch, or an operation as a line.
 Operation = Launch | str
 
@@ -93,11 +100,12 @@ class Program:
     """Arrays, scalars and sequences of operations.
 
     All scalars are saved. The integrator reads "interval", the number of steps after which OpenMM updates the Context,
-    0 for never, and counts in "waiting".
+    0 for never, and "leaves", after how many of these updates a scheme leaves its inner coordinates; it counts in
+    "waiting" and "updates".
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
-    scalars: dict[str, float] = field(default_factory=lambda: {"interval": 0.0, "waiting": 0.0})
+    scalars: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_COUNTS, 0.0))
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:

@@ -64,6 +64,7 @@ struct Kernel {
     ComputeKernel kernel;
 };
 enum { StepSize = -1, StepCount = -2 };
+const int Loads = 8;
 
 struct Operation {
     enum Kind { Run, Forces, Sites, Reorder, Clock, Step, Add, Copy } kind;
@@ -123,8 +124,8 @@ public:
     double& scalar(const string& name) {
         return scalars[indexOf(scalars, name, "scalar")].value;
     }
-    // What was changed in the Context by others since this was cleared: bits 1 positions, 2 velocities, 4 what else
-    // forces depend on.
+    // What others changed in the Context since this was cleared: bits 1 positions, 2 velocities, 4 what else forces depend
+    // on, 8 a checkpoint or State was loaded.
     int changes = 7;
     long long launches = 0, forceCalls = 0;
 
@@ -154,6 +155,7 @@ private:
     bool hasProgram() const {
         return cc != NULL && !program.empty();
     }
+    vector<char> present(const Array& a) const;
     template <class Named> static int indexOf(const vector<Named>& all, const string& name, const char* what) {
         for (int i = 0; i < (int) all.size(); i++)
             if (all[i].name == name)
@@ -161,6 +163,11 @@ private:
         throw error(string("no ") + what + " " + name);
     }
     Operation operation(const string& word, std::istringstream& words) const;
+    void takeLoaded();
+    void requireDevice() const {
+        if (!hasProgram())
+            throw error("there is no Context on one device with double precision, or no program");
+    }
     void build();
     void release();
     void bind(Kernel& kernel);
@@ -186,6 +193,10 @@ private:
     PlatformFunctions functions;
     DeviceArray places, box;  // of each atom its slot and the cell it was moved to; the box as nine numbers
     vector<double> lastBox;
+    struct Loaded {  // of a checkpoint or State, until there is a program for it
+        std::map<string, double> scalars;
+        std::map<string, vector<char> > arrays;
+    } loaded;
     bool forcesStale = true, placesStale = true, updating = false;
     int forceCount = -1, forceGroups = 0;
     double stepBegan = 0;  // the time
@@ -216,6 +227,8 @@ private:
 // -- the program ------------------------------------------------------------------------------------------------------
 
 void ProgramIntegrator::setProgram(const string& text) {
+    if (text == program)
+        return;
     release();
     program.clear(), sources.clear(), arrays.clear(), scalars.clear(), kernels.clear(), sequences.clear();
     std::istringstream lines(text);
@@ -262,8 +275,26 @@ void ProgramIntegrator::setProgram(const string& text) {
             sequence->push_back(operation(word, words));
     }
     program = text;
+    takeLoaded();
     if (cc != NULL)
         build();
+}
+
+// Give arrays and scalars the values that were loaded, if some were of this name and size.
+void ProgramIntegrator::takeLoaded() {
+    for (Scalar& s : scalars)
+        if (loaded.scalars.count(s.name))
+            s.value = loaded.scalars[s.name];
+    for (Array& a : arrays) {
+        auto found = loaded.arrays.find(a.name);
+        if (!a.saved || found == loaded.arrays.end() || found->second.size() != a.bytes())
+            continue;
+        a.data = found->second;
+        if (a.device)
+            a.device->upload(a.data.data());
+    }
+    if (!program.empty())
+        loaded = Loaded();
 }
 
 Operation ProgramIntegrator::operation(const string& word, std::istringstream& words) const {
@@ -305,15 +336,14 @@ Operation ProgramIntegrator::operation(const string& word, std::istringstream& w
 
 void ProgramIntegrator::initialize(ContextImpl& impl) {
     CustomIntegrator::initialize(impl);
-    string platform = impl.getPlatform().getName();
+    cc = NULL;
+    const string platform = impl.getPlatform().getName();
     if (platform != "OpenCL" && platform != "CUDA" && platform != "HIP")
-        throw error("it needs OpenCL, CUDA or HIP, not " + platform);
+        return;
     PlatformDataHead* data = reinterpret_cast<PlatformDataHead*>(impl.getPlatformData());
-    if (data->context != &impl || data->contexts.size() != 1)
-        throw error("it needs a Context on one device");
+    if (data->context != &impl || data->contexts.size() != 1 || !data->contexts[0]->getSupportsDoublePrecision())
+        return;
     cc = data->contexts[0];
-    if (!cc->getSupportsDoublePrecision())
-        throw error("the device has no double precision");
     functions.lookUp(cc);
     cc->initializeContexts();
     Current current(cc);
@@ -417,6 +447,8 @@ void ProgramIntegrator::uploadBox() {
 }
 
 void ProgramIntegrator::launch(Kernel& k) {
+    if (placesStale)
+        uploadPlaces();
     for (auto& scalar : k.scalars) {
         if (scalar.second == StepCount)
             k.kernel->setArg(scalar.first, cc->getStepCount());
@@ -430,7 +462,7 @@ void ProgramIntegrator::launch(Kernel& k) {
 // Evaluate the forces of some groups (bits) that act, unless the buffer has those of the present positions.
 void ProgramIntegrator::evaluate(int groups) {
     context->calcForcesAndEnergy(true, false, groups & getIntegrationForceGroups());
-    forceCount = cc->getComputeForceCount(), forceGroups = groups, forcesStale = false;
+    forceCount = cc->getComputeForceCount(), forceGroups = getIntegrationForceGroups(), forcesStale = false;
     forceCalls++;
 }
 
@@ -438,8 +470,6 @@ void ProgramIntegrator::carryOut(const string& name) {
     auto found = sequences.find(name);
     if (found == sequences.end())
         return;
-    if (placesStale)
-        uploadPlaces();
     for (Operation& o : found->second) {
         switch (o.kind) {
         case Operation::Run:
@@ -453,8 +483,6 @@ void ProgramIntegrator::carryOut(const string& name) {
             break;
         case Operation::Reorder:
             functions.reorderAtoms(cc);
-            if (placesStale)
-                uploadPlaces();
             break;
         case Operation::Clock:
             cc->setTime(stepBegan + o.value * getStepSize());
@@ -482,9 +510,10 @@ void ProgramIntegrator::step(int steps) {
 
 // Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
 // its last forces, "close" ends it, and "between" is "close" and "open" in one. After every "interval" (a scalar, 0 for
-// never) of steps OpenMM updates the Context: then "leave" comes before, "pushed" after it, and "moved" too where
-// positions changed.
+// never) of steps OpenMM updates the Context: then comes "pushed", and "moved" too where positions changed. Around every
+// n-th of these updates, for a scalar "leaves" of n, they are "leave", "leave pushed" and "leave moved".
 void ProgramIntegrator::makeSteps(int steps) {
+    requireDevice();
     Current current(cc);
     uploadBox();
     stepBegan = cc->getTime();
@@ -493,7 +522,7 @@ void ProgramIntegrator::makeSteps(int steps) {
     bool begins = true;
     for (int i = 0; i < steps; i++) {
         if (begins) {
-            if (forcesStale || cc->getComputeForceCount() != forceCount)
+            if (forcesStale || cc->getComputeForceCount() != forceCount || getIntegrationForceGroups() != forceGroups)
                 carryOut("forces");
             carryOut("open");
         }
@@ -510,15 +539,23 @@ void ProgramIntegrator::makeSteps(int steps) {
 
 // Carry out a sequence that is no part of a step.
 void ProgramIntegrator::runAlone(const string& name) {
+    requireDevice();
     Current current(cc);
     uploadBox();
     stepBegan = cc->getTime();
     carryOut(name);
+    forcesStale = true;
 }
 
 // Let barostats, thermostats and removers of the System act as in so many steps that end now.
 void ProgramIntegrator::update(int calls) {
-    carryOut("leave");
+    const double leaves = scalar("leaves");
+    const bool leave = leaves > 0 && ++scalar("updates") >= leaves;
+    const string prefix = leave ? "leave " : "";
+    if (leave) {
+        scalar("updates") = 0;
+        carryOut("leave");
+    }
     const long long count = cc->getStepCount();
     bool moved = false;
     updating = true;
@@ -527,13 +564,14 @@ void ProgramIntegrator::update(int calls) {
         moved |= context->updateContextState();
     }
     updating = false;
-    carryOut("pushed");
+    carryOut(prefix + "pushed");
     if (moved) {
         uploadBox();
         uploadPlaces();
-        carryOut("moved");
-        forcesStale = true;
+        carryOut(prefix + "moved");
     }
+    if (moved || leave)
+        forcesStale = true;
 }
 
 // -- what is kept, saved and loaded -----------------------------------------------------------------------------------
@@ -548,6 +586,7 @@ void copyInto(DeviceArray& copy, ArrayInterface& array, ComputeContext& cc) {
 
 // Keep the state of the Context and of the program, for `restore`.
 void ProgramIntegrator::keep() {
+    requireDevice();
     Current current(cc);
     kept.time = cc->getTime(), kept.steps = cc->getStepCount();
     cc->getPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
@@ -562,6 +601,7 @@ void ProgramIntegrator::keep() {
 }
 
 void ProgramIntegrator::restore() {
+    requireDevice();
     if (!kept.posq)
         throw error("nothing was kept");
     Current current(cc);
@@ -607,38 +647,64 @@ void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
     memcpy(data, a.data.data(), bytes);
 }
 
+// What checkpoints have behind those of a CustomIntegrator: names and bytes.
+template <class T> void put(std::ostream& stream, const T& value) {
+    stream.write(reinterpret_cast<const char*>(&value), sizeof(T));
+}
+template <class T> T get(std::istream& stream) {
+    T value = T();
+    stream.read(reinterpret_cast<char*>(&value), sizeof(T));
+    return stream ? value : T();
+}
+template <class Bytes> void putBytes(std::ostream& stream, const Bytes& bytes) {
+    put<size_t>(stream, bytes.size());
+    stream.write(bytes.data(), bytes.size());
+}
+template <class Bytes> Bytes getBytes(std::istream& stream) {
+    Bytes bytes(get<size_t>(stream), 0);
+    stream.read(&bytes[0], bytes.size());
+    return bytes;
+}
+const int Mark = 0x45584152;
+
 void ProgramIntegrator::createCheckpoint(std::ostream& stream) const {
     CustomIntegrator::createCheckpoint(stream);
-    if (!hasProgram())
-        return;
-    stream.write(reinterpret_cast<const char*>(&changes), sizeof(changes));
+    put(stream, Mark);
+    put(stream, changes);
+    put(stream, (int) scalars.size());
     for (const Scalar& s : scalars)
-        stream.write(reinterpret_cast<const char*>(&s.value), sizeof(double));
-    vector<char> data;
+        putBytes(stream, s.name), put(stream, s.value);
     for (const Array& a : arrays)
-        if (a.saved) {
-            data.resize(a.bytes());
-            a.device->download(data.data());
-            stream.write(data.data(), data.size());
-        }
+        if (a.saved)
+            putBytes(stream, a.name), putBytes(stream, present(a));
+    putBytes(stream, string());
 }
 
 void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     CustomIntegrator::loadCheckpoint(stream);
     forcesStale = placesStale = true;
-    if (!hasProgram())
+    changes = 7;
+    if (get<int>(stream) != Mark)  // another kind of integrator wrote it
         return;
-    stream.read(reinterpret_cast<char*>(&changes), sizeof(changes));
-    for (Scalar& s : scalars)
-        stream.read(reinterpret_cast<char*>(&s.value), sizeof(double));
-    for (Array& a : arrays)
-        if (a.saved) {
-            stream.read(a.data.data(), a.bytes());
-            a.device->upload(a.data.data());
-        }
-    if (!stream)  // another engine wrote it
-        changes = 7;
-    changes |= 8;
+    changes = get<int>(stream) | Loads;
+    loaded = Loaded();
+    for (int n = get<int>(stream); n > 0; n--) {
+        string name = getBytes<string>(stream);
+        loaded.scalars[name] = get<double>(stream);
+    }
+    for (string name = getBytes<string>(stream); !name.empty(); name = getBytes<string>(stream))
+        loaded.arrays[name] = getBytes<vector<char> >(stream);
+    takeLoaded();
+}
+
+// The values of an array, from the device if they are there.
+vector<char> ProgramIntegrator::present(const Array& a) const {
+    vector<char> data = a.data;
+    if (a.device) {
+        Current current(cc);
+        a.device->download(data.data());
+    }
+    return data;
 }
 
 string hex(const vector<char>& data) {
@@ -660,38 +726,31 @@ vector<char> unhex(const string& text) {
 
 void ProgramIntegrator::serializeParameters(SerializationNode& node) const {
     CustomIntegrator::serializeParameters(node);
-    if (!hasProgram())
-        return;
     SerializationNode& own = node.createChildNode("Program").setIntProperty("changes", changes);
     for (const Scalar& s : scalars)
         own.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
     for (const Array& a : arrays)
-        if (a.saved) {
-            vector<char> data(a.bytes());
-            a.device->download(data.data());
-            own.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(data));
-        }
+        if (a.saved)
+            own.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(present(a)));
 }
 
 void ProgramIntegrator::deserializeParameters(const SerializationNode& node) {
     CustomIntegrator::deserializeParameters(node);
-    if (!hasProgram())
-        return;
+    forcesStale = true;
     for (const SerializationNode& own : node.getChildren()) {
         if (own.getName() != "Program")
             continue;
+        changes = own.getIntProperty("changes") | Loads;
+        loaded = Loaded();
         for (const SerializationNode& child : own.getChildren()) {
             const string& name = child.getStringProperty("name");
             if (child.getName() == "Scalar")
-                scalar(name) = child.getDoubleProperty("value");
-            else {
-                vector<char> data = unhex(child.getStringProperty("data"));
-                upload(name, data.data(), data.size());
-            }
+                loaded.scalars[name] = child.getDoubleProperty("value");
+            else
+                loaded.arrays[name] = unhex(child.getStringProperty("data"));
         }
-        changes = own.getIntProperty("changes") | 8;
+        takeLoaded();
     }
-    forcesStale = true;
 }
 
 class Proxy : public SerializationProxy {
@@ -711,12 +770,8 @@ public:
         node.setStringProperty("program", hex(vector<char>(text.begin(), text.end())));
         for (const Scalar& s : integrator.scalars)
             node.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
-        for (const Array& a : integrator.arrays) {
-            vector<char> data = a.data;
-            if (a.device)
-                a.device->download(data.data());
-            node.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(data));
-        }
+        for (const Array& a : integrator.arrays)
+            node.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(integrator.present(a)));
     }
     void* deserialize(const SerializationNode& node) const override {
         std::unique_ptr<ProgramIntegrator> integrator(new ProgramIntegrator(node.getDoubleProperty("stepSize")));

@@ -11,16 +11,18 @@ of a step and the begin of the next one in one segment.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device import program
-from openmm_exactrb.engines.device.program import Launch, Operation, Program
+from openmm_exactrb.engines.device.program import Operation, Program
 from openmm_exactrb.moves import Exchange, Move, Op, of_substep
+from openmm_exactrb.schemes.scheme import Scheme
 
 Array = NDArray[np.float64]
 Rows = Iterable[tuple[object, float]]
@@ -44,6 +46,8 @@ class Segment:
         Whether the thermostat has to know the kinetic energy before it.
     shows : bool
         Whether the velocities are shown behind it, because a step ends that somebody may look at.
+    places : bool
+        Whether positions are placed though nothing moves.
     copied : bool
         Whether it moves the copy of the bodies that is shown, and not those of a processed scheme's inner coordinates.
     """
@@ -54,6 +58,7 @@ class Segment:
     reduces: bool = False
     shows: bool = False
     copied: bool = False
+    places: bool = False
 
     def has(self, *ops: Op) -> bool:
         """Return whether one of the moves is of these."""
@@ -134,7 +139,8 @@ class Step:
         segments = divided(rows, known, splits_exchanges, remembers)
         if len(segments) == 1:
             segments.insert(0, Segment())
-        needs = next((move.groups for move in segments[0].moves if move.groups), None)
+        before = itertools.takewhile(lambda segment: segment.groups is None, segments)
+        needs = next((move.groups for segment in before for move in segment.moves if move.groups), None)
         segments[-1] = replace(segments[-1], shows=True)
         return cls(tuple(segments), needs)
 
@@ -161,7 +167,8 @@ class Table:
     #: The names of the arrays.
     MOVES, NUMBERS = "moves", "numbers"
 
-    def __init__(self) -> None:
+    def __init__(self, own: tuple[str, ...] = ()) -> None:
+        self.own = own  # texts of the moves of users
         self._moves: list[Move] = []
         self._places: dict[tuple[Move, ...], int] = {}
 
@@ -177,11 +184,15 @@ class Table:
         numbers = [move.numbers(h, exchange) for move in self._moves]
         starts = np.cumsum([0, *map(len, numbers)])
         rows = [
-            (move.op, move.number + (move.late << 16), start, len(some))
+            (self._number(move), move.number + (move.late << 16), start, len(some))
             for move, some, start in zip(self._moves, numbers, starts[:-1], strict=True)
         ]
         flat = [value for some in numbers for value in some]
         return np.array(rows, dtype=np.int32).reshape(-1, _COLUMNS), np.array(flat, dtype=np.float64)
+
+    def _number(self, move: Move) -> int:
+        """Return the number of the op in kernels: those of users in the order of their texts."""
+        return move.op + self.own.index(move.text) if move.op == Op.OWN else move.op
 
     def declare(self, to: Program, exchange_numbers: int) -> None:
         """Declare the arrays, when all segments have been asked for; a heat exchange has so many numbers and tau."""
@@ -191,19 +202,31 @@ class Table:
 
 
 class Part(Protocol):
-    """Some of the bodies of a program: their arrays, and the launches of a segment for them."""
+    """Some of the bodies of a program: their arrays, and the launches of a segment for them.
+
+    Where a state is meant, `copied` is the one that is shown of a processed scheme, and not that in inner coordinates.
+    """
 
     def declare(self, to: Program) -> None:
         """Declare arrays."""
 
-    def launches(self, segment: Segment, table: Table) -> list[Operation]:
+    def launches(self, segment: Segment, table: Table) -> Sequence[Operation]:
         """Return what carries a segment out: forces are in "force", and positions are placed in "posq" behind it."""
 
-    def reductions(self, copied: bool) -> list[Operation]:
-        """Return what adds the kinetic energies of its bodies to the array "kinetic"."""
+    def copies(self) -> Sequence[Operation]:
+        """Return what makes the shown state one of the state in inner coordinates."""
 
-    def updates(self, moved: bool) -> list[Operation]:
-        """Return what reads how an update of OpenMM changed velocities, or positions where they `moved`."""
+    def returns(self) -> Sequence[Operation]:
+        """Return what makes the state in inner coordinates one of the shown state."""
+
+    def reductions(self, copied: bool, adds: bool) -> Sequence[Operation]:
+        """Return what writes kinetic energies and the number of lost bodies to "totals", or adds them."""
+
+    def pushed(self, copied: bool, to_copy: bool) -> Sequence[Operation]:
+        """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
+
+    def moved(self, copied: bool) -> Sequence[Operation]:
+        """Return what reads positions that were changed."""
 
 
 @dataclass
@@ -214,12 +237,14 @@ class Sequences:
     ----------
     sites : bool
         Whether the System has virtual sites.
+    factors : callable, optional
+        factors(row) -> what makes the factors of the heat exchange in a row of the table out of the energies.
     """
 
     parts: Sequence[Part]
     table: Table
     sites: bool
-    factor: Launch | None = None  # what makes the factors of a heat exchange out of kinetic energies
+    factors: Callable[[int], Operation] | None = None
 
     def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
         """Return the operations of segments, each behind the evaluation that it needs."""
@@ -228,28 +253,67 @@ class Sequences:
     def before(self, segment: Segment) -> list[Operation]:
         """Return the evaluation before a segment."""
         if segment.reduces:
-            assert self.factor is not None
-            return [*(o for part in self.parts for o in part.reductions(segment.copied)), self.factor]
+            assert self.factors is not None
+            row, _ = self.table.rows(segment.moves)
+            return [*self.reductions(segment.copied), self.factors(row)]
         return [] if segment.groups is None else self.evaluation(segment.groups, segment.time)
+
+    def reductions(self, copied: bool = False) -> list[Operation]:
+        """Return what writes the kinetic energies of all parts to "totals"."""
+        return [operation for k, part in enumerate(self.parts) for operation in part.reductions(copied, k > 0)]
 
     def evaluation(self, groups: int, time: float) -> list[Operation]:
         """Return the evaluation of forces where the particles are."""
-        sites: list[Operation] = [program.SITES] if self.sites else []
-        return [*sites, program.REORDER, program.clock(time), program.forces(groups)]
+        return [*self._sites, program.REORDER, program.clock(time), program.forces(groups)]
+
+    @property
+    def _sites(self) -> list[Operation]:
+        return [program.SITES] if self.sites else []
 
     def moved(self, segment: Segment) -> list[Operation]:
         """Return the launches of a segment."""
-        if not segment.moves and not segment.shows:
+        if not segment.moves and not segment.shows and not segment.places:
             return []
         return [operation for part in self.parts for operation in part.launches(segment, self.table)]
 
-    def write_step(self, to: Program, step: Step) -> None:
+    def _each(self, method: str, *arguments: bool) -> list[Operation]:
+        """Return the operations of a method of all parts."""
+        return [operation for part in self.parts for operation in getattr(part, method)(*arguments)]
+
+    def write_step(self, to: Program, step: Step, processed: bool) -> None:
         """Write the sequences of steps: "forces", "open", "body", "between" and "close"."""
         first, *middle, last = step.segments
         ends: list[Operation] = [program.STEP, program.add("turn", 1.0)]
-        to.scalars.setdefault("turn", 0.0)
-        to.sequence("forces", [] if step.needs is None else self.evaluation(step.needs, 0.0))
+        placed = self.moved(Segment(places=True)) if processed else []  # what is shown is elsewhere
+        to.sequence("forces", [] if step.needs is None else [*placed, *self.evaluation(step.needs, 0.0)])
         to.sequence("open", self.moved(first))
         to.sequence("body", [*self.carried_out(middle), *self.before(last)])
         to.sequence("between", [*self.moved(step.between), *ends])
-        to.sequence("close", [*self.moved(last), *ends, *([program.SITES] if self.sites else [])])
+        to.sequence("close", [*self.moved(last), *ends, *self._sites])
+        to.sequence("report", self.reductions())
+
+    def write_processor(self, to: Program, scheme: Scheme) -> None:
+        """Write "enter", the way to inner coordinates, and the ways back: "output" and the exact "postprocess"."""
+        to.sequence("enter", [*self._each("returns"), *self._way(scheme.processor, copied=False)])
+        to.sequence("postprocess", [*self._each("copies"), *self._way(scheme.postprocessor, copied=True)])
+        to.sequence("output", [*self._each("copies"), *self._way(scheme.output, copied=True)])
+
+    def _way(self, rows: Rows, copied: bool) -> list[Operation]:
+        """Return the operations of substeps that are no part of a step; behind them the state is shown."""
+        some = [replace(segment, copied=copied, time=0.0) for segment in divided(rows)]
+        some[-1] = replace(some[-1], shows=True, places=True)
+        return [*self.carried_out(some), *self._sites]
+
+    def write_updates(self, to: Program, updates: Any, processed: bool) -> None:
+        """Write what surrounds OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`."""
+        velocities = updates.pushes or updates.removes_motion
+        if not processed:
+            to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
+            to.sequence("moved", self._each("moved", False))
+            return
+        enters = to.sequences["enter"]
+        pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []
+        to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
+        to.sequence("leave", to.sequences["postprocess"])
+        to.sequence("leave pushed", [*pushes, *(enters if updates.pushes else [])])
+        to.sequence("leave moved", [*self._each("moved", True), *enters])

@@ -12,44 +12,16 @@ from numpy.typing import NDArray
 from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
+from openmm_exactrb.engines.engine import Settings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.molecules import Named, in_flexible_molecules
-from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence
 from openmm_exactrb.substeps import Substep
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the steps of an integrator are: a scheme with all substeps, their size in ps, and force groups (bits).
-
-    Attributes
-    ----------
-    splitting : Scheme
-        The drifts and kicks of a step: those of the scheme, or of the proposal of a hybrid one.
-    splits : int
-        Steps of the splitting in a step.
-    check : bool
-        Whether a jump of the total energy is an error.
-    """
-
-    scheme: Scheme
-    h: float
-    groups: int
-    splitting: Scheme
-    splits: int = 1
-    thermostat: Any = None
-    check: bool = True
-
-    @property
-    def numbers(self) -> tuple[str, ...]:
-        """The persistent numbers that substeps change."""
-        return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
 
 
 @dataclass

@@ -24,16 +24,16 @@ from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
-from openmm_exactrb.engines.host.environment import ContextEnvironment, Settings
+from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.engines.host.environment import ContextEnvironment
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
+from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift, free_motion
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import inverse
 from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
@@ -89,18 +89,13 @@ class Clock:
         context.setTime(time)
 
 
-class Propagator:
-    """Makes the steps of an integrator in a Context; `named` are bodies in addition to those of constraints."""
+class HostPropagator:
+    """Makes the steps of an integrator in a Context, as `openmm_exactrb.engines.engine.Propagator` says."""
 
     def __init__(
-        self,
-        context: openmm.Context,
-        integrator: openmm.CustomIntegrator,
-        rotor: Rotor,
-        named: list[list[int]] | None,
-        timings: Timings,
-        fast: MultipleTimeSteps | None = None,
+        self, context: openmm.Context, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
     ) -> None:
+        named, rotor = settings.named, settings.rotor
         self.sync = Synchronisation(context, integrator, named)
         self.updates = ContextUpdates(context, named or [])
         self._updates_act = self.updates.act
@@ -108,7 +103,7 @@ class Propagator:
         self._timings, self._integrator, self._named = timings, weakref.ref(integrator), named
         self._positions = Positions(context, self.sync.bodies, self.sync.particles)
         self._kinetic = free_motion(self.sync.bodies, rotor)
-        found = fast_forces(context.getSystem(), self.sync.bodies, fast)
+        found = fast_forces(context.getSystem(), self.sync.bodies, settings.fast)
         self._inner_drift = None if found is None else InnerDrift(found, self.sync, self._positions, rotor, timings)
         self._clock = Clock(context)
         self._version: object = None
@@ -117,6 +112,17 @@ class Propagator:
         self.environment: ContextEnvironment
         self._memory: Memory
         self._overheating: Overheating | None = None
+        self._left: State | None = None  # what the last call of `advance` ended with
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the Context is gone or was made again."""
+        return self.sync.outdated
+
+    @property
+    def around(self) -> tuple[State, State] | None:
+        """The states before and after the last heat exchange, if the present state is that at the end of its step."""
+        return self.environment.around if self._left is self.sync.state else None
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. Whatever happens, the Context is left at the last valid state.
@@ -125,6 +131,7 @@ class Propagator:
         `key` is that of the random numbers. IntegrationError if a step diverges: a processed scheme leaves the state
         before the call.
         """
+        self._left = None
         self._settle(version, settings)
         environment, integrator = self.environment, self._integrator()
         environment.key = key
@@ -140,6 +147,8 @@ class Propagator:
                 self._surroundings = self._present_surroundings()
         if self._overheating is not None:
             self._overheating.see(self._clock.time, self.sync.state)
+        if n:
+            self._left = self.sync.state
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
         """Return the total energy (kJ/mol) at the last heat exchange, where its errors are of the scheme's order.

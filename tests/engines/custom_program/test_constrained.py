@@ -114,7 +114,7 @@ def test_bonded_forces_get_a_group_and_their_own_back():
     energies = [c.getState(energy=True).getPotentialEnergy()._value for c in (context, plain)]
     assert energies[0] == pytest.approx(energies[1], rel=1e-13)
     text = openmm.XmlSerializer.serialize
-    assert text(rb.device.gather.without(live)) == text(system)
+    assert text(rb.engines.custom_program.gather.without(live)) == text(system)
 
 
 @pytest.mark.parametrize("own", [(0, 0, 0), (3, 3, 3), (3, 4, 5)])

@@ -609,6 +609,7 @@ def test_force_groups_are_respected(droplet):
     integrator = both[1].getIntegrator()
     integrator.setIntegrationForceGroups(0xFFFFFFFF)
     assert integrator.getIntegrationForceGroups() == -1
+    integrator.bodyState()  # prepares the Context
     assert not openmm.CustomIntegrator.getIntegrationForceGroups(integrator) >> 31 & 1
 
 

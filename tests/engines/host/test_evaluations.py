@@ -9,8 +9,7 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.context import updates
-
-REFERENCE = openmm.Platform.getPlatform("Reference")
+from starts import context_of
 
 
 def counted(integrator, barostat=None, n=8, energy=0.05):
@@ -30,8 +29,7 @@ def counted(integrator, barostat=None, n=8, energy=0.05):
         barostat.setRandomNumberSeed(3)
         system.addForce(barostat)
     system.addForce(force)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(20.0, 1)
     return context, calls
 
@@ -90,8 +88,7 @@ def driven(check=True, force=True):
     if force:
         system.addForce(openmm.PythonForce(lambda state: (0.0, np.array([[50.0, 0.0, 0.0]]))))
     integrator = rb.ExactRigidBodyIntegrator(0.01, "S2_2", checkDivergence=check)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions([(0.0, 0.0, 0.0)])
+    context = context_of(system, integrator, [(0.0, 0.0, 0.0)])
     return integrator, context
 
 
@@ -123,8 +120,7 @@ def test_the_comparison_of_energies_can_be_switched_off():
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme)
     system = openmm.System()
     system.addParticle(1.0)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions([(0.0, 0.0, 0.0)])
+    context = context_of(system, integrator, [(0.0, 0.0, 0.0)])
     with pytest.raises(rb.IntegrationError, match="total energy"):
         integrator.step(1)
     integrator.checkDivergence = False

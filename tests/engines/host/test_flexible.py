@@ -13,7 +13,6 @@ from orders import slope
 from peptides import (
     FORCE_FIELD,
     PEPTIDE,
-    REFERENCE,
     R,
     end_of,
     in_water,
@@ -23,6 +22,7 @@ from peptides import (
     velocities_of,
     violations,
 )
+from starts import REFERENCE, context_of, simulation_of
 
 # -- constraints ------------------------------------------------------------------------------------------------
 
@@ -80,8 +80,7 @@ def test_positions_off_the_constraints_are_put_on_them_with_a_warning():
     _, system, x = peptide()
     off = x.copy()
     off[3] += [0.004, -0.003, 0.002]  # a hydrogen of a methyl group
-    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.0005), REFERENCE)
-    context.setPositions(off)
+    context = context_of(system, rb.ExactRigidBodyIntegrator(0.0005), off)
     with pytest.warns(rb.ShapeWarning, match=r"in the cluster of particles 0, 1, 2, 3"):
         context.getIntegrator().step(0)
     put, v = positions_of(context), velocities_of(context)
@@ -106,8 +105,9 @@ def test_a_singular_place_is_refused():
         system.addParticle(10.0)
     for i in range(4):
         system.addConstraint(i, (i + 1) % 4, 0.1)
-    context = openmm.Context(system, rb.ExactRigidBodyIntegrator(0.001), REFERENCE)
-    context.setPositions(np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.1, 0, 0]]))
+    context = context_of(
+        system, rb.ExactRigidBodyIntegrator(0.001), np.array([[0.0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0.1, 0, 0]])
+    )
     with pytest.raises(ValueError, match="singular configuration"):
         context.getIntegrator().step(1)
 
@@ -160,8 +160,7 @@ def test_a_checkpoint_continues_bit_for_bit(options):
     ends = []
     for interrupted in (False, True):
         integrator = rb.ExactRigidBodyIntegrator(0.001, "W4_5", **options)
-        simulation = app.Simulation(topology, system, integrator, REFERENCE)
-        simulation.context.setPositions(x)
+        simulation = simulation_of(topology, system, integrator, x)
         integrator.setVelocitiesToTemperature(300.0, 1)
         simulation.step(7)
         if interrupted:
@@ -193,8 +192,7 @@ def test_the_minimum_is_one_along_the_constraints():
     _, system, x = peptide()
     integrator, context = moving(system, x)
     integrator.step(30)
-    twin = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
-    twin.setPositions(positions_of(context))
+    twin = context_of(system, openmm.VerletIntegrator(0.001), positions_of(context))
     integrator.minimizeEnergy(tolerance=1.0)
     assert violations(system, positions_of(context), velocities_of(context))[0] < 1e-15
     openmm.LocalEnergyMinimizer.minimize(twin, 0.1)
@@ -204,8 +202,7 @@ def test_the_minimum_is_one_along_the_constraints():
 
 def test_openmm_minimises_too():
     topology, system, x = peptide()
-    simulation = app.Simulation(topology, system, rb.ExactRigidBodyIntegrator(0.001), REFERENCE)
-    simulation.context.setPositions(x)
+    simulation = simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.001), x)
     simulation.minimizeEnergy()
     simulation.integrator.setVelocitiesToTemperature(300.0, 1)
     before = simulation.integrator.totalEnergy()._value

@@ -6,6 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.constraints import martini, martini_rings
+from starts import context_of
 
 SIDE, SPEED = 0.2, 2.0
 
@@ -35,8 +36,9 @@ def test_cholesterol_in_a_small_membrane_keeps_its_constraints(step):
     for force in system.getForces():  # a patch narrower than two cutoffs
         if isinstance(force, openmm.CustomNonbondedForce):
             force.setCutoffDistance(0.9)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
-    context.setPositions(positions)
+    context = context_of(
+        system, integrator, positions, platform=openmm.Platform.getPlatform("CPU"), properties={"Threads": "1"}
+    )
     context.computeVirtualSites()
     integrator.setVelocitiesToTemperature(323.0, 1)
     martini.relax(integrator, step, 5.0)
@@ -57,8 +59,9 @@ def test_cholesterol_in_a_small_membrane_keeps_its_constraints(step):
 def test_a_minimiser_that_loses_the_constraints_of_cholesterol_is_an_error_and_leaves_the_positions():
     _, system, positions = martini.bilayer({"DPPC": 0.5, "CHOL": 0.5}, per_side=3, water=1.0, area=0.8)
     integrator = rb.ExactRigidBodyIntegrator(0.01)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
-    context.setPositions(positions)
+    context = context_of(
+        system, integrator, positions, platform=openmm.Platform.getPlatform("CPU"), properties={"Threads": "1"}
+    )
     context.computeVirtualSites()
     before = context.getState(positions=True).getPositions(asNumpy=True)._value
     with pytest.raises(ArithmeticError, match="remove overlaps by short steps with high friction"):
@@ -78,8 +81,7 @@ def test_a_hinge_passes_180_degrees_and_keeps_its_energy():
     for i, j, length in molecule["constraints"]:
         system.addConstraint(i, j, length)
     integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="S2_2")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
+    context = context_of(system, integrator, x)
     v = np.zeros((4, 3))
     v[0] = np.cross(axis, x[0])  # one wing turns about the shared side
     context.setVelocities(v)
@@ -111,9 +113,7 @@ def folding(angle, h):
     for k in range(4):
         system.addConstraint(k, (k + 1) % 4, SIDE)
     integrator = rb.ExactRigidBodyIntegrator(h, "S2_2")
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(x)
-    context.setVelocities(-SPEED * SIDE * away)
+    context = context_of(system, integrator, x, -SPEED * SIDE * away)
     return context, integrator
 
 

@@ -6,7 +6,8 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from few_dipoles import KT, REFERENCE, simulation_of, snapshot
+import starts
+from few_dipoles import KT, simulation_of, snapshot
 from openmm_exactrb.schemes import Scheme
 
 #: With an output of no force, with one of two forces, and with none, which goes back by the inverse processor.
@@ -247,8 +248,7 @@ def test_a_failed_call_leaves_the_inner_state_of_the_last_one(scheme):
 def test_a_step_that_is_far_too_long_diverges_in_the_processor_already(scheme, step):
     _topology, system, positions = rb.rigid_water(8)
     integrator = rb.ExactRigidBodyIntegrator(step, scheme)
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    _context = starts.context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(300.0, 3)
     with pytest.raises(rb.IntegrationError, match=r"step 1,.* kinetic energy rose from"):
         integrator.step(100)
@@ -264,9 +264,7 @@ def test_a_remover_of_motion_costs_at_most_two_percent_more(scheme, interval):
         if remover:
             system.addForce(remover)
         integrator = rb.ExactRigidBodyIntegrator(0.01, scheme)
-        simulation = app.Simulation(topology, system, integrator, REFERENCE)
-        simulation.context.setPositions(positions)
-        simulation.context.setVelocitiesToTemperature(KT, 2)
+        simulation = starts.simulation_of(topology, system, integrator, positions, kelvin=KT, seed=2)
         simulation.step(100)
         evaluations.append(integrator.timings.evaluations)
     assert evaluations[1] <= 1.02 * evaluations[0]
@@ -283,8 +281,7 @@ def water_under_pressure(scheme, frequency, pressure=1.0, h=0.0005, n=27):
         barostat.setRandomNumberSeed(1)
         system.addForce(barostat)
     integrator = rb.ExactRigidBodyIntegrator(h, scheme, checkDivergence=False)  # which asks for energies
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
+    simulation = starts.simulation_of(topology, system, integrator, positions)
     simulation.minimizeEnergy(tolerance=100.0, maxIterations=50)
     integrator.setVelocitiesToTemperature(300.0, 1)
     return simulation
@@ -336,8 +333,7 @@ def test_a_barostat_that_never_moves_anything_leaves_the_run_and_what_is_shown_a
                 openmm.MonteCarloAnisotropicBarostat((1.0, 1.0, 1.0), 300.0, False, False, False, frequency)
             )
         integrator = rb.ExactRigidBodyIntegrator(0.0005, scheme)
-        simulation = app.Simulation(topology, system, integrator, REFERENCE)
-        simulation.context.setPositions(positions)
+        simulation = starts.simulation_of(topology, system, integrator, positions)
         integrator.setVelocitiesToTemperature(300.0, 1)
         for n in calls:
             integrator.step(n)

@@ -3,10 +3,10 @@
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 
 import charts
 import openmm_exactrb as rb
+import starts
 from few_dipoles import REFERENCE, energies, simulation_of, snapshot
 from openmm_exactrb.mechanics.state import BodyState
 from orders import slope
@@ -86,7 +86,7 @@ def test_momenta_of_an_isolated_droplet_are_kept(few_and_processed):
 
     def momenta():
         _, state = simulation.integrator.bodyState()
-        spin = np.einsum("ijn,jn->i", rb.quaternions.matrix(state.q), state.m)
+        spin = np.einsum("ijn,jn->i", rb.mathematics.quaternions.matrix(state.q), state.m)
         return np.concatenate([state.P.sum(1), spin + np.cross(state.R.T, state.P.T).sum(0)])
 
     start = momenta()
@@ -112,8 +112,7 @@ def test_a_step_in_openmm_is_symplectic(few_and_processed):
     scheme, rotor = few_and_processed
     topology, system, positions = rb.dipole_fluid(2, seed=1, spacing=1.4)
     integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme, rotor=rotor)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
-    simulation.context.setPositions(positions)
+    _simulation = starts.simulation_of(topology, system, integrator, positions)
     integrator.setVelocitiesToTemperature(50.0, 1)
     _, start = integrator.bodyState()
 

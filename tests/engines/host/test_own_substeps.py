@@ -11,6 +11,7 @@ import pytest
 from openmm import app
 
 import openmm_exactrb as rb
+import starts
 import three_masses
 from few_dipoles import KT, REFERENCE, simulation_of, snapshot
 from openmm_exactrb.rotors import Rotor
@@ -60,7 +61,7 @@ def turning_about_fixed_axes(inertia):
     def flow(q, m, t):
         half = 0.5 * t * np.sqrt((m * m).sum(axis=0)) / inertia[0]
         turn = np.concatenate([np.cos(half)[None], 0.5 * t / inertia[0] * np.sinc(half / np.pi) * m])
-        return rb.quaternions.multiply(q, turn), m.copy()
+        return rb.mathematics.quaternions.multiply(q, turn), m.copy()
 
     return flow
 
@@ -202,13 +203,13 @@ def test_a_substep_of_ones_own_acts_as_it_says():
     """Free bodies under linear friction: momenta decay exactly, and the angular momentum does so in space."""
     rate, h, n = 0.7, 0.05, 20
     integrator = rb.ExactRigidBodyIntegrator(h, with_friction(rate, "A"))
-    simulation = app.Simulation(app.Topology(), three_masses.system(), integrator, REFERENCE)
-    simulation.context.setPositions(three_masses.POSITIONS)
-    simulation.context.setVelocitiesToTemperature(100.0, 1)
+    _simulation = starts.simulation_of(
+        app.Topology(), three_masses.system(), integrator, three_masses.POSITIONS, kelvin=100.0
+    )
 
     def momenta():
         _, state = integrator.bodyState()
-        return state.P, np.einsum("ijn,jn->in", rb.quaternions.matrix(state.q), state.m)
+        return state.P, np.einsum("ijn,jn->in", rb.mathematics.quaternions.matrix(state.q), state.m)
 
     start = momenta()
     integrator.step(n)
@@ -302,8 +303,7 @@ def test_what_openmm_does_between_steps_stands_beside_a_substep_of_ones_own():
     _, system, positions = rb.dipole_fluid(8, trap=0.5)
     system.addForce(openmm.CMMotionRemover(1))
     integrator = rb.ExactRigidBodyIntegrator(0.01, with_friction(0.3))
-    context = openmm.Context(system, integrator, REFERENCE)
-    context.setPositions(positions)
+    context = starts.context_of(system, integrator, positions)
     integrator.bind(context)
     integrator.setVelocitiesToTemperature(20.0, 1)
     integrator.step(3)

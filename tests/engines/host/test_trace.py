@@ -3,20 +3,19 @@
 import sys
 from pathlib import Path
 
-import openmm
 import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb import kernels
 from peptides import peptide
+from starts import context_of
 
 PACKAGE = str(Path(rb.__file__).parent)
 
 
 def trace_of(system, positions, integrator):
     """Return the files that the sixth step enters, and the number of calls outside its substeps."""
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
+    _context = context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(100.0, 1)  # from rest, energies would be compared
     integrator.setRandomNumberSeed(1)
     integrator.step(5)

@@ -1,0 +1,170 @@
+"""Averages at long steps, as they are and corrected, beside those of small steps.
+
+Boxes of 216 molecules with PME and a switch at 298.15 K, friction 5/ps, on the CPU platform with one thread: at
+constant volume the potential energy and the pressure, at 1 bar the density and the enthalpy; as they are and corrected
+by `openmm_exactrb.corrected`. With `--offset` the barostat is set to 1 bar and the offset that the runs at constant
+volume of the same point predict. Frames are kept in out/benchmarks/averages, so that a command that was stopped goes
+on; every seed is a run, and one row of the record.
+
+    python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
+    python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
+    python benchmarks/water/averages.py --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import openmm
+from openmm import app
+
+import openmm_exactrb as rb
+from benchmarks.common.records import DOCS, OUT, Record, Row
+from benchmarks.common.starts import REPEATED
+from benchmarks.water.equipartition_record import markdown, with_error
+
+TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
+FRAME, BURN, PART = 0.2, 20.0, 20.0  # ps: between two frames, not counted, and between two savings
+SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75, "ewaldErrorTolerance": 1e-4}
+KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
+UNITS = {"potential energy": "kJ/mol", "pressure": "bar", "density": "kg/m³", "enthalpy": "kJ/mol"}
+NAMES, PARTS = tuple(UNITS), ("", " corrected", " error", " correction error")
+COLUMNS = [f"{name}{part}" for name in NAMES for part in PARTS]
+RECORD = Record(DOCS / "averages.csv", KEY, COLUMNS)
+
+
+def simulation_of(run: dict[str, Any]) -> app.Simulation:
+    """Return the minimised start of a run."""
+    topology, system, positions = rb.rigid_water(MOLECULES, model=run["model"], **SMOOTH)
+    if run["masses"] == "heavy":
+        rb.heavy_hydrogens(system, topology, HEAVY)
+    if run["ensemble"] == "NPT":
+        barostat = openmm.MonteCarloBarostat(run["bar"], TEMPERATURE, max(1, round(0.1 / step_of(run))))
+        barostat.setRandomNumberSeed(run["seed"])
+        system.addForce(barostat)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(
+        TEMPERATURE, FRICTION, forceInterval=0.001 * run["fs"], scheme=run["scheme"]
+    )
+    integrator.setRandomNumberSeed(run["seed"])
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("CPU"), REPEATED)
+    simulation.context.setPositions(positions)
+    integrator.minimizeEnergy(maxIterations=300)
+    integrator.setVelocitiesToTemperature(TEMPERATURE, run["seed"])
+    return simulation
+
+
+def step_of(run: dict[str, Any]) -> float:
+    """Return the step of a run in ps."""
+    return 0.001 * run["fs"] * {"W2_3m": 3, "W2_4g": 4, "S2_2": 2}.get(run["scheme"], 1)
+
+
+def frames(run: dict[str, Any]) -> Path:
+    """Make the frames of a run, from where an earlier command stopped."""
+    folder = OUT / "averages"
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / ("_".join(str(run[name]) for name in KEY) + ".csv")
+    saved, simulation = file.with_suffix(".xml"), simulation_of(run)
+    step = step_of(run)
+    if saved.exists():
+        simulation.loadState(str(saved))
+    else:
+        simulation.step(round(BURN / step))
+    interval = max(1, round(FRAME / step))
+    reporter = rb.AverageReporter(file, interval, pressure=True, append=saved.exists())
+    simulation.reporters.append(reporter)
+    end = round((BURN + run["ps"]) / step)
+    while simulation.currentStep < end:
+        simulation.step(min(round(PART / step), end - simulation.currentStep))
+        simulation.saveState(str(saved))
+    reporter.close()
+    return file
+
+
+def row_of(run: dict[str, Any]) -> dict[str, Any]:
+    """Return the row of a run."""
+    file, row = frames(run), dict(run)
+    for name in NAMES:
+        if (name in ("density", "enthalpy")) != (run["ensemble"] == "NPT"):
+            values: tuple[float, ...] = (np.nan,) * 4
+        else:
+            found = rb.corrected(file, name)
+            per = MOLECULES if name in ("potential energy", "enthalpy") else 1
+            values = found.mean - found.correction, found.mean, found.error, found.correction_error
+            values = tuple(value / per for value in values)
+        columns = (f"{name}{part}" for part in PARTS)
+        row |= dict(zip(columns, (f"{value:.6g}" for value in values), strict=True))
+    return row
+
+
+def runs(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Yield the runs of a command."""
+    points = itertools.product(arguments.models, arguments.masses, arguments.schemes, arguments.fs, arguments.seeds)
+    for model, masses, scheme, fs, seed in points:
+        run = {"model": model, "masses": masses, "scheme": scheme, "fs": fs, "ensemble": arguments.ensemble}
+        bar = 0.0 if arguments.ensemble == "NVT" else round(1.0 + (offset(run) if arguments.offset else 0.0), 1)
+        yield run | {"bar": bar, "ps": arguments.ps, "seed": seed}
+
+
+def offset(run: dict[str, Any]) -> float:
+    """Return the mean error of the pressure (bar) that the runs at constant volume of a point predict."""
+    same = [row for row in RECORD.rows().values() if row["ensemble"] == "NVT" and _is_of(row, run)]
+    if not same:
+        raise SystemExit(f"run {run} with --ensemble NVT first, of which the offset follows")
+    return float(np.mean([float(row["pressure"]) - float(row["pressure corrected"]) for row in same]))
+
+
+def _is_of(row: Row, run: dict[str, Any]) -> bool:
+    return all(row[name] == str(run[name]) for name in ("model", "masses", "scheme", "fs"))
+
+
+def averages() -> str:
+    """Return the means over seeds, as they are and corrected, as a table of a page."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in RECORD.rows().values():
+        groups.setdefault(tuple(row[name] for name in KEY[:-2]), []).append(row)
+    body = []
+    for (model, masses, scheme, fs, ensemble, bar), rows in groups.items():
+        of_run = f"{model.upper()}, {masses} hydrogens", f"`{scheme}`, {float(fs):g} fs"
+        held = "constant volume" if ensemble == "NVT" else f"{float(bar):g} bar"
+        length = sum(float(row["ps"]) for row in rows)
+        for name in NAMES:
+            values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in rows])
+            if np.isfinite(values).all():
+                weights = values[:, 2] ** -2.0 / (values[:, 2] ** -2.0).sum()
+                plain, after, _, _ = weights @ values
+                error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
+                digits = max(0, 1 - math.floor(math.log10(error)))
+                cells = with_error(after, error, digits), with_error(after - plain, of_correction, digits)
+                body.append((*of_run, held, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}", *cells, f"{length:g} ps"))
+    head = ("", "a force evaluation every", "", "average", "as it is", "corrected", "correction", "")
+    return markdown([[*head], ["---"] * len(head), *map(list, body)])
+
+
+def main() -> None:
+    """Make the runs that the record has not."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--models", nargs="+", default=["tip3p"], help="%(default)s")
+    parser.add_argument("--masses", nargs="+", default=["heavy"], choices=["heavy", "plain"], help="%(default)s")
+    parser.add_argument("--schemes", nargs="+", default=["W2_3m"], help="%(default)s")
+    parser.add_argument("--fs", nargs="+", type=float, default=[4.0, 8.0], help="between two forces")
+    parser.add_argument("--ensemble", default="NVT", choices=["NVT", "NPT"])
+    parser.add_argument("--offset", action="store_true", help="set the barostat to 1 bar and the predicted offset")
+    parser.add_argument("--ps", type=float, default=400.0, help="of a run; %(default)s")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="%(default)s")
+    parser.add_argument("--table", action="store_true", help="print the table of the record only")
+    arguments = parser.parse_args()
+    if not arguments.table:
+        for run in runs(arguments):
+            if run not in RECORD:
+                RECORD.add(row_of(run))
+    print(averages())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,340 @@
+"""Corrections of averages for the step size, of second order, with their errors.
+
+Let f be the generalised force, f_s that of the forces in the kicks (all of them without inner steps), S = f_s·M⁻¹f_s
+and W = f·M⁻¹f_s. The error that a splitting of steps h gives the average of an observable A of the positions is
+
+    h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
+
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. For a friction far
+below and far above the frequencies of the liquid,
+
+    J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
+
+with n degrees of freedom; the second is exact without inner steps only. A correction takes the first, and its bracket
+has both. A barostat accepts by the true energy: it sees the pressure at a fixed volume, whose error dP changes any
+average by Cov(A, V) dP/kT, while A, S and W fluctuate at a fixed volume in all other terms (the volume is slow).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from numpy.typing import ArrayLike, NDArray
+from openmm import unit
+
+from openmm_exactrb.averages.frames import BAR
+from openmm_exactrb.averages.record import Settings, read
+from openmm_exactrb.support import checks
+
+Array = NDArray[np.float64]
+# Blocks of the jackknife, and the fewest frames that they can be made of.
+_BLOCKS, _FEWEST = 20, 40
+# kg/m³ per Da/nm³.
+_DENSITY = 1.66053906660
+_R = 0.00831446261815324  # kJ/mol/K
+
+
+@dataclass(frozen=True)
+class Average:
+    """A corrected average.
+
+    Attributes
+    ----------
+    mean : float
+        The average less the error of the step size.
+    error : float
+        The statistical error of the mean, one standard deviation.
+    correction : float
+        What was added to the average of the frames.
+    correction_error : float
+        The statistical error of the correction.
+    bracket : (float, float)
+        The means that follow for weak and for strong friction; the first is `mean`.
+    """
+
+    mean: float
+    error: float
+    correction: float
+    correction_error: float
+    bracket: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PressureOffset:
+    """The error of the pressure at a fixed volume, which a barostat has to be set to in addition.
+
+    Attributes
+    ----------
+    bar, error : float
+        The error of the pressure, and the statistical error of that, in bar.
+    bracket : (float, float)
+        For weak and for strong friction.
+    scheme, step, temperature : str, float (ps), float (K)
+        What it holds for; it is the same for the same force field and density only.
+    """
+
+    bar: float
+    error: float
+    bracket: tuple[float, float]
+    scheme: str
+    step: float
+    temperature: float
+
+    def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
+        """Return a barostat that keeps the density of a pressure (in bar if it has no unit) at zero step size."""
+        from openmm_exactrb.openmm_access.units import plain
+
+        wanted = plain(pressure, unit.bar, "a pressure")
+        return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
+
+
+class _Observable(NamedTuple):
+    """Values of an observable (frames,), and its slopes along M⁻¹f_s of bodies without and with inner steps."""
+
+    values: Array
+    slopes: tuple[Array, Array]
+
+
+def corrected(
+    file: str | os.PathLike[str],
+    observable: str | ArrayLike,
+    slope: ArrayLike | Sequence[ArrayLike] | None = None,
+    local: bool = False,
+) -> Average:
+    """Return the average of an observable without the second-order error of the step size.
+
+    Parameters
+    ----------
+    file : str or path
+        Of an `AverageReporter`, without the frames before equilibrium.
+    observable : str or (frames,) array_like
+        "potential energy" (kJ/mol), "pressure" (bar), "volume" (nm³), "density" (kg/m³), "enthalpy" (kJ/mol, without
+        the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), the name of an observable of the
+        reporter, or a value for each frame.
+    slope : (frames,) array_like or two of them, optional
+        Slopes along M⁻¹f_s (1/ps²) of values that depend on positions: of bodies without inner steps, and of those with
+        them. Not needed for values that depend on the volume alone.
+    local : bool, optional
+        Whether to take the curvature of the potential around the particles that the reporter was given.
+
+    Returns
+    -------
+    Average
+
+    Raises
+    ------
+    ValueError
+        If the file has not what the correction needs, or the theory does not hold for the run.
+    """
+    settings, columns = _checked(file)
+    if settings.barostat and "pressure" not in columns:
+        raise ValueError(f"at constant pressure corrections need the pressure: report {file} with pressure=True")
+    if local and "square around" not in columns:
+        raise ValueError(f"{file} has no curvature around particles: report with around=(particles, distance)")
+    of = _named(settings, observable) if isinstance(observable, str) else _given(observable, slope, columns)
+
+    def result(some: Columns) -> _Result:
+        value, observable_of = of(some)
+        return value, *_errors(settings, some, observable_of, local)
+
+    return _jackknife(columns, result)
+
+
+def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
+    """Return how far the pressure of a run at constant volume is off by its step size.
+
+    Parameters
+    ----------
+    file : str or path
+        Of an `AverageReporter` with ``pressure=True``; 200 ps of 216 molecules of water give an error of 16 bar.
+
+    Raises
+    ------
+    ValueError
+        If the file has no pressure, or the run had a barostat other than MonteCarloBarostat.
+    """
+    settings, columns = _checked(file)
+    if "pressure" not in columns:
+        raise ValueError(f"{file} has no pressure: report with pressure=True")
+
+    def result(some: Columns) -> _Result:
+        value, of = _pressure(settings, some)
+        return value, *_at_fixed_volume(settings, some, of, False, some["volume"] if settings.barostat else None)
+
+    found = _jackknife(columns, result)
+    weak, strong = (-found.correction + found.bracket[0] - mean for mean in found.bracket)
+    return PressureOffset(
+        -found.correction, found.correction_error, (weak, strong), settings.scheme, settings.step, settings.temperature
+    )
+
+
+Columns = dict[str, Array]
+#: The average of the frames and the errors of the step size for weak and strong friction.
+_Result = tuple[float, float, float]
+
+
+#: A value, and the observable whose average changes as it does.
+_Estimate = tuple[float, _Observable]
+
+
+def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool) -> tuple[float, float]:
+    """Return the errors of an average for weak and for strong friction."""
+    if not settings.barostat:
+        return _at_fixed_volume(settings, columns, of, local, None)
+    volume = columns["volume"]
+    pressure = _Observable(columns["pressure"], (columns["pressure slope"], columns["pressure inner slope"]))
+    own = _at_fixed_volume(settings, columns, of, local, volume)
+    offset = _at_fixed_volume(settings, columns, pressure, False, volume)
+    response = _covariance(of.values, volume) / (settings.kT * BAR)
+    return own[0] + response * offset[0], own[1] + response * offset[1]
+
+
+def _at_fixed_volume(
+    settings: Settings, columns: Columns, of: _Observable, local: bool, volume: Array | None
+) -> tuple[float, float]:
+    """Return the errors of an average for weak and for strong friction, at a constant or a slowly changing volume."""
+    alpha, kT, values = settings.alpha, settings.kT, of.values
+    slopes = [float(slope.mean()) for slope in of.slopes]
+    work = columns["work"] + columns["inner work"]
+    square = columns["square around" if local else "square"]
+    own = -(alpha + settings.beta) * _covariance(values, square, volume) / kT
+    own -= sum(part * slope for part, slope in zip(settings.slopes, slopes, strict=True))
+    hotter = 2.0 * alpha * float(columns["damped work"].mean()) / (settings.freedom * kT**2)
+    weak = hotter * _covariance(values, columns["potential"], volume)
+    strong = -2.0 * alpha * sum(slopes) - alpha * _covariance(values, work, volume) / kT
+    return settings.step**2 * (own + weak), settings.step**2 * (own + strong)
+
+
+def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
+    """Return the covariance of two observables, or that of what is left after regression on a third one."""
+    own = float(np.mean((a - a.mean()) * (b - b.mean())))
+    if given is None or not np.ptp(given):
+        return own
+    return own - _covariance(a, given) * _covariance(b, given) / _covariance(given, given)
+
+
+def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
+    """Return an average of all frames with errors from the averages without one block of them each."""
+    frames = len(columns["step"])
+    value, weak, strong = of(columns)
+    left_out = []
+    for block in np.array_split(np.arange(frames), _BLOCKS):
+        kept = np.ones(frames, dtype=bool)
+        kept[block] = False
+        some = of({name: values[kept] for name, values in columns.items()})
+        left_out.append((some[0] - some[1], some[1]))
+    spread = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
+    return Average(value - weak, float(spread[0]), -weak, float(spread[1]), (value - weak, value - strong))
+
+
+# -- observables ---------------------------------------------------------------------------------------------------
+
+
+def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
+    """Return the estimator of an observable with a name."""
+    if name in settings.observables:
+        return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
+    if name not in _READY:
+        known = ", ".join([*_READY, *settings.observables])
+        raise ValueError(f"there is no observable {name!r}: choose one of {known}, or give a value for each frame")
+    needs, ensemble, of = _READY[name]
+    if ensemble == "constant pressure" and not settings.barostat:
+        raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
+
+    def estimate(columns: Columns) -> _Estimate:
+        if needs not in columns:
+            raise ValueError(f"the {name} needs the {needs}: report with pressure=True")
+        return of(settings, columns)
+
+    return estimate
+
+
+def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Estimate]:
+    """Return the estimator of values that a user has for each frame."""
+    frames = len(columns["step"])
+    array = checks.array(values, "values", "a number for each frame")
+    given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
+    slopes = [np.broadcast_to(np.asarray(s, dtype=np.float64), (frames,)) for s in given]
+    if array.shape != (frames,) or len(slopes) != 2:
+        raise ValueError(f"an observable has a value, and a slope, for each of the {frames} frames of the file")
+    steps = columns["step"]
+
+    def estimate(some: Columns) -> _Estimate:
+        chosen = np.isin(steps, some["step"])
+        return _mean(array[chosen], *(s[chosen] for s in slopes))
+
+    return estimate
+
+
+def _mean(values: Array, slope: Array | None = None, inner: Array | None = None) -> _Estimate:
+    none = np.zeros_like(values)
+    slopes = (none if slope is None else slope, none if inner is None else inner)
+    return float(values.mean()), _Observable(values, slopes)
+
+
+def _potential(settings: Settings, columns: Columns) -> _Estimate:
+    return _mean(columns["potential"], -columns["work"], -columns["inner work"])
+
+
+def _pressure(settings: Settings, columns: Columns) -> _Estimate:
+    return _mean(columns["pressure"], columns["pressure slope"], columns["pressure inner slope"])
+
+
+def _volume(settings: Settings, columns: Columns) -> _Estimate:
+    return _mean(columns["volume"])
+
+
+def _density(settings: Settings, columns: Columns) -> _Estimate:
+    return _mean(_DENSITY * settings.mass / columns["volume"])
+
+
+def _enthalpy(settings: Settings, columns: Columns) -> _Estimate:
+    volume = settings.pressure / BAR * columns["volume"]
+    return _mean(columns["potential"] + volume, -columns["work"], -columns["inner work"])
+
+
+def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
+    """Return the heat capacity by the fluctuation of the enthalpy, or at constant volume of the energy."""
+    values, slopes = (_enthalpy if settings.barostat else _potential)(settings, columns)[1]
+    off = values - values.mean()
+    scale = 1.0 / (settings.kT * settings.temperature)
+    outer, inner = (2.0 * scale * off * slope for slope in slopes)
+    value, of = _mean(scale * off**2, outer, inner)
+    return value + 0.5 * settings.freedom * _R, of
+
+
+def _compressibility(settings: Settings, columns: Columns) -> _Estimate:
+    """Return the isothermal compressibility by the fluctuation of the volume."""
+    volume = columns["volume"]
+    off, mean = volume - volume.mean(), float(volume.mean())
+    variance = float(np.mean(off**2))
+    scale = 1.0 / (settings.kT * mean * BAR)
+    _, of = _mean(scale * (off**2 - variance / mean * off))
+    return scale * variance, of
+
+
+_READY = {
+    "potential energy": ("potential", "any", _potential),
+    "pressure": ("pressure", "any", _pressure),
+    "volume": ("volume", "constant pressure", _volume),
+    "density": ("volume", "constant pressure", _density),
+    "enthalpy": ("volume", "constant pressure", _enthalpy),
+    "heat capacity": ("potential", "any", _heat_capacity),
+    "compressibility": ("volume", "constant pressure", _compressibility),
+}
+
+
+def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
+    """Return the settings and columns of a file; ValueError if they are too few, or no barostat is served."""
+    settings, columns = read(file)
+    frames = len(columns["step"])
+    if frames < _FEWEST:
+        raise ValueError(f"{file} has {frames} frames, and errors need at least {_FEWEST}: run longer")
+    if settings.barostat not in ("", "MonteCarloBarostat"):
+        raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
+    return settings, columns

@@ -1,0 +1,304 @@
+"""What a frame of a run says about the step-size error of averages.
+
+The symbols are those of `openmm_exactrb.averages.correction`: f is the generalised force of all forces and f_s that of
+the forces in the kicks; w = M⁻¹f_s is a field of velocities, along which observables have slopes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules, molecule_of
+from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.thermostats.langevin import Langevin
+
+Array = NDArray[np.float64]
+#: An observable of the positions (n_particles, 3) of all particles, in nm.
+Observable = Callable[[Array], float]
+
+# The relative change of lengths in the difference quotients of the pressure.
+_STRETCH = 1e-3
+# The largest displacement of a particle (nm) in the difference quotients of observables.
+_SHIFT = 1e-4
+#: bar per kJ/mol/nm³.
+BAR = 16.605390671738466
+
+
+class Force(NamedTuple):
+    """A generalised force: forces (3, N) along constraints, and body-frame torques (3, K)."""
+
+    force: Array
+    torque: Array
+
+    def less(self, other: Force) -> Force:
+        """Return the difference of two forces."""
+        return Force(self.force - other.force, self.torque - other.torque)
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Which bodies end their steps at the heat exchange itself, and the relative friction of each body.
+
+    Attributes
+    ----------
+    inner : (N,) array of bool
+        Bodies with inner steps.
+    damping : (N,) and (K,) arrays
+        Frictions of translation and of rotation, over their mean for a degree of freedom.
+    """
+
+    inner: NDArray[np.bool_]
+    damping: tuple[Array, Array]
+
+
+class Frames:
+    """Reads the frames of a Simulation.
+
+    Raises
+    ------
+    ValueError
+        If averages of this integrator cannot be corrected.
+    """
+
+    def __init__(self, simulation: Any, pressure: bool, around: tuple[Sequence[int], float] | None) -> None:
+        self._integrator, self._context = langevin_of(simulation.integrator), simulation.context
+        self.bodies = self._integrator.bodyState()[0]
+        system = simulation.system
+        self._fast = _acting(system, self.bodies, self._integrator)
+        self._excerpt = None if self._fast is None else _FastContext(self._fast)
+        self._around = around
+        self.groups = Groups(self._inner(), self._damping())
+        self._scaled = _ScaledContext(simulation, self.bodies, self._integrator.getNamedBodies()) if pressure else None
+
+    def _inner(self) -> NDArray[np.bool_]:
+        inner = np.zeros(len(self.bodies), dtype=bool)
+        if self._fast is not None and self._fast.excerpt is not None:
+            inner[self._fast.excerpt.part.columns] = True
+        return inner
+
+    def _damping(self) -> tuple[Array, Array]:
+        thermostat: Any = self._integrator.getThermostat()
+        bodies = self.bodies
+        flexible = in_flexible_molecules(self._context, bodies, self._integrator.getNamedBodies())
+        rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
+        translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
+        rotation = rotation[: bodies.n_turning]
+        freedom = np.full(len(bodies), 3.0)
+        if len(bodies.clusters):
+            freedom[bodies.clustered] *= bodies.clusters.degrees_of_freedom / (3.0 * len(bodies.clusters.mass))
+        turning = (bodies.principal_moments > 0.0).sum(axis=0)
+        mean = (translation @ freedom + rotation @ turning) / (freedom.sum() + turning.sum())
+        return translation / mean, rotation / mean
+
+    def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
+        """Return the values of the `columns` for a State with energy, forces and positions."""
+        _, of_bodies = self._integrator.bodyState()
+        x = arrays.positions(state)
+        total = self._generalised(of_bodies, arrays.forces(state))
+        slow = total if self._fast is None else total.less(self._generalised(of_bodies, self._fast_forces(x)))
+        work, square = self._products(total, slow), self._products(slow, slow)
+        values = [state.getPotentialEnergy()._value, state.getPeriodicBoxVolume()._value]
+        values += [_sum(square), *self._split(work), _sum(work, self.groups.damping)]
+        if self._around is not None:
+            values.append(_sum(square, self._near(x, state)))
+        fields = [self._field(of_bodies, slow, chosen) for chosen in (~self.groups.inner, self.groups.inner)]
+        if self._scaled is not None:
+            values += self._scaled.pressure(state, of_bodies, total, fields, self._generalised)
+        for observable in observables.values():
+            values += [float(observable(x)), *(_slope(observable, x, field.particles) for field in fields)]
+        return values
+
+    def _generalised(self, state: BodyState, forces: Array) -> Force:
+        force, torque = self.bodies.forces(state, forces)
+        return Force(self.bodies.tangent(state._replace(P=force)).P, torque)
+
+    def _fast_forces(self, x: Array) -> Array:
+        assert self._excerpt is not None
+        return self._excerpt.forces(self._context, x)
+
+    def _products(self, one: Force, other: Force) -> Force:
+        """Return f·M⁻¹g of each body, of its translation (N,) and its rotation (K,)."""
+        translation = (one.force * other.force).sum(axis=0) / self.bodies.mass
+        return Force(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
+
+    def _split(self, product: Force) -> tuple[float, float]:
+        """Return the sums over bodies without and with inner steps."""
+        inner = self.groups.inner
+        both = (~inner, inner)
+        one, other = (_sum(product, (of.astype(float), of[: self.bodies.n_turning].astype(float))) for of in both)
+        return one, other
+
+    def _near(self, x: Array, state: openmm.State) -> tuple[Array, Array]:
+        """Return 1 for each body with a particle near those that the user named, and 0 for the others."""
+        assert self._around is not None
+        particles, distance = self._around
+        gaps = x[:, None] - x[None, list(particles)]
+        if self._context.getSystem().usesPeriodicBoundaryConditions():
+            box = np.reshape(arrays.box(state), (3, 3))
+            gaps -= np.round(gaps @ np.linalg.inv(box)) @ box
+        near = (np.linalg.norm(gaps, axis=2) <= distance).any(axis=1)
+        bodies, owner = np.zeros(len(self.bodies)), self.bodies.owner
+        bodies[owner[near & (owner >= 0)]] = 1.0
+        return bodies, bodies[: self.bodies.n_turning]
+
+    def _field(self, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
+        """Return M⁻¹f_s of some bodies."""
+        turning = chosen[: self.bodies.n_turning]
+        own = Force(slow.force * chosen, slow.torque * turning)
+        particles = np.zeros((self.bodies.n_particles, 3))
+        self.bodies.velocities(state._replace(P=own.force, m=own.torque), particles)
+        return Field(Force(own.force / self.bodies.mass, own.torque / self.bodies.inertia.T), particles)
+
+
+class Field(NamedTuple):
+    """Velocities of bodies, and those of all particles (n_particles, 3)."""
+
+    bodies: Force
+    particles: Array
+
+
+def langevin_of(integrator: object) -> ExactRigidBodyIntegrator:
+    """Return an integrator for which the theory holds; ValueError for any other."""
+    if not isinstance(integrator, ExactRigidBodyIntegrator) or not isinstance(integrator.getThermostat(), Langevin):
+        raise ValueError(
+            "averages can be corrected for Langevin dynamics of this package only: use "
+            f"ExactRigidBodyLangevinIntegrator instead of {type(integrator).__name__}"
+        )
+    thermostat: Any = integrator.getThermostat()
+    if not any((*thermostat.frictions, *thermostat.flexible_frictions)):
+        raise ValueError("averages can be corrected for Langevin dynamics with a friction only: set one above 0")
+    if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
+        raise ValueError("averages can be corrected if all force groups act only: set all integration force groups")
+    return integrator
+
+
+def _acting(system: openmm.System, bodies: RigidBodies, integrator: ExactRigidBodyIntegrator) -> FastForces | None:
+    found = fast_forces(system, bodies, integrator.getMultipleTimeSteps())
+    step = integrator.getStepSize()._value
+    return found if found is not None and found.acts(integrator.getScheme(), step) else None
+
+
+def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
+    if weights is None:
+        return float(product.force.sum() + product.torque.sum())
+    return float(product.force @ weights[0] + product.torque @ weights[1])
+
+
+def _slope(observable: Observable, x: Array, field: Array) -> float:
+    """Return the slope of an observable along a field of velocities (n_particles, 3)."""
+    largest = float(np.abs(field).max())
+    if not largest:
+        return 0.0
+    shift = _SHIFT / largest
+    return (observable(x + shift * field) - observable(x - shift * field)) / (2.0 * shift)
+
+
+class _FastContext:
+    """The forces of the inner steps, which the kicks do not have."""
+
+    def __init__(self, fast: FastForces) -> None:
+        self._fast = fast
+        if fast.excerpt is not None:
+            platform = openmm.Platform.getPlatform("Reference")
+            self._own = openmm.Context(fast.excerpt.system, openmm.VerletIntegrator(0.001), platform)
+
+    def forces(self, context: Any, x: Array) -> Array:
+        """Return the forces (n_particles, 3) at positions that the Context has."""
+        excerpt = self._fast.excerpt
+        if excerpt is None:
+            return arrays.forces(context.getState(forces=True, groups=self._fast.groups))
+        theirs = context.getState(parameters=True)
+        _follow(self._own, theirs)
+        self._own.setPositions(x[excerpt.particles])
+        forces = np.zeros_like(x)
+        forces[excerpt.particles] = arrays.forces(self._own.getState(forces=True))
+        return forces
+
+
+def _follow(context: openmm.Context, state: openmm.State) -> None:
+    """Give a Context the box and the parameters of a State."""
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    known = set(context.getParameters())
+    for name, value in state.getParameters().items():
+        if name in known:
+            context.setParameter(name, value)
+
+
+class _ScaledContext:
+    """Energies and forces in boxes of other sizes, in which a barostat moves the centres of molecules.
+
+    A molecule's centre is the mean place of its particles, as for OpenMM's barostats.
+    """
+
+    def __init__(self, simulation: Any, bodies: RigidBodies, named: Sequence[Sequence[int]] | None) -> None:
+        context, system = simulation.context, simulation.system
+        if not system.usesPeriodicBoundaryConditions():
+            raise ValueError("a System without a periodic box has no pressure: report with pressure=False")
+        platform = context.getPlatform()
+        properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
+        kept = {name: value for name, value in properties.items() if name in ("Precision", "Threads", "DeviceIndex")}
+        self._own = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, kept)
+        self._molecule = molecule_of(context, named)
+        self._sizes = np.bincount(self._molecule)
+        self._of_bodies = self._molecule[bodies.first_particle]
+        self.molecules = len(self._sizes)
+        self._ideal = self.molecules * gas_constant_times(simulation.integrator.getTemperature())
+
+    def _centres(self, x: Array) -> Array:
+        """Return the means (molecules, 3) of vectors of particles."""
+        return np.stack([np.bincount(self._molecule, column) for column in x.T], axis=1) / self._sizes[:, None]
+
+    def pressure(
+        self,
+        state: openmm.State,
+        of_bodies: BodyState,
+        total: Force,
+        fields: Sequence[Field],
+        generalised: Callable[[BodyState, Array], Force],
+    ) -> list[float]:
+        """Return the molecular pressure and its slopes along fields, in bar and bar/ps².
+
+        By the chain rule, dU/dl of lengths l has the slope -w·df/dl - sum F·c along w, where c is the velocity of the
+        centre of a molecule and F the force on it.
+        """
+        x, volume = arrays.positions(state), state.getPeriodicBoxVolume()._value
+        (up, f_up), (down, f_down) = (
+            self._at(state, x, of_bodies, 1.0 + s, generalised) for s in (_STRETCH, -_STRETCH)
+        )
+        per_length = BAR / (3.0 * volume)
+        force = np.zeros((self.molecules, 3))
+        np.add.at(force, self._of_bodies, total.force.T)
+        slopes = []
+        for field in fields:
+            change = sum(float((w * (a - b)).sum()) for w, a, b in zip(field.bodies, f_up, f_down, strict=True))
+            slopes.append(
+                per_length * (change / (2.0 * _STRETCH) + float((force * self._centres(field.particles)).sum()))
+            )
+        return [BAR * self._ideal / volume - per_length * (up - down) / (2.0 * _STRETCH), *slopes]
+
+    def _at(
+        self,
+        state: openmm.State,
+        x: Array,
+        of_bodies: BodyState,
+        scale: float,
+        generalised: Callable[[BodyState, Array], Force],
+    ) -> tuple[float, Force]:
+        """Return energy and generalised force in a box of other lengths."""
+        _follow(self._own, state)
+        self._own.setPeriodicBoxVectors(*(scale * np.reshape(arrays.box(state), (3, 3))))
+        self._own.setPositions(x + (scale - 1.0) * self._centres(x)[self._molecule])
+        self._own.computeVirtualSites()
+        found = self._own.getState(energy=True, forces=True)
+        return found.getPotentialEnergy()._value, generalised(of_bodies, arrays.forces(found))

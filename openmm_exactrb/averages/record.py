@@ -1,0 +1,99 @@
+"""The file of an `AverageReporter`: a line of settings, the names of the columns, and a row for each frame."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+_MARK = "# "
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the corrections need to know of a run.
+
+    Attributes
+    ----------
+    scheme : str
+    step : float
+        h in ps.
+    alpha, beta : float
+        Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
+    slopes : (float, float)
+        Coefficients of minus the slope of an observable, for bodies without and with inner steps.
+    temperature : float
+        In K.
+    kT : float
+        In kJ/mol.
+    frictions : tuple of float
+        In 1/ps.
+    freedom : int
+        Degrees of freedom.
+    mass : float
+        Of all particles, in Da.
+    barostat : str
+        The type of the System's barostat, or "".
+    pressure : float
+        That of a barostat in bar.
+    observables : tuple of str
+    """
+
+    scheme: str
+    step: float
+    alpha: float
+    beta: float
+    slopes: tuple[float, float]
+    temperature: float
+    kT: float
+    frictions: tuple[float, ...]
+    freedom: int
+    mass: float
+    barostat: str = ""
+    pressure: float = 0.0
+    observables: tuple[str, ...] = ()
+
+
+def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
+    """Return the names of the columns of a file."""
+    names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
+    names += ["square (kJ/mol/ps^2)", "work (kJ/mol/ps^2)", "inner work (kJ/mol/ps^2)", "damped work (kJ/mol/ps^2)"]
+    names += ["square around (kJ/mol/ps^2)"] * around
+    names += ["pressure (bar)", "pressure slope (bar/ps^2)", "pressure inner slope (bar/ps^2)"] * pressure
+    for name in settings.observables:
+        names += [name, f"{name} slope (1/ps^2)", f"{name} inner slope (1/ps^2)"]
+    return tuple(names)
+
+
+def head(settings: Settings, columns: tuple[str, ...]) -> str:
+    """Return the first two lines of a file."""
+    return f"{_MARK}{json.dumps(asdict(settings))}\n{','.join(columns)}\n"
+
+
+def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
+    """Return the settings of a run and its columns, without units in their names.
+
+    Raises
+    ------
+    ValueError
+        If an `AverageReporter` did not write the file, or a line of it is incomplete.
+    OSError
+        If it cannot be read.
+    """
+    lines = Path(file).read_text(encoding="utf-8").splitlines()
+    if len(lines) < 2 or not lines[0].startswith(_MARK):
+        raise ValueError(f"{file} was not written by an AverageReporter: give the file that one wrote")
+    known = json.loads(lines[0].removeprefix(_MARK))
+    tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
+    names = [name.split(" (")[0] for name in lines[1].split(",")]
+    rows = [line.split(",") for line in lines[2:]]
+    for number, row in enumerate(rows, start=3):
+        if len(row) != len(names):
+            raise ValueError(f"line {number} of {file} is incomplete: delete this line")
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    return Settings(**{**known, **tuples}), dict(zip(names, values.T, strict=True))

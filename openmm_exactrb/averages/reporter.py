@@ -1,0 +1,145 @@
+"""AverageReporter: what a run has to store so that its averages can be corrected for the step size."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from openmm import unit
+
+from openmm_exactrb.averages.frames import Frames, Observable, langevin_of
+from openmm_exactrb.averages.record import Settings, columns_of, head
+from openmm_exactrb.context.updates import BAROSTATS, acting_updates
+from openmm_exactrb.openmm_access.units import gas_constant_times, plain
+from openmm_exactrb.schemes.second_order import second_order
+from openmm_exactrb.support import checks
+
+
+class AverageReporter:
+    """Write what `corrected` and `pressure_offset` need, as CSV with all digits.
+
+    A report evaluates no forces but those that Simulation evaluates for it, unless pressure is asked for.
+
+    Parameters
+    ----------
+    file : str or path
+    reportInterval : int
+        Steps between two frames. Frames that are a tenth of a ps apart are nearly independent in water.
+    pressure : bool, optional
+        Whether to store the molecular pressure and its slope, at two more evaluations of energy and forces a frame.
+        Corrections at constant pressure and `pressure_offset` need it.
+    observables : mapping of str to callable, optional
+        Functions of the positions, an array (n_particles, 3) in nm with whole molecules, that return a number. They are
+        evaluated at displaced positions too, for the slopes that their corrections need.
+    around : (sequence of int, float), optional
+        Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
+        then stored of bodies within the distance too, which reduces the statistical error of corrections of observables
+        that depend on these particles alone: see ``local`` of `corrected`.
+    append : bool, optional
+        Continue an existing file, of a run with the same settings.
+
+    Notes
+    -----
+    The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step. Each
+    line is flushed at once.
+    """
+
+    def __init__(
+        self,
+        file: str | os.PathLike[str],
+        reportInterval: int,
+        pressure: bool = False,
+        observables: Mapping[str, Observable] | None = None,
+        around: tuple[Sequence[int], float | unit.Quantity] | None = None,
+        append: bool = False,
+    ) -> None:
+        self._file, self._append = Path(file), append
+        self._interval = checks.whole(reportInterval, "reportInterval", of="steps")
+        self._pressure, self._observables = checks.switch(pressure, "pressure"), dict(observables or {})
+        self._around = None if around is None else (around[0], plain(around[1], unit.nanometer, "a distance"))
+        self._frames: Frames | None = None
+        self._out: Any = None
+        self._present: object = None  # what may be changed in a run
+
+    def describeNextReport(self, simulation: Any) -> dict[str, Any]:
+        """Return when the next frame is due and which data it needs, as OpenMM requires.
+
+        Raises
+        ------
+        ValueError
+            If averages of the Simulation's integrator cannot be corrected, or the file is of another run.
+        """
+        if self._frames is None:
+            self._begin(simulation)
+        left = int(self._interval - simulation.currentStep % self._interval)
+        return {"steps": left, "periodic": False, "include": ["positions", "energy", "forces"]}
+
+    def report(self, simulation: Any, state: Any) -> None:
+        """Write a line for a Simulation and a State with positions, energy and forces."""
+        assert self._frames is not None
+        if _changing(simulation) != self._present:
+            raise ValueError(
+                "the step size, the thermostat or the barostat was changed: averages need one of each, so report other "
+                "settings to another file"
+            )
+        values = [state.getTime().value_in_unit(unit.picosecond), *self._frames.row(state, self._observables)]
+        self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
+        self._out.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._out is not None:
+            self._out.close()
+
+    def _begin(self, simulation: Any) -> None:
+        settings = settings_of(simulation, self._observables)
+        frames = Frames(simulation, self._pressure, self._around)
+        first = head(settings, columns_of(settings, self._pressure, self._around is not None))
+        continued = self._append and self._file.is_file() and self._file.stat().st_size > 0
+        if continued:
+            text = self._file.read_text(encoding="utf-8")
+            if not text.startswith(first):
+                raise ValueError(f"{self._file} is of a run with other settings: give another file")
+            if not text.endswith("\n"):
+                raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
+        self._out = self._file.open("a" if continued else "w", encoding="utf-8")
+        if not continued:
+            self._out.write(first)
+        self._frames, self._present = frames, _changing(simulation)
+
+
+def _changing(simulation: Any) -> object:
+    """Return the settings of a run that a user may change in it."""
+    integrator, parameters = simulation.integrator, dict(simulation.context.getParameters())
+    return integrator.getStepSize()._value, integrator.getThermostat(), integrator.getScheme(), parameters
+
+
+def settings_of(simulation: Any, observables: Mapping[str, Any]) -> Settings:
+    """Return what corrections need to know of a Simulation; ValueError if its averages cannot be corrected."""
+    integrator: Any = langevin_of(simulation.integrator)
+    thermostat, system = integrator.getThermostat(), simulation.system
+    order = second_order(thermostat.steps(integrator.getScheme()))
+    barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
+    if len(barostats) > 1:
+        raise ValueError("averages cannot be corrected with several barostats: keep one of them")
+    isotropic = bool(barostats) and type(barostats[0]).__name__ == "MonteCarloBarostat"
+    pressure = simulation.context.getParameter(barostats[0].Pressure()) if isotropic else 0.0
+    masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
+    return Settings(
+        scheme=integrator.getScheme().name,
+        step=integrator.getStepSize().value_in_unit(unit.picosecond),
+        alpha=order.alpha,
+        beta=order.beta,
+        # Bodies with inner steps end at the heat exchange: `openmm_exactrb.schemes.thermostatted.canonical_momenta`.
+        slopes=(order.slope, order.alpha),
+        temperature=thermostat.temperature,
+        kT=gas_constant_times(thermostat.temperature),
+        frictions=tuple(dict.fromkeys((*thermostat.frictions, *thermostat.flexible_frictions))),
+        freedom=sum(integrator.degreesOfFreedom()),
+        mass=sum(masses),
+        barostat=type(barostats[0]).__name__ if barostats else "",
+        pressure=pressure,
+        observables=tuple(observables),
+    )

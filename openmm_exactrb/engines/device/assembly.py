@@ -1,0 +1,77 @@
+"""A program for the bodies of a Context: what its scheme and thermostat demand, its parts, and its sequences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from openmm_exactrb.engines.device.program import Launch, Program, Source
+from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
+from openmm_exactrb.engines.device.segments import Sequences, Step, Table
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.moves import Move, Op, of_substep
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.thermostat import Factors
+
+# Numbers of a heat exchange beside its time: see kernels/rigid.cl.
+EXCHANGE_NUMBERS = 8
+
+
+class Assembly:
+    """The program of a scheme for some bodies.
+
+    Attributes
+    ----------
+    parts : list of Part
+    table : Table
+    program : Program
+    scheme : Scheme
+    """
+
+    def __init__(
+        self, bodies: RigidBodies, scheme: Scheme, updates: Any, sites: bool, factors: Factors | None = None
+    ) -> None:
+        self.scheme, processed = scheme, bool(scheme.processor)
+        step = Step.of(scheme.sequence, splits_exchanges=factors is not None, remembers=any(scheme.memory))
+        own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
+        (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
+        self._demands = demands = Demands(
+            (forces, max(per_step, 1)),
+            (differences, max(of_differences, 1)),
+            processed,
+            any(move.op == Op.DISPLACE for move in _moves(scheme)),
+            factors is not None,
+            own,
+        )
+        self.table = Table(own)
+        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, demands)
+        self.program = to = Program()
+        to.scalars |= {"turn": 0.0, "key": 0.0}
+        to.array("factors", 2)
+        to.array("totals", 3)
+        to.array("thermostat", factors.size if factors else 0, saved=True)
+        sequences = Sequences(self.parts, self.table, sites, factors and self._factors(factors))
+        sequences.write_step(to, step, processed)
+        if processed:
+            sequences.write_processor(to, scheme)
+        sequences.write_updates(to, updates, processed)
+        self.table.declare(to, EXCHANGE_NUMBERS)
+        for part in self.parts:
+            part.declare(to)
+
+    def _factors(self, factors: Factors) -> Callable[[int], Launch]:
+        """Return what launches the kernel of factors for a row of the table."""
+        source = Source(("random.cl", "thermostats.cl"), factors.defines)
+        arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
+        return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
+
+    def cheap(self, turns: float) -> bool:
+        """Return whether the output is made of remembered forces: after so many steps there are enough."""
+        pairs = (self._demands.memory, self._demands.differences)
+        return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
+
+
+def _moves(scheme: Scheme) -> Iterable[Move]:
+    """Return all moves of a scheme."""
+    rows = (*scheme.sequence, *scheme.processor, *scheme.output)
+    return [move for substep, part in rows for move in of_substep(substep, part)]

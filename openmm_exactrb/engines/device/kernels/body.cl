@@ -1,0 +1,128 @@
+// Rigid bodies of all kinds, by tables: a body, and where the tables have it.
+//
+// Sizes are defines: BODIES; LANES, the threads that share a body (1, or those of a block); MEMORY and DIFFERENCES,
+// how many forces and differences of displaced ones are remembered, and PER_STEP and DIFFERENCES_PER_STEP of them in a
+// step; GRADIENTS, whether there are displacements; SCALES where heat exchanges multiply momenta.
+
+// A body, with the force on it and the torque in its axes if these are known.
+typedef struct {
+    double R[3], P[3], q[4], L[3];
+    double F[3], T[3];
+    double inverse_mass, inverse_inertia[3];
+} Body;
+
+// What a segment is: bits.
+#define HAS_FORCES 1
+#define MOVES_PARTICLES 2
+#define SHOWS_VELOCITIES 4
+#define IS_DISPLACED 8
+
+#define DRIFT 0
+#define KICK 1
+#define EXCHANGE 2
+#define LAST_KICK 3
+#define REMEMBER 4
+#define DISPLACE 5
+#define DISPLACED_KICK 6
+
+// Columns of a kind, of the constants of a body, and of a move.
+#define KIND_COLUMNS 8
+#define CONSTANTS 12
+#define ROW 4
+
+#if LANES > 1
+#define LANE LOCAL_ID
+#define FOR_BODIES for (int i = GROUP_ID; i < BODIES; i += GLOBAL_SIZE/LOCAL_SIZE)
+#define SHARED LOCAL double shared[LANES];
+#define SHARED_ARG LOCAL_ARG double*
+#else
+#define LANE 0
+#define FOR_BODIES for (int i = GLOBAL_ID; i < BODIES; i += GLOBAL_SIZE)
+#define SHARED double shared[1];
+#define SHARED_ARG double*
+#endif
+
+// Add numbers of all threads of a body.
+DEVICE inline void sum_over_lanes(double* values, int n, SHARED_ARG shared) {
+#if LANES > 1
+    for (int k = 0; k < n; k++) {
+        shared[LANE] = values[k];
+        SYNC_THREADS
+        for (int width = LANES/2; width > 0; width /= 2) {
+            if (LANE < width)
+                shared[LANE] += shared[LANE+width];
+            SYNC_THREADS
+        }
+        values[k] = shared[0];
+        SYNC_THREADS
+    }
+#endif
+}
+
+// Where the tables have body i: its kind's row, its particles and sites, and its constants.
+typedef struct {
+    int sites, atom, atom_stride, site, site_stride, mass, constants;
+} Place;
+
+DEVICE inline Place place_of(int i, GLOBAL const int* kind, GLOBAL const int* kinds) {
+    GLOBAL const int* row = kinds+KIND_COLUMNS*kind[i];
+    const int within = i-row[0], own = row[6] ? within : 0;
+    Place p;
+#ifdef SITES
+    p.sites = SITES;
+#else
+    p.sites = row[2];
+#endif
+    p.atom = row[3]+within;
+    p.atom_stride = row[1];
+    p.site = row[4]+own;
+    p.site_stride = row[6] ? row[1] : 1;
+    p.mass = row[5];
+    p.constants = row[7]+own;
+    return p;
+}
+
+// A site in space, for a rotation matrix.
+DEVICE inline void turned(const double* Q, GLOBAL const double* site, double* r) {
+    for (int k = 0; k < 3; k++)
+        r[k] = Q[3*k]*site[0]+Q[3*k+1]*site[1]+Q[3*k+2]*site[2];
+}
+
+// A vector of space in the axes of a body, without what a linear body or a particle has no inertia for.
+DEVICE inline void in_body(const double* Q, const double* inverse_inertia, const double* v, double* u) {
+    for (int k = 0; k < 3; k++)
+        u[k] = inverse_inertia[k] == 0.0 ? 0.0 : Q[k]*v[0]+Q[3+k]*v[1]+Q[6+k]*v[2];
+}
+
+DEVICE inline void add_cross(double* sum, const double* a, const double* b) {
+    sum[0] += a[1]*b[2]-a[2]*b[1]; sum[1] += a[2]*b[0]-a[0]*b[2]; sum[2] += a[0]*b[1]-a[1]*b[0];
+}
+
+// Where forces displace a body: e F/M, and the attitude turned by e T/I.
+DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, double* q) {
+    double v[3];
+    for (int k = 0; k < 3; k++) {
+        arm[k] = e*F[k]*body->inverse_mass;
+        v[k] = e*T[k]*body->inverse_inertia[k];
+    }
+    for (int k = 0; k < 4; k++)
+        q[k] = body->q[k];
+    turn_by(q, v);
+}
+
+DEVICE inline void load_body(Body* body, int i, GLOBAL const double* R, GLOBAL const double* P, GLOBAL const double* q,
+        GLOBAL const double* L, GLOBAL const double* constants) {
+    for (int k = 0; k < 3; k++) {
+        body->R[k] = R[k*BODIES+i]; body->P[k] = P[k*BODIES+i]; body->L[k] = L[k*BODIES+i];
+        body->F[k] = body->T[k] = 0.0;
+        body->inverse_inertia[k] = constants[4+k];
+    }
+    for (int k = 0; k < 4; k++)
+        body->q[k] = q[k*BODIES+i];
+    body->inverse_mass = constants[7];
+}
+
+#define CONTEXT GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const int4* places, GLOBAL const double* box
+#define TABLES GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL const int* atoms, GLOBAL const double* sites, \
+    GLOBAL const double* masses, GLOBAL const double* constants
+#define STATE GLOBAL double* R_, GLOBAL double* P_, GLOBAL double* q_, GLOBAL double* L_

@@ -1,0 +1,36 @@
+// Positions and velocities of the Context, in its three precisions. Particles are where their molecules are, not where
+// OpenMM moved these by vectors of the box: a place has the slot of an atom and by how many.
+
+DEVICE inline void cell_of(int4 place, GLOBAL const double* box, double* shift) {
+    for (int k = 0; k < 3; k++)
+        shift[k] = place.y*box[k]+place.z*box[3+k]+place.w*box[6+k];
+}
+
+DEVICE inline void write_position(GLOBAL real4* posq, GLOBAL real4* posqCorrection, int4 place, GLOBAL const double* box,
+        double x, double y, double z) {
+    double shift[3];
+    cell_of(place, box, shift);
+    x += shift[0]; y += shift[1]; z += shift[2];
+    const real4 high = make_real4((real) x, (real) y, (real) z, posq[place.x].w);
+    posq[place.x] = high;
+#ifdef USE_MIXED_PRECISION
+    posqCorrection[place.x] = make_real4((real) (x-high.x), (real) (y-high.y), (real) (z-high.z), 0);
+#endif
+}
+
+DEVICE inline void read_position(GLOBAL const real4* posq, GLOBAL const real4* posqCorrection, int4 place,
+        GLOBAL const double* box, double* x) {
+    double shift[3];
+    cell_of(place, box, shift);
+    const real4 high = posq[place.x];
+    x[0] = high.x-shift[0]; x[1] = high.y-shift[1]; x[2] = high.z-shift[2];
+#ifdef USE_MIXED_PRECISION
+    const real4 low = posqCorrection[place.x];
+    x[0] += low.x; x[1] += low.y; x[2] += low.z;
+#endif
+}
+
+DEVICE inline void read_force(GLOBAL const mm_long* force, int slot, double* f) {
+    for (int k = 0; k < 3; k++)
+        f[k] = (double) force[slot+k*PADDED_NUM_ATOMS]*(1.0/4294967296.0);
+}

@@ -1,0 +1,192 @@
+// What happens to rigid bodies between two force evaluations, in one launch; OWN_MOVES has the cases of users' moves.
+
+// A heat exchange: friction and noise, or two factors. Numbers are tau, and the fade and the spread of translation and
+// of rotation, then the same of bodies in flexible molecules.
+DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
+        int flexible, mm_long key, mm_long step, int number, int index) {
+#ifdef SCALES
+    for (int k = 0; k < 3; k++) {
+        body->P[k] *= factors[0];
+        body->L[k] *= factors[1];
+    }
+#else
+    GLOBAL const double* of = numbers+(flexible ? 5 : 1);
+    double n[4];
+    if (of[0] != 0.0) {
+        normals(key, step, 16*number, index, n);
+        for (int k = 0; k < 3; k++)
+            body->P[k] += of[0]*body->P[k]+of[1]*constants[8]*n[k];
+    }
+    if (of[2] != 0.0 && body->inverse_inertia[2] != 0.0) {
+        normals(key, step, 16*number+1, index, n);
+        for (int k = 0; k < 3; k++)
+            body->L[k] += of[2]*body->L[k]+of[3]*constants[9+k]*n[k];
+    }
+#endif
+}
+
+KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL const int* index, GLOBAL double* last,
+        GLOBAL double* differences, GLOBAL double* here, GLOBAL const int* moves, GLOBAL const double* numbers,
+        GLOBAL const double* factors, int first, int count, int what, mm_long step, double key, double turns) {
+    SHARED
+    FOR_BODIES {
+        const Place at = place_of(i, kind, kinds);
+        GLOBAL const double* own = constants+CONSTANTS*at.constants;
+        Body body;
+        load_body(&body, i, R_, P_, q_, L_, own);
+        double Q[9], arm[3] = {0.0, 0.0, 0.0}, place[4];
+        for (int k = 0; k < 4; k++)
+            place[k] = body.q[k];
+        if (what & IS_DISPLACED) {
+            double F[3], T[3];
+            for (int k = 0; k < 3; k++) {
+                F[k] = here[k*BODIES+i]; T[k] = here[(3+k)*BODIES+i];
+            }
+            displaced(&body, numbers[moves[ROW*first+2]+1], F, T, arm, place);
+        }
+        if (what & HAS_FORCES) {
+            double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
+            attitude(place, Q);
+            for (int s = LANE; s < at.sites; s += LANES) {
+                double f[3], r[3];
+                read_force(force, places[atoms[at.atom+s*at.atom_stride]].x, f);
+                turned(Q, sites+3*(at.site+s*at.site_stride), r);
+                for (int k = 0; k < 3; k++) {
+                    r[k] += arm[k];
+                    sums[k] += f[k];
+                }
+                add_cross(sums+3, r, f);
+            }
+            sum_over_lanes(sums, 6, shared);
+            if (what & IS_DISPLACED)
+                attitude(body.q, Q);
+            for (int k = 0; k < 3; k++)
+                body.F[k] = sums[k];
+            in_body(Q, body.inverse_inertia, sums+3, body.T);
+        }
+        double e = 0.0;
+        if (LANE == 0)
+        for (int row = first; row < first+count; row++) {
+            const int op = moves[ROW*row], number = moves[ROW*row+1] & 0xffff, late = moves[ROW*row+1]>>16;
+            GLOBAL const double* values = numbers+moves[ROW*row+2];
+            const double tau = values[0];
+            switch (op) {
+            case DRIFT:
+                for (int k = 0; k < 3; k++)
+                    body.R[k] += tau*body.P[k]*body.inverse_mass;
+                rotate(tau, own, body.q, body.L);
+                break;
+            case KICK:
+            case DISPLACED_KICK:
+                for (int k = 0; k < 3; k++) {
+                    body.P[k] += tau*body.F[k];
+                    body.L[k] += tau*body.T[k];
+                }
+#if DIFFERENCES > 0
+                if (op == DISPLACED_KICK) {
+                    const int slot = (((mm_long) turns)*DIFFERENCES_PER_STEP+number)%DIFFERENCES;
+                    for (int k = 0; k < 3; k++) {
+                        differences[(6*slot+k)*BODIES+i] = body.F[k]-here[k*BODIES+i];
+                        differences[(6*slot+3+k)*BODIES+i] = body.T[k]-here[(3+k)*BODIES+i];
+                    }
+                }
+#endif
+                break;
+            case EXCHANGE:
+                exchange(&body, own, values, factors, index[BODIES+i], (mm_long) key, step+late, number, index[i]);
+                break;
+#if MEMORY > 0
+            case REMEMBER: {
+                const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;
+                for (int k = 0; k < 3; k++) {
+                    last[(6*slot+k)*BODIES+i] = body.F[k];
+                    last[(6*slot+3+k)*BODIES+i] = body.T[k];
+                }
+                break;
+            }
+            case LAST_KICK:
+                for (int w = 0; w < moves[ROW*row+3]; w++) {
+                    GLOBAL const double* from = last;
+                    int slot = (((mm_long) turns)*PER_STEP-1-w+MEMORY)%MEMORY;
+#if DIFFERENCES > 0
+                    if (w >= number) {
+                        from = differences;
+                        slot = (((mm_long) turns)*DIFFERENCES_PER_STEP-1-(w-number)+DIFFERENCES)%DIFFERENCES;
+                    }
+#endif
+                    for (int k = 0; k < 3; k++) {
+                        body.P[k] += values[w]*from[(6*slot+k)*BODIES+i];
+                        body.L[k] += values[w]*from[(6*slot+3+k)*BODIES+i];
+                    }
+                }
+                break;
+#endif
+#if GRADIENTS > 0
+            case DISPLACE:
+                e = tau;
+                for (int k = 0; k < 3; k++) {
+                    here[k*BODIES+i] = body.F[k];
+                    here[(3+k)*BODIES+i] = body.T[k];
+                }
+                break;
+#endif
+            OWN_MOVES
+            }
+        }
+        if (LANE == 0)
+            for (int k = 0; k < 3; k++) {
+                P_[k*BODIES+i] = body.P[k]; L_[k*BODIES+i] = body.L[k];
+            }
+        if (LANE == 0 && (what & MOVES_PARTICLES)) {
+            for (int k = 0; k < 3; k++)
+                R_[k*BODIES+i] = body.R[k];
+            for (int k = 0; k < 4; k++)
+                q_[k*BODIES+i] = body.q[k];
+        }
+#if LANES > 1
+        // Through the state, which other threads of the body have not seen yet. What is displaced is so for all alike.
+        SYNC_THREADS
+        if (LANE != 0)
+            for (int row = first; row < first+count; row++)
+                if (moves[ROW*row] == DISPLACE)
+                    e = numbers[moves[ROW*row+2]];
+        for (int k = 0; k < 3; k++) {
+            body.R[k] = R_[k*BODIES+i]; body.P[k] = P_[k*BODIES+i]; body.L[k] = L_[k*BODIES+i];
+        }
+        for (int k = 0; k < 4; k++)
+            body.q[k] = q_[k*BODIES+i];
+#endif
+        for (int k = 0; k < 3; k++)
+            arm[k] = body.R[k];
+        for (int k = 0; k < 4; k++)
+            place[k] = body.q[k];
+#if GRADIENTS > 0
+        if (e != 0.0) {
+            displaced(&body, e, body.F, body.T, arm, place);
+            for (int k = 0; k < 3; k++)
+                arm[k] += body.R[k];
+        }
+#endif
+        attitude(place, Q);
+        if (what & MOVES_PARTICLES)
+            for (int s = LANE; s < at.sites; s += LANES) {
+                double r[3];
+                turned(Q, sites+3*(at.site+s*at.site_stride), r);
+                write_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, arm[0]+r[0], arm[1]+r[1], arm[2]+r[2]);
+            }
+        if (what & SHOWS_VELOCITIES) {
+            double w[3], u[3];
+            for (int k = 0; k < 3; k++)
+                w[k] = body.L[k]*body.inverse_inertia[k];
+            for (int k = 0; k < 3; k++)
+                u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
+            for (int s = LANE; s < at.sites; s += LANES) {
+                const int slot = places[atoms[at.atom+s*at.atom_stride]].x;
+                double r[3], v[3] = {body.P[0]*body.inverse_mass, body.P[1]*body.inverse_mass, body.P[2]*body.inverse_mass};
+                turned(Q, sites+3*(at.site+s*at.site_stride), r);
+                add_cross(v, u, r);
+                velm[slot] = make_mixed4((mixed) v[0], (mixed) v[1], (mixed) v[2], velm[slot].w);
+            }
+        }
+    }
+}

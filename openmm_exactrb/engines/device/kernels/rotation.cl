@@ -1,0 +1,125 @@
+// The exact flow of the free rigid body: the formulas of openmm_exactrb.kernels.compiled.exact for short steps, of which
+// longer ones are made. NODE0 ... and WEIGHT0 ... are those of Gauss's rule in openmm_exactrb.elliptic.
+
+// Up to this b G t a step is short; a body of more short ones has diverged.
+#define SHORT 0.3
+#define MOST_PARTS 10000.0
+// Rounds to 26 bits: a number of magnitude 1 or less, plus and minus this.
+#define TO_GRID 100663296.0
+
+// w = sn(v)/c at s = v/c.
+DEVICE inline double sine_short(double s, double x, double z) {
+    double short_s = 0.5*s, u = short_s*short_s, P = (x+z)*u, Q = (x*z)*(u*u);
+    double in_P = 1.0+P*(-1.0/6+P*(1.0/120+P*(-1.0/5040+P*(1.0/362880-P*(1.0/39916800)))));
+    double in_Q = 1.0/10+P*(-11.0/420+P*(17.0/5040-P*(461.0/1663200)))+Q*(1.0/120-P*(307.0/92400));
+    double w = short_s*(in_P+Q*in_Q);
+    u = w*w;
+    double xu = x*u, zu = z*u;
+    return 2.0*w*sqrt((1.0-xu)*(1.0-zu))/(1.0-xu*zu);
+}
+
+DEVICE inline double integrand(double u, double x, double z, double b) {
+    return b*u/((1.0+b*u)*sqrt((1.0-x*u)*(1.0-z*u)));
+}
+
+DEVICE inline double third_kind_short(double w, double x, double z, double b) {
+    double u = w*w;
+    return w*(WEIGHT0*integrand(NODE0*u, x, z, b)+WEIGHT1*integrand(NODE1*u, x, z, b)+WEIGHT2*integrand(NODE2*u, x, z, b)
+             +WEIGHT3*integrand(NODE3*u, x, z, b)+WEIGHT4*integrand(NODE4*u, x, z, b));
+}
+
+// 1-c for the point (c, s) of the unit circle.
+DEVICE inline double versine(double c, double s) {
+    return c > 0.0 ? s*s/(1.0+c) : 1.0-c;
+}
+
+// 1-q.q to twice the digits.
+DEVICE inline double norm_defect(const double* q) {
+    double squares = 0.0, rest = 0.0;
+    for (int k = 0; k < 4; k++) {
+        double high = (q[k]+TO_GRID)-TO_GRID;
+        squares += high*high;
+        rest += (q[k]-high)*(q[k]+high);
+    }
+    return (1.0-squares)-rest;
+}
+
+// q times the rotation by (1+t0, t1, t2, t3), in place.
+DEVICE inline void turn(double* q, double t0, double t1, double t2, double t3) {
+    double q0 = q[0], q1 = q[1], q2 = q[2], q3 = q[3], defect = 0.5*norm_defect(q);
+    q[0] = q0+((q0*t0-q1*t1-q2*t2-q3*t3)+q0*defect);
+    q[1] = q1+((q0*t1+q1*t0+q2*t3-q3*t2)+q1*defect);
+    q[2] = q2+((q0*t2-q1*t3+q2*t0+q3*t1)+q2*defect);
+    q[3] = q3+((q0*t3+q1*t2-q2*t1+q3*t0)+q3*defect);
+}
+
+DEVICE inline void rotate_short(double t, double b, double rho, double sigma, double inverse_I3, double* q, double* m) {
+    double x1 = m[0], x2 = m[1], x3 = m[2];
+    double square_G = x1*x1+x2*x2+x3*x3, G = sqrt(square_G), hG = t*G, flip = x3 < 0.0 ? -1.0 : 1.0;
+    double inverse_G = 1.0/G, y1 = flip*x1*inverse_G, y2 = x2*inverse_G, y3 = flip*x3*inverse_G;
+    if (fabs(y1) < 1e-30 && fabs(y2) < 1e-30)
+        y2 = 1e-30;
+    double x = sigma*(y3*y3+rho*y2*y2), transverse = y1*y1+sigma*y2*y2, B = sigma*transverse, z = rho*transverse;
+    double w = sine_short(b*hG, x, z), u = w*w, cn = sqrt(1.0-x*u), dn = sqrt(1.0-z*u);
+    double angle = 0.5*(hG*inverse_I3+third_kind_short(w, x, z, B));
+    double cosine = cos(angle), sine = sin(angle);
+    double cn_less = x*u/(1.0+cn), dn_less = z*u/(1.0+dn);
+
+    double wy3 = w*y3, cd = cn*dn, rw2 = sigma*wy3*wy3, inverse = 1.0/(cn*cn+rw2);
+    double d1 = (y1*(cn*cn_less-rw2)-sigma*wy3*dn*y2)*inverse;
+    double d2 = (y2*(cn*(cn_less-dn_less)-rw2)+wy3*y1)*inverse;
+    double d3 = (y3*(cn_less*(1.0+cn)-dn_less-rw2)-rho*w*cn*y1*y2)*inverse;
+    double n1 = y1+d1, n2 = y2+d2, n3 = y3+d3;
+    double re = y2*y2+y1*(cn*n1+wy3*n2), im = -rho*w*y2*n2, other;
+    other = re*cd-im*w; im = re*w+im*cd; re = other;
+    double across_re = y1*n1+y2*n2, across_im = y2*d1-y1*d2;
+    other = re*across_re-im*across_im; im = re*across_im+im*across_re; re = other;
+    double over = 1.0/sqrt(re*re+im*im), larger = sqrt(0.5+0.5*fabs(re*over)), smaller = 0.5*fabs(im*over)/larger;
+    double sign = im < 0.0 ? -1.0 : 1.0;
+    double hc = re < 0.0 ? smaller : larger, hs = re < 0.0 ? sign*larger : sign*smaller;
+    double c = cosine*hc-sine*hs, e = sine*hc+cosine*hs, less = versine(c, e);
+    double z1 = d1*c-d2*e-(y1*less+y2*e), z2 = d1*e+d2*c-(y2*less-y1*e);
+    double a0 = 1.0+y3, a1 = 1.0+n3, prod = a0*a1, scale = 0.5/sqrt(prod);
+    double t2 = -scale*(a0*(z1+y1*less-y2*e)-d3*(y1*c+y2*e));
+    double t1 = scale*(a0*(z2+y2*less+y1*e)-d3*(y2*c-y1*e));
+    double t3 = scale*(prod*e+y2*z1-y1*z2);
+    double along = scale*(prod*c+y1*(y1+z1)+y2*(y2+z2));
+    double t0 = -versine(along, sqrt(t1*t1+t2*t2+t3*t3));
+    d1 = flip*d1*G; d2 = d2*G; d3 = flip*d3*G;
+    n1 = x1+d1; n2 = x2+d2; n3 = x3+d3;
+    double correction = (d1*(x1+n1)+d2*(x2+n2)+d3*(x3+n3))*(0.5/square_G);
+    m[0] = x1+(d1-n1*correction); m[1] = x2+(d2-n2*correction); m[2] = x3+(d3-n3*correction);
+    turn(q, t0, flip*t1, t2, flip*t3);
+}
+
+// The flow of a time is that of its parts, so that longer steps are several short ones: exact too. `body` has b, rho,
+// sigma and 1/I3. What turns too fast has diverged, and is no number behind it.
+DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double* m) {
+    double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), b = body[0], rho = body[1], sigma = body[2], inverse_I3 = body[3];
+    double parts = fmax(1.0, ceil(fabs(b*t)*G*(1.0/SHORT)));
+    if (G <= 1e-70 || t == 0.0)
+        return;
+    if (!(parts <= MOST_PARTS)) {
+        const double nothing = sqrt(-1.0-G*G);
+        for (int k = 0; k < 3; k++)
+            q[k] = m[k] = nothing;
+        return;
+    }
+    for (int i = 0; i < (int) parts; i++)
+        rotate_short(t/parts, b, rho, sigma, inverse_I3, q, m);
+}
+
+// The rotation matrix of a quaternion.
+DEVICE inline void attitude(const double* q, double* Q) {
+    double w = q[0], x = q[1], y = q[2], z = q[3];
+    Q[0] = 1-2*(y*y+z*z); Q[1] = 2*(x*y-w*z); Q[2] = 2*(x*z+w*y);
+    Q[3] = 2*(x*y+w*z); Q[4] = 1-2*(x*x+z*z); Q[5] = 2*(y*z-w*x);
+    Q[6] = 2*(x*z-w*y); Q[7] = 2*(y*z+w*x); Q[8] = 1-2*(x*x+y*y);
+}
+
+// q exp(v/2 as a rotation by |v| about v), as openmm_exactrb.quaternions.exponential has it.
+DEVICE inline void turn_by(double* q, const double* v) {
+    double square = v[0]*v[0]+v[1]*v[1]+v[2]*v[2], angle = sqrt(square);
+    double part = angle > 1e-8 ? sin(0.5*angle)/angle : 0.5, cosine = cos(0.5*angle);
+    turn(q, -versine(cosine, part*angle), part*v[0], part*v[1], part*v[2]);
+}

@@ -1,0 +1,264 @@
+"""The propagator on the device: has the integrator carry out the program of a scheme, and checks the result."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
+from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
+from openmm_exactrb.engines.device.library import Device, library
+from openmm_exactrb.engines.device.state import DeviceState
+from openmm_exactrb.engines.engine import NO_BALANCE
+from openmm_exactrb.engines.host.propagator import inner_mark
+from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.openmm_access import arrays, platforms
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
+from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.thermostat import Factors
+
+# Of the bodies that are lost, so many are named.
+_NAMED = 5
+
+
+class DevicePropagator:
+    """Makes the steps of an integrator in its Context by a program, which the integrator carries out.
+
+    Parameters
+    ----------
+    context : openmm.Context
+    integrator : openmm.CustomIntegrator
+        Behind which there is a program integrator of the library.
+    settings : Settings
+    timings : Timings
+
+    Attributes
+    ----------
+    sync : DeviceState
+    updates : ContextUpdates
+    """
+
+    def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
+        system = context.getSystem()
+        self.sync, self.updates = (
+            DeviceState(context, integrator, settings.named),
+            ContextUpdates(context, settings.named or []),
+        )
+        self.device = Device(library(), integrator)
+        self._integrator, self._timings, self._settings = weakref.ref(integrator), timings, settings
+        self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
+        self._conserves = conserve_energy(system)
+        self._version: object = None
+        self._surroundings: object = (
+            None  # box and parameters at the end of the last call: inner coordinates are theirs
+        )
+        self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
+        self._load()
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the Context is gone or has been reinitialised."""
+        return self.sync.outdated
+
+    @property
+    def around(self) -> tuple[State, State] | None:
+        """The states before and after the last heat exchange, which the device does not keep."""
+        raise ValueError("momenta within a step are not available on the device: use engine='host'")
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
+        """Raise ValueError: the device does not add up the heat of its thermostat."""
+        raise ValueError(NO_BALANCE)
+
+    # -- the program ---------------------------------------------------------------------------------------------------
+
+    def _load(self) -> None:
+        """Give the integrator the program of the settings, and its tables."""
+        self._assembly = assembly = Assembly(
+            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors
+        )
+        self.device.load(assembly.program.text)
+        context: Any = self.sync.context
+        self.sync.begin(self.device, assembly.parts, self._processed, platforms.is_single(context))
+        for part in assembly.parts:
+            for name, values in part.tables().items():
+                self.device.upload(name, values)
+        self.device["interval"], self.device["leaves"] = self.updates.periods
+
+    @property
+    def _processed(self) -> bool:
+        return bool(self._settings.scheme.processor)
+
+    def _bind(self, settings: Any) -> None:
+        """Bring the program to new settings: its numbers, or all of it."""
+        self._leave(settings)
+        self._settings = settings
+        if self._assembly.scheme != settings.scheme:
+            self.sync.pull()
+            self._load()
+            self.sync.replace(self.sync.state)
+        moves, numbers = self._assembly.table.values(settings.h, self._exchange)
+        self.device.upload("moves", moves)
+        self.device.upload("numbers", numbers)
+        thermostat = settings.thermostat
+        if thermostat is not None and getattr(thermostat, "flexibleFriction", None) is not None:
+            flexible = in_flexible_molecules(self.sync.context, self.sync.bodies, settings.named)
+            for part in self._assembly.parts:
+                part.flag(self.device, flexible)
+
+    @property
+    def _factors(self) -> Factors | None:
+        thermostat = self._settings.thermostat
+        return None if thermostat is None else thermostat.factors
+
+    def _exchange(self, tau: float) -> tuple[float, ...]:
+        """Return the numbers of a heat exchange, as many as the table has room for."""
+        bodies = self.sync.bodies
+        translational = bodies.translational_freedom - 3 * self.updates.removes_motion
+        numbers = self._settings.thermostat.kernel_exchange(tau, (translational, bodies.rotational_freedom))
+        return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
+
+    # -- calls -----------------------------------------------------------------------------------------------------
+
+    def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
+        """Make n steps. After an error the Context holds what it held before.
+
+        Arguments are those of the propagator of the host.
+
+        Raises
+        ------
+        NonFiniteError
+            If numbers become infinite, or a body faster than light.
+        IntegrationError
+            If the total energy rises by integration errors.
+        """
+        changed = self.sync.settle()
+        if self._surroundings not in (None, self._present_surroundings()):
+            self._coordinates = 0.0  # those of other forces
+        if version != self._version:
+            self._bind(settings())
+            self._version, changed = version, True
+        self.device["key"] = key
+        if changed:
+            self._largest = self._report()[0]
+        coordinates = self._coordinates
+        self.device.keep()
+        try:
+            self._make(n)
+        except BaseException:
+            self.device.restore()
+            self._coordinates = coordinates
+            self.sync.moved_on()
+            raise
+        if self._processed:
+            self._surroundings = self._present_surroundings()
+
+    def _make(self, n: int) -> None:
+        """Make n steps; IntegrationError if they diverge."""
+        self._step(n)
+        kinetic, bad = self._report()
+        if bad:
+            self._refuse(n)
+        if kinetic > GROWN * self._largest and self._judged and kinetic > GROWN * self._thermal:
+            self._compare(kinetic, n)
+            self._step(n)  # again, for the comparison has led back
+        self._largest = max(self._largest, kinetic)
+
+    def _step(self, n: int) -> None:
+        """Make n steps, and show the result."""
+        device, before = self.device, self.device.evaluations
+        try:
+            if self._processed and n:
+                self._enter()
+            device.step(n)
+            if self._processed and n:
+                device.run("output" if self._assembly.cheap(device["turn"]) else "postprocess")
+        except openmm.OpenMMException as error:
+            if "NaN" not in str(error):
+                raise
+            self._refuse(n)
+        finally:
+            self._timings.evaluations += device.evaluations - before + self.updates.trial_energies(n)
+            self.sync.moved_on()
+
+    def _report(self) -> tuple[float, bool]:
+        """Return the kinetic energy (kJ/mol), and whether a body is lost."""
+        self.device.run("report")
+        translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
+        kinetic = float(translation + rotation)
+        return kinetic, bool(lost_bodies) or not math.isfinite(kinetic)
+
+    def _refuse(self, n: int) -> None:
+        """Raise NonFiniteError with the bodies that are lost."""
+        self.sync.pull()
+        bodies = self.sync.bodies
+        which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
+        names = ", ".join(map(bodies.name, which[:_NAMED])) + (", ..." if len(which) > _NAMED else "")
+        raise NonFiniteError(
+            f"within {n} steps positions or momenta of {len(which)} bodies became infinite, or faster than light: "
+            f"{names}. {ADVICE.format('call')}"
+        )
+
+    @property
+    def _judged(self) -> bool:
+        """Whether a jump of the total energy is an error."""
+        return bool(self._conserves and self._settings.check)
+
+    @property
+    def _thermal(self) -> float:
+        """The kinetic energy (kJ/mol) that thermostats account for: twice the canonical mean, and 20 kT more."""
+        thermostat, bodies = self._settings.thermostat, self.sync.bodies
+        kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
+        kT = max(kT, self.updates.hottest(self.sync.context))
+        return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
+
+    def _compare(self, kinetic: float, n: int) -> None:
+        """Return to the state before n steps; IntegrationError if the total energy was far lower there."""
+        energy = kinetic + self._potential()
+        self.device.restore()
+        kinetic_before = self._report()[0]
+        before = kinetic_before, kinetic_before + self._potential()
+        if message := gained(len(self.sync.bodies), before, (kinetic, energy)):
+            raise IntegrationError(f"within {n} steps {message}. {ADVICE.format('call')}")
+
+    def _potential(self) -> float:
+        self._timings.evaluations += 1
+        state = self.sync.context.getState(energy=True, groups=self._settings.groups)
+        return float(state.getPotentialEnergy()._value)
+
+    # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
+
+    def _enter(self) -> None:
+        """Come to inner coordinates from the state that is shown, unless they are those of the present settings."""
+        mark = inner_mark(self._settings.scheme, self._settings.h)
+        if self._coordinates != mark:
+            self.device.run("enter")
+            self.device["turn"] = 0.0
+            self._coordinates = mark
+
+    def _leave(self, settings: Any) -> None:
+        """Bring the state out of inner coordinates that are not those of new settings, by the exact way back."""
+        if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
+            if self._version is not None:  # else the coordinates are of another program
+                self.device.run("postprocess")
+                self.sync.moved_on()
+            self._coordinates = 0.0
+
+    @property
+    def _coordinates(self) -> float:
+        """The mark of the inner coordinates, 0 without any."""
+        return variables.get(self._integrator(), variables.COORDINATES)
+
+    @_coordinates.setter
+    def _coordinates(self, mark: float) -> None:
+        variables.put(self._integrator(), variables.COORDINATES, mark)
+
+    def _present_surroundings(self) -> object:
+        return arrays.surroundings(self.sync.context.getState(parameters=True)) if self._processed else None

@@ -1,0 +1,265 @@
+"""Rigid bodies of all kinds in a program: their tables, their state on the device, and the launches of a segment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.engines.device.library import Device
+from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source
+from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.mathematics.elliptic import RULES
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.divergence import LIGHT
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.rotors.exact import constants
+
+Array = NDArray[np.float64]
+Values = Mapping[str, NDArray[Any]]
+
+#: Bodies of more particles get a group of so many threads each.
+LARGE, LANES = 16, 64
+#: Threads of a block, and the most blocks whose sums of kinetic energies are added up.
+BLOCK, GROUPS = 64, 256
+# Bodies that a barostat moved by less than this (nm) it left alone.
+_STILL = 1e-9
+_STATE = ("R", "P", "q", "L")
+_ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
+_TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
+_CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
+# Bits of what a segment is, as in kernels/rigid.cl.
+_HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
+
+
+@dataclass(frozen=True)
+class Demands:
+    """What a scheme and its thermostat demand of kernels.
+
+    Attributes
+    ----------
+    memory : tuple of int
+        How many forces are remembered, and how many of them in a step.
+    differences : tuple of int
+        The same of the differences of displaced forces.
+    copied : bool
+        Whether a copy of the bodies is shown.
+    displaces : bool
+        Whether there are force-gradient kicks.
+    scales : bool
+        Whether heat exchanges multiply momenta by numbers for all.
+    own : tuple of str
+        Texts of the moves of users, in the order of their numbers.
+    """
+
+    memory: tuple[int, int] = (0, 1)
+    differences: tuple[int, int] = (0, 1)
+    copied: bool = False
+    displaces: bool = False
+    scales: bool = False
+    own: tuple[str, ...] = ()
+
+
+def parts_of(bodies: RigidBodies, chosen: Sequence[Kind], demands: Demands) -> list[RigidPart]:
+    """Return the parts of a program for some kinds: bodies with a thread each, and those with a group of threads."""
+    small = [kind for kind in chosen if kind.particles.shape[1] <= LARGE]
+    large = [kind for kind in chosen if kind.particles.shape[1] > LARGE]
+    made = (RigidPart(bodies, small, demands, "", 1), RigidPart(bodies, large, demands, "large_", LANES))
+    return [part for part in made if part.n]
+
+
+class RigidPart:
+    """Some kinds of rigid bodies; the names of their arrays begin with a prefix, and `lanes` threads share a body."""
+
+    def __init__(
+        self, bodies: RigidBodies, kinds: Sequence[Kind], demands: Demands, prefix: str = "", lanes: int = 1
+    ) -> None:
+        self._bodies, self._kinds, self._demands, self._prefix, self._lanes = bodies, kinds, demands, prefix, lanes
+        ranges = [np.arange(kind.bodies.start, kind.bodies.stop) for kind in kinds]
+        self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # of the bodies, among all
+        self.n = len(self.columns)
+        self._turning = self.columns < bodies.n_turning
+
+    # -- declarations and launches ---------------------------------------------------------------------------------
+
+    @property
+    def _source(self) -> Source:
+        demands = self._demands
+        nodes, weights = RULES[1]
+        rule = [(f"NODE{j}", f"({float(x[0])!r})") for j, x in enumerate(nodes)]
+        rule += [(f"WEIGHT{j}", f"({float(x)!r})") for j, x in enumerate(weights)]
+        sizes = {kind.particles.shape[1] for kind in self._kinds}
+        defines: list[tuple[str, object]] = [
+            *rule,
+            ("BODIES", self.n),
+            ("LANES", self._lanes),
+            *([("SITES", *sizes)] if len(sizes) == 1 and self._lanes == 1 else []),
+            ("MEMORY", demands.memory[0]),
+            ("PER_STEP", demands.memory[1]),
+            ("DIFFERENCES", demands.differences[0]),
+            ("DIFFERENCES_PER_STEP", demands.differences[1]),
+            ("GRADIENTS", int(demands.displaces)),
+            *([("SCALES", 1)] if demands.scales else []),
+            ("STILL", _STILL),
+            ("LIGHT", LIGHT),
+            ("BLOCK", BLOCK),
+            ("GROUPS", GROUPS),
+            ("OWN_MOVES", " ".join(_call(number, text) for number, text in enumerate(demands.own))),
+        ]
+        body = "rotation.cl", "random.cl", "context.cl", "body.cl"
+        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "kinetic.cl"), tuple(defines))
+
+    def _named(self, *names: str) -> tuple[str, ...]:
+        return tuple(self._prefix + name for name in names)
+
+    def _state(self, copied: bool) -> tuple[str, ...]:
+        inner = self._demands.copied and not copied
+        return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
+
+    def declare(self, to: Program) -> None:
+        """Declare tables, the state, and what is remembered."""
+        tables = self.tables()
+        for name, values in tables.items():
+            to.array(name, values.size, element=values.itemsize)
+        for copied in (False, True)[: 1 + self._demands.copied]:
+            for name, of in zip(self._state(copied), _STATE, strict=True):
+                to.array(name, _ROWS[of] * self.n, saved=True)
+        memory, differences, here = self._named("last", "differences", "here")
+        to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
+        to.array(differences, 6 * self.n * self._demands.differences[0], saved=True)
+        to.array(here, 6 * self.n * self._demands.displaces)
+        to.array(self._prefix + "kinetic", 3 * GROUPS)
+
+    def launches(self, segment: Segment, table: Table) -> list[Operation]:
+        """Return the launch of a segment."""
+        moves = _merged(tuple(move for move in segment.moves if move.bodies != "inner"))
+        displaced = segment.has(Op.DISPLACED_KICK)
+        what = _HAS_FORCES * any(move.groups for move in moves)
+        what |= _HAS_FORCES * segment.has(Op.REMEMBER)
+        what |= _MOVES_PARTICLES * (segment.places or displaced or any(move.displaces for move in moves))
+        what |= _SHOWS_VELOCITIES * segment.shows | _IS_DISPLACED * displaced
+        arguments: tuple[str | int, ...] = (
+            *_CONTEXT,
+            "force",
+            *self._named(*_TABLES),
+            *self._state(segment.copied),
+            *self._named("index", "last", "differences", "here"),
+            *(Table.MOVES, Table.NUMBERS, "factors"),
+            *table.rows(moves),
+            *(what, "#step", "$key", "$turn"),
+        )
+        return [self._launch("segment", arguments)]
+
+    def _launch(self, function: str, arguments: tuple[str | int, ...], threads: int | None = None) -> Launch:
+        lanes = self._lanes
+        return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
+
+    def copies(self) -> list[Operation]:
+        """Return what makes the shown bodies copies of those of the inner coordinates."""
+        return [f"copy {one} {other}" for one, other in zip(self._state(False), self._state(True), strict=True)]
+
+    def returns(self) -> list[Operation]:
+        """Return what makes the bodies in inner coordinates copies of those that are shown."""
+        return [f"copy {one} {other}" for one, other in zip(self._state(True), self._state(False), strict=True)]
+
+    def reductions(self, copied: bool, adds: bool) -> list[Operation]:
+        """Return what writes the kinetic energies to "totals", or adds them."""
+        sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
+        tables = self._named("kind", "kinds", "constants")
+        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self._state(copied), sums), BLOCK)
+        return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
+
+    def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
+        """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
+        _, P, _, L = self._state(to_copy)
+        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied), P, L))]
+
+    def moved(self, copied: bool) -> list[Operation]:
+        """Return what reads positions that were changed."""
+        return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied)))]
+
+    # -- values ------------------------------------------------------------------------------------------------------
+
+    def tables(self) -> dict[str, NDArray[Any]]:
+        """Return what does not change, by the names of arrays, but for which bodies are in flexible molecules."""
+        rows, atoms, sites, masses, of_bodies = [], [], [], [], []
+        kind_of = np.concatenate([np.full(len(k.particles), number) for number, k in enumerate(self._kinds)])
+        first = counts = n_sites = n_masses = n_constants = 0
+        for kind in self._kinds:
+            count, size = kind.particles.shape
+            own = len(kind.sites) > 1
+            rows.append((first, count, size, counts, n_sites, n_masses, int(own), n_constants))
+            atoms.append(kind.particles.T.ravel())
+            sites.append(kind.sites.transpose(1, 0, 2).reshape(-1, 3))
+            masses.append(kind.masses)
+            of_bodies.append(np.array(list(_constants(kind))))
+            first, counts = first + count, counts + count * size
+            n_sites, n_masses, n_constants = n_sites + len(sites[-1]), n_masses + size, n_constants + len(of_bodies[-1])
+        index = np.stack([self.columns, np.zeros(self.n, dtype=np.intp)])
+        values: dict[str, NDArray[Any]] = {
+            "kind": kind_of.astype(np.int32),
+            "kinds": np.array(rows, dtype=np.int32),
+            "atoms": np.concatenate(atoms).astype(np.int32),
+            "sites": np.concatenate(sites),
+            "masses": np.concatenate(masses),
+            "constants": np.concatenate(of_bodies),
+            "index": index.astype(np.int32),
+        }
+        return {self._prefix + name: array for name, array in values.items()}
+
+    def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
+        """Write which of all bodies (N,) are in flexible molecules."""
+        index = np.stack([self.columns, flexible[self.columns]])
+        device.upload(self._prefix + "index", index.astype(np.int32))
+
+    def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
+        """Write the state of all bodies to the device."""
+        turning, columns = self._turning, self.columns
+        q, L = np.zeros((4, self.n)), np.zeros((3, self.n))
+        q[0] = 1.0
+        q[:, turning], L[:, turning] = state.q[:, columns[turning]], state.m[:, columns[turning]]
+        values = (state.R[:, columns], state.P[:, columns], q, L)
+        for name, array in zip(self._state(copied), values, strict=True):
+            device.upload(name, array)
+
+    def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
+        """Read the state of these bodies into that of all."""
+        R, P, q, L = (
+            device.download(name, np.empty((_ROWS[of], self.n)))
+            for name, of in zip(self._state(copied), _STATE, strict=True)
+        )
+        turning, columns = self._turning, self.columns
+        out.R[:, columns], out.P[:, columns] = R, P
+        out.q[:, columns[turning]], out.m[:, columns[turning]] = q[:, turning], L[:, turning]
+
+
+def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
+    """Yield b, rho, sigma, 1/I3, the inverse moments, 1/M, sqrt(M) and the roots of the moments of a kind's bodies."""
+    for moments in kind.inertia:
+        of_rotor = np.where(kind.linear, moments[2], moments) if kind.turns else np.ones(3)
+        inverse = np.divide(1.0, moments, out=np.zeros(3), where=moments > 0.0)
+        rotor = constants(of_rotor[:, None])[:4, 0]
+        yield (*rotor, *inverse, 1.0 / kind.mass, kind.mass**0.5, *np.sqrt(moments))
+
+
+def _call(number: int, text: str) -> str:
+    """Return the case of a move of a user."""
+    name = text.split("(", 1)[0].split()[-1]
+    return f"case {Op.OWN + number}: {name}(&body, tau); break;"
+
+
+def _merged(moves: tuple[Move, ...]) -> tuple[Move, ...]:
+    """Return moves where neighbours that add up are one."""
+    merged: list[Move] = []
+    for move in moves:
+        last = merged[-1] if merged else None
+        same = last is not None and (last.op, last.groups) == (move.op, move.groups)
+        if last is not None and same and move.op in (Op.DRIFT, Op.KICK):
+            merged[-1] = replace(last, part=last.part + move.part)
+        else:
+            merged.append(move)
+    return tuple(merged)

@@ -1,0 +1,125 @@
+"""The bodies of a Context whose state is in arrays of a program on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.engines.device.library import Device
+from openmm_exactrb.mechanics.fit import fit
+from openmm_exactrb.mechanics.state import BodyState, State
+
+Array = NDArray[np.float64]
+
+# Bits of what others changed, see `Device.changes`.
+SET, LOADED = 3, 8
+# Of single precision: positions (nm) and velocities (nm/ps) that are within this, and this part, of those that a state
+# gives show it.
+_SINGLE, _SINGLE_PART = 1e-5, 1e-6
+
+
+class DeviceState(Synchronisation):
+    """A `Synchronisation` that reads the state only where it is asked for: the device does not need it on the host.
+
+    OpenMM's integrator notices what others set in the Context, so that nothing is compared.
+    """
+
+    _behind = False  # whether the device has moved on since `state` was read
+
+    def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
+        """Take the arrays of a program for the state; bodies are those of its parts."""
+        self._device, self._parts, self._processed, self._single = device, parts, processed, single
+
+    def pull(self) -> bool:
+        """Bring the state up to date with the device, and both with what was set in the Context."""
+        changes = self._device.changes()
+        if not changes & (SET | LOADED):
+            if self._behind:
+                self.state, self._behind = self._read(), False
+            return False
+        x, v = self.held()
+        known = self._read() if variables.marked(self._integrator()) else None
+        if known is None:
+            state = State.of(fit(self.bodies, self._joined(x), v))
+        else:
+            state = self.compared(known, self._joined(x), v)
+        self._take(known, state)
+        self.particles[:], self._v[:] = x, v
+        if np.abs(x - self.bodies.positions(self.state.rounded, self.particles)).max() > self._rigid:
+            self.push()
+        return True
+
+    @property
+    def _rigid(self) -> float:
+        return _SINGLE if self._single else 1e-9
+
+    def settle(self) -> bool:
+        """Pull if there is anything to be pulled; return whether the state is another one."""
+        return self.pull() if self._device.changes() & (SET | LOADED) else False
+
+    def moved_on(self) -> None:
+        """Note that the device has moved the bodies, or was brought back."""
+        self._behind = True
+
+    def _take(self, known: State | None, state: State) -> None:
+        """Take a state: what the device has follows where it is another one."""
+        self.state, self._behind = state, False
+        if state is not known:
+            self.inner = None if known is None or not self._processed else self._inner()
+            if known is not None:
+                self._follow(known, state)
+            self._upload()
+        variables.mark(self._integrator(), variables.FROM_DEVICE)
+        self._device.changes(clear=SET | LOADED)
+
+    def _upload(self) -> None:
+        for part in self._parts:
+            part.write(self._device, self.state.rounded, copied=True)
+            if self._processed and self.inner is not None:
+                part.write(self._device, self.inner.rounded, copied=False)
+        if self._processed and self.inner is None:
+            variables.put(self._integrator(), variables.COORDINATES, 0.0)
+
+    def _inner(self) -> State | None:
+        """Read the inner state, if there is one."""
+        if not variables.get(self._integrator(), variables.COORDINATES):
+            return None
+        return self._read(copied=False)
+
+    def _read(self, copied: bool = True) -> State:
+        """Read the state that is shown, or the one in inner coordinates."""
+        n, turning = len(self.bodies), self.bodies.n_turning
+        out = BodyState(np.empty((3, n)), np.empty((3, n)), np.empty((4, turning)), np.empty((3, turning)))
+        for part in self._parts:
+            part.read(self._device, out, copied)
+        return State.of(out)
+
+    def compared(self, known: State, x: Array, v: Array) -> State:
+        """Return a known state, but for the bodies whose particles are not where it says."""
+        if not self._single:
+            return super().compared(known, x, v)
+        return self._compared(known, x, v, _SINGLE, _SINGLE_PART)
+
+    def push(self) -> None:
+        """Write the state into the Context, and to the device."""
+        context = self.context
+        context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
+        self.write_velocities(self.state)
+        context.computeVirtualSites()
+        self._upload()
+        self._device.changes(clear=SET | LOADED)
+
+    def replace(self, state: State) -> None:
+        """Give the bodies another state and push it."""
+        self.state, self.inner, self._behind = state, None, False
+        self.push()
+
+    def _write(self) -> None:
+        """Do nothing: the program has the state, which OpenMM saves with it."""
+
+    _unmark = _withdraw = _write

@@ -1,0 +1,181 @@
+"""What an engine is: a record of what carries out the steps of an integrator in its Context.
+
+An engine says of itself everything that the rest of the package needs to know, so that a new one is a folder with a
+record and an entry in `openmm_exactrb.engines.ENGINES`. Reasons and advice are sentences without a full stop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import ContextUpdates
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
+from openmm_exactrb.rotors import Rotor
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.thermostat import Thermostat
+
+Array = NDArray[np.float64]
+
+#: What an engine says that does not add up the heat of its thermostat.
+NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the steps of an integrator are.
+
+    Attributes
+    ----------
+    scheme : Scheme
+        With all substeps of a step, those of the thermostat included.
+    outer : Scheme
+        The scheme that the user named.
+    splitting : Scheme
+        The drifts and kicks of a step: those of the outer scheme, or of the proposal of hybrid Monte Carlo.
+    splits : int
+        Steps of the splitting in a step.
+    h : float
+        Size of a step in ps.
+    groups : int
+        Bits of the force groups that act.
+    named : list of lists of int, or None
+        Bodies in addition to those of constraints.
+    check : bool
+        Whether a jump of the total energy is an error.
+    """
+
+    scheme: Scheme
+    outer: Scheme
+    splitting: Scheme
+    splits: int
+    h: float
+    groups: int
+    rotor: Rotor
+    fast: MultipleTimeSteps | None
+    thermostat: Thermostat | None
+    named: list[list[int]] | None
+    check: bool
+
+    @property
+    def numbers(self) -> tuple[str, ...]:
+        """The persistent numbers that substeps change."""
+        return () if self.thermostat is None else (*self.thermostat.numbers, *self.thermostat.own_numbers)
+
+    @property
+    def own_numbers(self) -> tuple[str, ...]:
+        """Those that no other thermostat has."""
+        return () if self.thermostat is None else self.thermostat.own_numbers
+
+
+class Synchronised(Protocol):
+    """The state of the bodies of a Context, kept up to date with it.
+
+    Attributes
+    ----------
+    state : State
+        As the Context shows it.
+    particles : (n_particles, 3) array
+        Positions in nm of all particles, to be overwritten with those of the bodies.
+    new_trajectory : callable
+        Called when a user has set a State or a step count, or began again without a seed.
+    """
+
+    bodies: RigidBodies
+    state: State
+    particles: Array
+    new_trajectory: Callable[[], None]
+
+    @property
+    def context(self) -> Any:
+        """The Context."""
+
+    def box(self) -> Array | None:
+        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
+
+    def pull(self) -> bool:
+        """Bring the state up to date with what was set in the Context; return whether it changed."""
+
+    def push(self) -> None:
+        """Write the state into the Context."""
+
+    def replace(self, state: State) -> None:
+        """Give the bodies another state, and write it into the Context."""
+
+
+class Propagator(Protocol):
+    """Makes the steps of an integrator in a Context; it owns the state between them."""
+
+    @property
+    def sync(self) -> Synchronised:
+        """The state of the bodies."""
+
+    @property
+    def updates(self) -> ContextUpdates:
+        """What OpenMM does between steps."""
+
+    @property
+    def outdated(self) -> bool:
+        """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
+
+    @property
+    def around(self) -> tuple[State, State] | None:
+        """The states before and after the last heat exchange, if the present state is that at the end of its step.
+
+        ValueError if the engine does not know them.
+        """
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+
+        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
+        """
+
+    def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
+        """Make n steps; whatever happens, the Context is left at a valid state.
+
+        settings() is asked for if the `version` of the settings differs from that of the last call; `key` is that of
+        the random numbers.
+        """
+
+
+@dataclass(frozen=True)
+class Engine:
+    """An engine.
+
+    Attributes
+    ----------
+    name : str
+    unsupported : callable
+        unsupported(settings) -> why the scheme, the rotor or the thermostat is not served, or None.
+    unsupported_in : callable
+        unsupported_in(context, settings) -> why a Context with this System and platform is not served, or None.
+    advice : callable
+        advice(context, settings) -> whether ``engine="auto"`` takes it where it serves, and the reason.
+    marks : callable
+        marks(settings) -> values of the first variable of an integrator whose variables hold a state of this engine; it
+        is zero where they hold none. Checkpoints and States show by it who wrote them.
+    declare : callable
+        declare(integrator, settings) gives an integrator without a Context its variables and its program.
+    propagator : callable
+        propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
+    release : callable
+        release(context) undoes what this engine has changed in a System, for another one.
+    """
+
+    name: str
+    unsupported: Callable[[Settings], str | None]
+    unsupported_in: Callable[[Any, Settings], str | None]
+    advice: Callable[[Any, Settings], tuple[bool, str]]
+    marks: Callable[[Settings], tuple[float, ...]]
+    declare: Callable[[openmm.CustomIntegrator, Settings], None]
+    propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
+    release: Callable[[Any], None] = lambda context: None

@@ -1,0 +1,113 @@
+"""Which engine carries out the steps of an integrator, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.engines.catalogue import ENGINES, in_order
+from openmm_exactrb.engines.engine import Engine, Propagator, Settings
+from openmm_exactrb.openmm_access import platforms
+
+#: The first engine that serves the Context and pays there.
+AUTO = "auto"
+
+
+class Selection:
+    """The engine of an integrator.
+
+    With "auto" the Context decides, and a checkpoint brings along the engine of its run. Until then the integrator has
+    the variables of the host. ValueError if the engine is unknown, or was asked for and does not serve a setting.
+
+    Attributes
+    ----------
+    asked : str
+        The name of an engine, or "auto".
+    engine : Engine
+        Provisional until the Context has decided.
+    note : str
+        The reason for it, a sentence.
+    """
+
+    def __init__(self, asked: str, settings: Settings) -> None:
+        if asked != AUTO and asked not in ENGINES:
+            raise ValueError(f"unknown engine {asked!r}: choose one of {', '.join((*ENGINES, AUTO))}")
+        self.asked = asked
+        asked_for = in_order() if asked == AUTO else [ENGINES[asked]]
+        self._candidates, self._reasons = _serving(asked_for, lambda engine: engine.unsupported(settings))
+        self._choose(self._candidates[-1], (*self._reasons, f'engine="{asked}" was asked for')[0], settings)
+        self._installed: Engine | None = None
+        self._warned = False  # of single precision
+
+    @property
+    def open(self) -> bool:
+        """Whether the Context decides."""
+        return len(self._candidates) > 1
+
+    def settled(self, integrator: openmm.CustomIntegrator) -> bool:
+        """Return whether the engine still is that of the last propagator, and wrote the integrator's variables."""
+        mark = integrator.getGlobalVariable(0)
+        return self._installed is self.engine and (mark == variables.NOTHING or mark in self._marks)
+
+    def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
+        """Choose the engine for a Context and these settings; ValueError if none serves them."""
+        writer = self._writer(integrator, settings)
+        serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
+        if not self.open:
+            return
+        if writer in serving:  # a run that continues keeps its engine if it can
+            self._choose(writer, f"the run began with engine={writer.name!r}", settings)
+            return
+        reasons = [*self._reasons, *reasons]
+        for engine in serving:
+            pays, why = engine.advice(context, settings)
+            if pays:
+                self._choose(engine, reasons[0] if reasons and engine is serving[-1] else why, settings)
+                return
+            reasons.append(why)
+
+    def _choose(self, engine: Engine, note: str, settings: Settings) -> None:
+        self.engine, self.note, self._marks = engine, note, engine.marks(settings)
+
+    def propagator(
+        self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
+    ) -> Propagator:
+        """Return a propagator of the engine that `settle` has chosen."""
+        if not self._warned:
+            platforms.warn_of_single_precision(context)
+            self._warned = True
+        for engine in ENGINES.values():
+            if engine is not self.engine:
+                engine.release(context)
+        made = self.engine.propagator(context, integrator, settings, timings)
+        self._installed = self.engine
+        return made
+
+    def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:
+        """Return the engine that wrote the state in an integrator's variables, None without a state.
+
+        ValueError if another kind of integrator wrote it, or an engine that was not asked for.
+        """
+        mark = integrator.getGlobalVariable(0)
+        if mark == variables.NOTHING:
+            return None
+        for engine in (self.engine, *self._candidates):
+            if mark in engine.marks(settings):
+                return engine
+        for engine in ENGINES.values():
+            if mark in engine.marks(settings):
+                raise ValueError(variables.OTHER_ENGINE.format(engine.name))
+        raise ValueError(variables.OTHER_FORMAT)
+
+
+def _serving(engines: Sequence[Engine], unsupported: Callable[[Engine], str | None]) -> tuple[list[Engine], list[str]]:
+    """Return the engines that serve, and why others do not; ValueError if none does."""
+    answers = [(engine, unsupported(engine)) for engine in engines]
+    serving, reasons = [engine for engine, why in answers if not why], [why for _, why in answers if why]
+    if not serving:
+        raise ValueError(f"{reasons[0]}; use engine={in_order()[-1].name!r}")
+    return serving, reasons

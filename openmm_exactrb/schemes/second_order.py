@@ -1,0 +1,92 @@
+"""The step-size error of averages in second order, as coefficients of a splitting with a heat exchange.
+
+Next to its heat exchange, a symmetric splitting of steps h conserves
+
+    H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
+
+and its step ends a drift of y h, with kicks in it, behind the exchange. `openmm_exactrb.averages` makes the error of
+any average of these numbers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic
+from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
+
+
+class SecondOrder(NamedTuple):
+    """Coefficients of the second-order error of a splitting, in squares of the step.
+
+    Attributes
+    ----------
+    alpha : float
+        Of v·V''v in the conserved energy.
+    beta : float
+        Of f·M⁻¹f in the conserved energy.
+    late : float
+        y, the drifts between the heat exchange and the end of a step.
+    pushed : float
+        The displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f.
+    """
+
+    alpha: float
+    beta: float
+    late: float
+    pushed: float
+
+    @property
+    def slope(self) -> float:
+        """The factor alpha + y²/2 - c, with which the slope of an observable along M⁻¹f is subtracted."""
+        return self.alpha + 0.5 * self.late**2 - self.pushed
+
+
+def second_order(scheme: Scheme) -> SecondOrder:
+    """Return the coefficients of a scheme with its heat exchange, as the steps of an integrator have it.
+
+    Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
+    alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j), and
+    a force-gradient kick of strength s adds -s b³/2 to beta.
+
+    Raises
+    ------
+    ValueError
+        If a step has not one place of heat exchange between drifts and kicks of all forces that mirror each other.
+    """
+    behind, before = _around_exchange(scheme)
+    cycle = behind + before
+    kicks, gradients, time = [], 0.0, 0.0
+    for substep, part in cycle:
+        if isinstance(substep, Drift):
+            time += part
+            continue
+        kicks.append((part, time))
+        if isinstance(substep, GradientKick):
+            gradients -= 0.5 * substep.strength * part**3
+    late = math.fsum(part for substep, part in behind if isinstance(substep, Drift))
+    single = math.fsum(b * c * (1.0 - c) for b, c in kicks)
+    double = math.fsum(b * d * (e - c) for (b, c), (d, e) in itertools.combinations(kicks, 2))
+    pushed = math.fsum(b * (late - c) for b, c in kicks[: sum(not isinstance(s, Drift) for s, _ in behind)])
+    return SecondOrder(1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients, late, pushed)
+
+
+def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
+    """Return the drifts and kicks behind the heat exchange up to the end of a step, and those before it."""
+    rows = scheme.sequence
+    if isinstance(rows[0][0], HeatExchange) and isinstance(rows[-1][0], HeatExchange) and len(rows) > 1:
+        rows = rows[1:]  # the halves of one exchange
+    places = [k for k, (substep, _) in enumerate(rows) if isinstance(substep, HeatExchange)]
+    moves = tuple(row for row in rows if not isinstance(row[0], HeatExchange))
+    known = all(substep == Drift() or substep == Kick() or isinstance(substep, GradientKick) for substep, _ in moves)
+    if len(places) == 1 and known and not scheme.processor:
+        behind, before = rows[places[0] + 1 :], rows[: places[0]]
+        if palindromic(merged(behind + before)):
+            return behind, before
+    raise ValueError(
+        f"averages of {scheme.name} cannot be corrected: the theory holds for steps with one place of heat exchange, "
+        "between drifts and kicks that mirror each other, such as those of W2_3m or BAOA"
+    )

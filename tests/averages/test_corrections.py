@@ -1,0 +1,294 @@
+"""Corrections of the averages of runs, against exact averages and difference quotients."""
+
+import contextlib
+import json
+
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+from openmm_exactrb.averages.frames import BAR
+from openmm_exactrb.averages.record import read
+from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes.sequence import spelled
+
+KT = 0.00831446261815324 * 300.0
+COUNT = 500
+
+
+def rotors(integrator, strength=2.0):
+    """Return a Simulation of linear rotors of the moment kT ps² in a field: V = -strength kT cos."""
+    system, length, topology = openmm.System(), 0.2, app.Topology()
+    force = openmm.CustomExternalForce("-pull*z")
+    force.addPerParticleParameter("pull")
+    chain = topology.addChain()
+    for k in range(COUNT):
+        residue = topology.addResidue("ROT", chain)
+        for sign in (-1.0, 1.0):
+            topology.addAtom("X", None, residue)
+            index = system.addParticle(2.0 * KT / length**2)
+            force.addParticle(index, [sign * strength * KT / length])
+        system.addConstraint(2 * k, 2 * k + 1, length)
+    system.addForce(force)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    x = np.zeros((COUNT, 2, 3))
+    x[:, :, 0] = 3.0 * np.arange(COUNT)[:, None]
+    x[:, 1, 2] = length
+    simulation.context.setPositions(x.reshape(-1, 3))
+    integrator.setVelocitiesToTemperature(300.0, 1)
+    return simulation
+
+
+def cosine(x):
+    """Return the mean cosine to the field."""
+    pairs = x.reshape(-1, 2, 3)
+    return float((pairs[:, 1, 2] - pairs[:, 0, 2]).mean() / 0.2)
+
+
+def test_the_correction_of_rotors_in_a_field_leads_to_the_exact_average(tmp_path):
+    """The average of Langevin is coth(a) - 1/a; the uncorrected one is more than six errors off.
+
+    Rotors do not share their energy with their centres of mass, as the limit of weak friction assumes; with W2_3m the
+    rest of the error that depends on friction is a thirtieth.
+    """
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 1.5, scheme="W2_3m", checkDivergence=False)
+    integrator.setRandomNumberSeed(4)
+    simulation = rotors(integrator)
+    simulation.step(20)
+    file = tmp_path / "averages.csv"
+    with reporting(simulation, file, 1, observables={"cosine": cosine}):
+        simulation.step(1500)
+    exact = 1.0 / np.tanh(2.0) - 0.5
+    found = rb.corrected(file, "cosine")
+    uncorrected = found.mean - found.correction
+    assert abs(uncorrected - exact) > 6.0 * found.error
+    assert found.mean == pytest.approx(exact, abs=3.0 * found.error)
+    assert found.correction_error < 0.15 * abs(found.correction)
+    energy = rb.corrected(file, "potential energy")
+    assert energy.mean == pytest.approx(-2.0 * KT * COUNT * exact, abs=3.0 * energy.error)
+    assert energy.mean / (-2.0 * KT * COUNT) == pytest.approx(found.mean, rel=1e-6)
+    values = read(file)[1]
+    by_hand = rb.corrected(file, values["cosine"], values["cosine slope"])
+    assert by_hand == found
+
+
+@contextlib.contextmanager
+def reporting(simulation, file, interval, **options):
+    """Have a Simulation write averages, and close the file."""
+    reporter = rb.AverageReporter(file, interval, **options)
+    simulation.reporters.append(reporter)
+    yield
+    reporter.close()
+    simulation.reporters.remove(reporter)
+
+
+def water(integrator):
+    smooth = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.6, "switchDistance": 0.5, "ewaldErrorTolerance": 1e-6}
+    topology, system, positions = rb.rigid_water(64, **smooth)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 2)
+    return simulation
+
+
+def energy_of(system, scale=1.0, sizes=3):
+    """Return the potential energy as a function of positions, with the centres of molecules scaled."""
+    context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+    box = system.getDefaultPeriodicBoxVectors()
+    context.setPeriodicBoxVectors(*(scale * vector for vector in box))
+
+    def energy(x):
+        centres = x.reshape(-1, sizes, 3).mean(axis=1, keepdims=True)
+        context.setPositions((x.reshape(-1, sizes, 3) + (scale - 1.0) * centres).reshape(-1, 3))
+        return context.getState(energy=True).getPotentialEnergy()._value
+
+    return energy
+
+
+def test_work_pressure_and_its_slope_are_difference_quotients(tmp_path):
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, scheme="BAOA")
+    smooth = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.6, "switchDistance": 0.5, "ewaldErrorTolerance": 1e-6}
+    system = rb.rigid_water(64, **smooth)[1]
+    plain, wide, narrow = (energy_of(system, scale) for scale in (1.0, 1.001, 0.999))
+    volume = np.linalg.det(np.array([v._value for v in system.getDefaultPeriodicBoxVectors()]))
+
+    def pressure(x):
+        return BAR * (64 * KT / volume - (wide(x) - narrow(x)) / (volume * (1.001**3 - 0.999**3)))
+
+    file, simulation = tmp_path / "water.csv", water(integrator)
+    with reporting(simulation, file, 2, pressure=True, observables={"energy": plain, "pressure again": pressure}):
+        simulation.step(4)
+    columns = read(file)[1]
+    assert columns["potential"] == pytest.approx(columns["energy"], rel=1e-9)
+    assert columns["energy slope"] == pytest.approx(-columns["work"], rel=1e-5)
+    assert columns["square"] == pytest.approx(columns["work"], rel=1e-12)  # no force is in the drifts
+    assert columns["damped work"] == pytest.approx(columns["work"], rel=1e-12)
+    assert columns["pressure"] == pytest.approx(columns["pressure again"], rel=1e-5)
+    assert columns["pressure slope"] == pytest.approx(columns["pressure again slope"], rel=2e-3)
+
+
+def test_the_slow_forces_are_those_of_the_kicks(tmp_path):
+    """Forces by groups: the energy of the slow one changes along M⁻¹f_s by minus the square of f_s."""
+    system = openmm.System()
+    slow, fast = openmm.CustomExternalForce("10*x^4+7*y^2*z"), openmm.HarmonicBondForce()
+    for _ in range(4):
+        slow.addParticle(system.addParticle(12.0))
+    fast.addBond(0, 1, 0.1, 5e4)
+    fast.addBond(2, 3, 0.1, 5e4)
+    fast.setForceGroup(1)
+    system.addForce(slow)
+    system.addForce(fast)
+    other = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
+
+    def energy(groups):
+        def of(x):
+            other.setPositions(x)
+            return other.getState(energy=True, groups=groups).getPotentialEnergy()._value
+
+        return of
+
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.002, scheme="BAOA", fast=[1], innerSteps=4)
+    topology = app.Topology()
+    residue = topology.addResidue("X", topology.addChain())
+    for _ in range(4):
+        topology.addAtom("X", None, residue)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions([[0.3, 0.1, 0.2], [0.42, 0.1, 0.2], [0.0, 0.5, 0.1], [0.0, 0.61, 0.1]])
+    integrator.setVelocitiesToTemperature(300.0, 3)
+    file = tmp_path / "groups.csv"
+    observables = {"all": energy({0, 1}), "slow": energy({0})}
+    with reporting(simulation, file, 1, observables=observables):
+        simulation.step(3)
+    columns = read(file)[1]
+    assert columns["all slope"] + columns["all inner slope"] == pytest.approx(
+        -columns["work"] - columns["inner work"], rel=1e-5
+    )
+    assert columns["slow slope"] + columns["slow inner slope"] == pytest.approx(-columns["square"], rel=1e-5)
+
+
+def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
+    """Return the file of frames that are independent and normal, and its columns."""
+    settings = {
+        "scheme": "W2_3m", "step": 0.024, "alpha": 1e-3, "beta": 5e-3, "slopes": [8e-3, 1e-3], "temperature": 300.0,
+        "kT": KT, "frictions": [5.0], "freedom": 384, "mass": 1153.0, "barostat": barostat, "pressure": 1.0,
+        "observables": [],
+    }  # fmt: skip
+    volume, energy, square = 2.0 + 0.02 * rng.standard_normal(frames), *(rng.standard_normal((2, frames)))
+    columns = {
+        "step": np.arange(frames),
+        "time": np.arange(frames),
+        "potential": -2500.0 + 40.0 * energy - 300.0 * (volume - 2.0),
+        "volume": volume,
+        "square": 2e6 + 1e5 * (0.6 * energy + 0.8 * square) - 2e6 * (volume - 2.0),
+        "work": 2e6 + 1e5 * (0.6 * energy + 0.8 * square) - 2e6 * (volume - 2.0),
+        "inner work": np.zeros(frames),
+        "damped work": np.full(frames, 2e6),
+        "pressure": 500.0 * square - 2e4 * (volume - 2.0),
+        "pressure slope": np.full(frames, 1e7),
+        "pressure inner slope": np.zeros(frames),
+    }
+    file = tmp_path / "made.csv"
+    rows = "\n".join(",".join(map(repr, map(float, row))) for row in zip(*columns.values(), strict=True))
+    file.write_text(f"# {json.dumps(settings)}\n{','.join(columns)}\n{rows}\n")
+    return file
+
+
+def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp_path):
+    """By the means of the normal distribution: the volume moves by Var(V) dP/kT, and the energy with it."""
+    file = made(tmp_path, np.random.default_rng(5))
+    h2 = 0.024**2
+    fixed = 500.0 * 0.8e5  # Cov(P, S) at a fixed volume
+    offset = h2 * (-6e-3 * fixed / KT - 8e-3 * 1e7)
+    volume = rb.corrected(file, "volume")
+    assert -volume.correction == pytest.approx(0.02**2 * offset / (KT * BAR), rel=0.1)
+    own = h2 * (-6e-3 * 40.0 * 0.6e5 / KT + 8e-3 * 2e6 + 2e-3 * 2e6 * 40.0**2 / (384 * KT**2))
+    energy = rb.corrected(file, "potential energy")
+    assert -energy.correction == pytest.approx(own - 300.0 * 0.02**2 * offset / (KT * BAR), rel=0.05)
+    assert rb.pressure_offset(file).bar == pytest.approx(offset, rel=0.05)
+    assert rb.corrected(file, "compressibility").mean == pytest.approx(0.02**2 / (2.0 * KT * BAR), rel=0.1)
+    density = rb.corrected(file, "density")
+    assert density.correction / density.mean == pytest.approx(-volume.correction / volume.mean, rel=1e-2)
+
+
+def test_errors_are_those_of_independent_frames(tmp_path):
+    """The jackknife's error of the mean of normal numbers, over several files."""
+    rng, errors = np.random.default_rng(6), []
+    for _ in range(6):
+        file = made(tmp_path, rng, frames=500, barostat="")
+        errors.append(rb.corrected(file, rng.standard_normal(500)).error)
+    assert np.mean(errors) == pytest.approx(1.0 / np.sqrt(500), rel=0.25)
+
+
+def test_a_run_continues_its_file_and_no_other(tmp_path):
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, scheme="BAOA")
+    file, simulation = tmp_path / "water.csv", water(integrator)
+    for append in (False, True):
+        with reporting(simulation, file, 2, append=append):
+            simulation.step(4)
+    assert read(file)[1]["step"].tolist() == [2, 4, 6, 8]
+    integrator.setStepSize(0.001)
+    with reporting(simulation, file, 2, append=True), pytest.raises(ValueError, match="other settings: give another"):
+        simulation.step(2)
+    simulation.reporters.clear()
+    integrator.setStepSize(0.002)
+    with reporting(simulation, file, 2, append=True):
+        simulation.step(2)
+        integrator.setFriction(2.0)
+        with pytest.raises(ValueError, match="averages need one of each"):
+            simulation.step(2)
+    with file.open("a") as out:
+        out.write("10,0.02")
+    with pytest.raises(ValueError, match=r"line 8 of .* is incomplete: delete this line"):
+        rb.corrected(file, "potential energy")
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: rb.ExactRigidBodyIntegrator(0.002), "Langevin dynamics of this package only"),
+        (lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002), "Langevin dynamics of this package only"),
+        (lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002), "with a friction only: set one above 0"),
+        (
+            lambda: rb.ExactRigidBodyLangevinIntegrator(
+                300.0, 1.0, 0.002, scheme=Scheme("twice", 2, spelled("B A O A B O")), fast=None
+            ),
+            "twice cannot be corrected",
+        ),
+    ],
+)
+def test_integrators_for_which_the_theory_does_not_hold_are_refused(tmp_path, make, sentence):
+    simulation = water(make())
+    with reporting(simulation, tmp_path / "no.csv", 2), pytest.raises(ValueError, match=sentence):
+        simulation.step(2)
+
+
+def test_what_a_file_lacks_is_said(tmp_path):
+    file = made(tmp_path, np.random.default_rng(7), frames=100, barostat="")
+    with pytest.raises(ValueError, match="'potental': choose one of potential energy, pressure"):
+        rb.corrected(file, "potental")
+    with pytest.raises(ValueError, match="the density needs a run at constant pressure: add a MonteCarloBarostat"):
+        rb.corrected(file, "density")
+    with pytest.raises(ValueError, match="for each of the 100 frames"):
+        rb.corrected(file, np.zeros(99))
+    with pytest.raises(ValueError, match=r"report with around=\(particles, distance\)"):
+        rb.corrected(file, "pressure", local=True)
+    few = tmp_path / "few.csv"
+    few.write_text("".join(file.read_text().splitlines(keepends=True)[:20]))
+    with pytest.raises(ValueError, match="18 frames, and errors need at least 40: run longer"):
+        rb.corrected(few, "pressure")
+    other = made(tmp_path, np.random.default_rng(7), frames=100, barostat="MonteCarloMembraneBarostat")
+    with pytest.raises(ValueError, match="with a MonteCarloMembraneBarostat: use a MonteCarloBarostat"):
+        rb.pressure_offset(other)
+    (tmp_path / "no.csv").write_text("step,time\n")
+    with pytest.raises(ValueError, match="was not written by an AverageReporter"):
+        rb.corrected(tmp_path / "no.csv", "pressure")
+
+
+def test_an_offset_makes_a_barostat(tmp_path):
+    offset = rb.pressure_offset(made(tmp_path, np.random.default_rng(8), frames=400, barostat=""))
+    barostat = offset.barostat(1.0 * unit.atmosphere, 10)
+    assert barostat.getDefaultPressure().value_in_unit(unit.bar) == pytest.approx(1.01325 + offset.bar)
+    assert barostat.getDefaultTemperature()._value == pytest.approx(300.0)
+    assert barostat.getFrequency() == 10

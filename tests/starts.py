@@ -1,0 +1,87 @@
+"""How tests begin: Contexts and Simulations, and what is seen in them."""
+
+import numpy as np
+import openmm
+from openmm import app, unit
+
+import openmm_exactrb as rb
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+CPU = openmm.Platform.getPlatform("CPU")
+#: The gas constant in kJ/mol/K.
+R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+
+
+def put(context, start, velocities=None):
+    """Put a Context to a State, or to positions and velocities."""
+    if isinstance(start, openmm.State):
+        context.setPeriodicBoxVectors(*start.getPeriodicBoxVectors())
+        start, velocities = start.getPositions(), start.getVelocities()
+    context.setPositions(start)
+    if velocities is not None:
+        context.setVelocities(velocities)
+
+
+def context_of(system, integrator, start, velocities=None, *, kelvin=None, seed=1, platform=REFERENCE, properties=None):
+    """Return a Context at a State or at positions; with a temperature it draws velocities."""
+    context = openmm.Context(system, integrator, platform, properties or {})
+    put(context, start, velocities)
+    if kelvin is not None:
+        context.setVelocitiesToTemperature(kelvin, seed)
+    return context
+
+
+def simulation_of(topology, system, integrator, start, velocities=None, *, kelvin=None, seed=1, platform=REFERENCE):
+    """Return a Simulation, started as the Context of `context_of`."""
+    simulation = app.Simulation(topology, system, integrator, platform)
+    put(simulation.context, start, velocities)
+    if kelvin is not None:
+        simulation.context.setVelocitiesToTemperature(kelvin, seed)
+    return simulation
+
+
+def warm(topology, system, positions, h=0.002, scheme="S2_2", platform=REFERENCE, **options):
+    """Return a Simulation of our integrator, minimised and at 300 K."""
+    integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
+    simulation = simulation_of(topology, system, integrator, positions, platform=platform)
+    simulation.minimizeEnergy(tolerance=50)
+    simulation.context.setVelocitiesToTemperature(300.0, 3)
+    return simulation
+
+
+def state_of(context):
+    """Return positions and velocities of a Context or a Simulation."""
+    return getattr(context, "context", context).getState(positions=True, velocities=True)
+
+
+def positions_of(context):
+    """Return the positions (n, 3) in nm of a Context or a Simulation."""
+    return state_of(context).getPositions(asNumpy=True)._value.copy()
+
+
+def velocities_of(context):
+    """Return the velocities (n, 3) in nm/ps of a Context or a Simulation."""
+    return state_of(context).getVelocities(asNumpy=True)._value.copy()
+
+
+def total_energy(context):
+    """Return potential and kinetic energy in kJ/mol of a Context or a Simulation, as OpenMM has them."""
+    state = getattr(context, "context", context).getState(energy=True)
+    return (state.getPotentialEnergy() + state.getKineticEnergy())._value
+
+
+def masses_of(system):
+    """Return the masses of all particles in amu."""
+    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+
+
+def constraints_of(system):
+    """Return the constraints as pairs (n, 2) of particles, and their lengths in nm."""
+    rows = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    return np.array([row[:2] for row in rows], dtype=int).reshape(-1, 2), np.array([row[2]._value for row in rows])
+
+
+def force_of(system, kind=openmm.NonbondedForce):
+    """Return the force of a kind, of which there is one."""
+    (force,) = (force for force in system.getForces() if isinstance(force, kind))
+    return force

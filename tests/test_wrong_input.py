@@ -1,0 +1,271 @@
+"""Wrong settings, states and positions: one sentence that names the remedy, and nothing changed."""
+
+import copy
+import io
+from functools import partial
+
+import mdtraj
+import numpy as np
+import openmm
+import pytest
+from openmm import app, unit
+
+import openmm_exactrb as rb
+import starts
+import three_masses
+from few_dipoles import REFERENCE, simulation_of, snapshot
+
+# -- wrong input ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scheme": "RK4"}, r"unknown scheme 'RK4': all names are in openmm_exactrb.SCHEMES$"),
+        ({"scheme": "S6_01"}, r"unknown scheme 'S6_01': did you mean 'S6_10'\? All names"),
+        ({"scheme": "W4"}, r"unknown scheme 'W4': did you mean 'W4_4'\? All names are in openmm_exactrb.SCHEMES$"),
+        ({"rotor": "euler"}, "unknown rotor 'euler': choose one of exact"),
+        ({"stepSize": 1.0 * unit.nanometer}, "is not a time step"),
+        ({"stepSize": float("nan")}, "finite number of ps"),
+        ({"stepSize": "fast"}, "finite number of ps"),
+        ({"stepSize": -0.001}, "a time step must not be negative"),
+    ],
+)
+def test_wrong_settings_get_one_sentence(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        rb.ExactRigidBodyIntegrator(**({"stepSize": 0.01} | arguments))
+
+
+def test_arrays_of_numpy_without_a_dimension_are_numbers():
+    """OpenMM takes them too."""
+    step, warmth = np.array(2.0) * unit.femtoseconds, np.array(300.0)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(warmth * unit.kelvin, np.array(5), forceInterval=step)
+    assert integrator.getStepSize()._value == 0.002
+    integrator.setTemperature(np.array(310))
+    integrator.setStepSize(np.array(0.001))
+    assert (integrator.getTemperature()._value, integrator.getStepSize()._value) == (310.0, 0.001)
+    with pytest.raises(ValueError, match=r"finite number of ps, not array\(\[0.002\]\)"):
+        integrator.setStepSize(np.array([0.002]))
+
+
+def test_a_step_that_is_refused_changes_nothing():
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    with pytest.raises(ValueError, match="must not be negative"):
+        integrator.setStepSize(-0.001)
+    assert integrator.getStepSize()._value == 0.002
+    assert "0.002" in repr(integrator)
+    assert copy.copy(integrator).getStepSize()._value == 0.002
+
+
+@pytest.mark.parametrize("groups", [{32}, {-1}, [0.5], [[1]], 1.5, None, "1", True, 2**33])
+def test_force_groups_are_whole_numbers(groups):
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    with pytest.raises(ValueError, match="force groups must be a set of whole numbers from 0 to 31, or their bits"):
+        integrator.setIntegrationForceGroups(groups)
+    integrator.setIntegrationForceGroups([5, 5])
+    assert integrator.getIntegrationForceGroups() == 1 << 5
+
+
+def test_a_state_of_bodies_has_unit_quaternions():
+    _, system, positions = rb.rigid_water(2)
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    _context = starts.context_of(system, integrator, positions)
+    found = integrator.bodyState()
+    for wrong, message in (
+        (found[1]._replace(q=1.1 * found[1].q), "quaternions of unit length"),
+        (found[1]._replace(q=0.0 * found[1].q), "quaternions of unit length"),
+        (found, r"setBodyState\(\) takes the state of bodies, bodyState\(\)\[1\], not a tuple"),
+        (None, "not a NoneType"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            integrator.setBodyState(wrong)
+
+
+def test_a_step_size_may_have_a_unit():
+    assert rb.ExactRigidBodyIntegrator(2.0 * unit.femtosecond).getStepSize()._value == pytest.approx(0.002)
+
+
+ALL = {
+    "constant energy": rb.ExactRigidBodyIntegrator,
+    "Langevin": partial(rb.ExactRigidBodyLangevinIntegrator, 300.0, 1.0),
+    "rescaling": partial(rb.ExactRigidBodyRescalingIntegrator, 300.0, 1.0),
+    "Nosé-Hoover": partial(rb.ExactRigidBodyNoseHooverIntegrator, 300.0, 1.0),
+    "hybrid": partial(rb.ExactRigidBodyHybridIntegrator, 300.0, 1.0, stepsPerProposal=3),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_force_interval_sets_the_length_of_a_step(name):
+    integrator = ALL[name](forceInterval=2.0 * unit.femtosecond, scheme="S2_2")
+    forces = 6 if name == "hybrid" else 2
+    assert integrator.getStepSize()._value == pytest.approx(0.002 * forces)
+    assert copy.copy(integrator).getStepSize() == integrator.getStepSize()
+
+
+@pytest.mark.parametrize("both", [{}, {"stepSize": 0.002, "forceInterval": 0.002}])
+@pytest.mark.parametrize("name", ALL)
+def test_the_step_is_given_once(name, both):
+    with pytest.raises(ValueError, match=r"either stepSize=.* or forceInterval="):
+        ALL[name](**both)
+
+
+def test_an_interval_of_forces_needs_forces():
+    free = rb.schemes.Scheme("free", 2, rb.schemes.spelled("A"))
+    with pytest.raises(ValueError, match="evaluates no forces: give stepSize="):
+        rb.ExactRigidBodyIntegrator(forceInterval=0.002, scheme=free)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_default_evaluates_forces_once_a_step(name):
+    """As OpenMM's integrators do, through `Simulation` with reports; a proposal of hybrid Monte Carlo twice."""
+    topology, system, positions = rb.rigid_water(8)
+    system.addForce(openmm.CMMotionRemover())
+    integrator = ALL[name](0.002, checkDivergence=False)
+    simulation = starts.simulation_of(topology, system, integrator, positions, kelvin=300)
+    simulation.reporters.append(app.StateDataReporter(io.StringIO(), 100, totalEnergy=True))
+    simulation.step(10)
+    integrator.timings.reset()
+    simulation.step(500)
+    assert integrator.getScheme().forces == (2 if name == "hybrid" else 1)
+    if name != "hybrid":
+        assert integrator.timings.evaluations <= 515
+
+
+@pytest.mark.parametrize("steps", [-1, 1.5, "ten", None])
+def test_a_number_of_steps_is_whole(steps):
+    with pytest.raises(ValueError, match="number of steps must be"):
+        simulation_of().integrator.step(steps)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "one"])
+def test_the_seed_of_momenta_is_whole(seed):
+    with pytest.raises(ValueError, match="randomSeed must be"):
+        simulation_of().integrator.setVelocitiesToTemperature(1.0, seed)
+
+
+def test_steps_without_a_context_are_refused():
+    with pytest.raises(ValueError, match="no Context yet"):
+        rb.ExactRigidBodyIntegrator(0.01).step(1)
+
+
+def test_a_context_of_another_integrator_is_refused():
+    simulation = simulation_of(2)
+    with pytest.raises(ValueError, match="another integrator"):
+        rb.ExactRigidBodyIntegrator(0.01).bind(simulation.context)
+
+
+def test_a_system_without_anything_to_move_is_refused():
+    system = openmm.System()
+    system.addParticle(0.0)
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    _context = starts.context_of(system, integrator, np.zeros((1, 3)))
+    with pytest.raises(ValueError, match="nothing to move"):
+        integrator.step(1)
+
+
+def test_positions_that_were_not_set_are_asked_for():
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    context = openmm.Context(rb.dipole_fluid(2)[1], integrator, REFERENCE)
+    with pytest.raises(ValueError, match="no positions yet: call setPositions"):
+        integrator.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_positions_that_are_not_finite_are_refused():
+    simulation = simulation_of()
+    simulation.step(1)
+    x, _ = snapshot(simulation)
+    x[7, 1] = np.nan
+    simulation.context.setPositions(x)
+    with pytest.raises(ValueError, match=r"body 1 .* not finite"):
+        simulation.step(1)
+
+
+def test_a_blow_up_names_step_and_bodies_and_keeps_what_was(tmp_path):
+    simulation = simulation_of()
+    x, _ = snapshot(simulation)
+    dcd = str(tmp_path / "run.dcd")
+    simulation.reporters.append(app.DCDReporter(dcd, 1))
+    simulation.step(2)
+    x, _ = snapshot(simulation)
+    x[5:10] += x[3] - x[8]  # the centre of body 1 on that of body 0, up to roundoff
+    simulation.context.setParameter("soft_repulsion", 1e250)
+    simulation.context.setPositions(x)
+    with pytest.raises(rb.NonFiniteError, match=r"step 3,.* body 0 .*bodies 0 and 1,"):
+        simulation.step(5)
+    assert np.isfinite(snapshot(simulation)[0]).all()
+    assert simulation.context.getStepCount() == 2
+    simulation.reporters.clear()
+    with (tmp_path / "run.pdb").open("w") as file:
+        app.PDBFile.writeFile(simulation.topology, x * unit.nanometer, file)
+    assert len(mdtraj.load(dcd, top=str(tmp_path / "run.pdb"))) == 2
+
+
+def test_a_body_alone_has_no_closest_one():
+    system = three_masses.system()
+    force = openmm.CustomExternalForce("1e300*exp(x*1e3)")
+    force.addParticle(0, [])
+    system.addForce(force)
+    integrator = rb.ExactRigidBodyIntegrator(0.01)
+    _context = starts.context_of(system, integrator, three_masses.POSITIONS)
+    with pytest.raises(rb.NonFiniteError, match=r"body 0 \(particles 0, 1, 2\)\. The"):
+        integrator.step(1)
+
+
+def test_places_that_leave_the_numbers_in_a_last_drift_are_a_blow_up_too():
+    """No kick follows that drift in the step, and there may be no force that would notice."""
+    _, system, positions = rb.dipole_fluid(2)
+    while system.getNumForces():
+        system.removeForce(0)
+    integrator = rb.ExactRigidBodyIntegrator(1e4, scheme="V2_drift")
+    context = openmm.Context(system, integrator, REFERENCE)
+    context.setPositions(positions)
+    context.setVelocities([openmm.Vec3(2e150, 0.0, 0.0)] * system.getNumParticles())  # 1e154 in half a step
+    with pytest.raises(rb.NonFiniteError, match="step 1, after 0 ps: not finite"):
+        integrator.step(1)
+    assert np.isfinite(context.getState(positions=True).getPositions(asNumpy=True)._value).all()
+
+
+def test_a_step_far_too_large_stops_when_bodies_fly_apart():
+    """Their energy is absurd and finite, and they would never meet again."""
+    _, system, positions = rb.dipole_fluid(125, seed=3, inertia=(1.88, 1.88, 1.88))
+    integrator = rb.ExactRigidBodyIntegrator(0.5, scheme="S6_10")
+    context = starts.context_of(system, integrator, positions)
+    with pytest.raises(rb.NonFiniteError, match=r"step 1, after 0 ps: .* faster than light"):
+        integrator.step(10)
+    np.testing.assert_allclose(
+        context.getState(positions=True).getPositions(asNumpy=True)._value, positions._value, rtol=0.0, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("scheme", ["SRKN4_6b", "V2_C17"])
+def test_an_error_in_a_force_leaves_a_state_of_the_bodies(scheme):
+    """Between its steps a processed scheme holds another state, which must not be seen."""
+    calls, last = [], None
+
+    def springs(state):
+        calls.append(None)
+        if len(calls) == last:
+            raise RuntimeError("not today")
+        x = state.getPositions(asNumpy=True)._value
+        return 0.5 * float((x * x).sum()), -x
+
+    _, system, positions = rb.dipole_fluid(2, seed=1)
+    system.removeForce(0)
+    system.addForce(openmm.PythonForce(springs))
+    ends = []
+    for breaks in (True, False):
+        integrator = rb.ExactRigidBodyIntegrator(0.05, scheme=scheme)
+        context = starts.context_of(system, integrator, positions)
+        integrator.setVelocitiesToTemperature(20.0, 1)
+        if breaks:
+            last = len(calls) + integrator.getScheme().processing // 2 + 4 * integrator.getScheme().stages
+            with pytest.raises(openmm.OpenMMException, match="not today"):
+                integrator.step(10)
+            done = context.getStepCount()
+        elif done:
+            integrator.step(done)
+        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+        assert context.getTime()._value == pytest.approx(0.05 * done)
+    assert done == (0 if integrator.getScheme().processor else 3)
+    np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-14)

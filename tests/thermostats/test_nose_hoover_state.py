@@ -1,0 +1,197 @@
+"""Nosé-Hoover chains keep their bits, in new Contexts, checkpoints and runs, and are never read from other numbers."""
+
+import openmm
+import pytest
+
+import openmm_exactrb as rb
+from chains import FREQUENCY, H, nose_hoover
+from openmm_exactrb.thermostats import NoseHooverChain
+from thermostatted import (
+    droplet_of,
+    simulation_of,
+    snapshot,
+    trapped,
+)
+
+# -- bits, and what persists ------------------------------------------------------------------------------------------
+
+
+CHAINS = {"separate": {}, "together": {"together": True, "chainLength": 5}, "BAOAB": {"scheme": "BAOAB"}}
+
+
+@pytest.fixture(params=CHAINS)
+def options(request):
+    return CHAINS[request.param]
+
+
+def test_ten_times_ten_steps_are_a_hundred(options):
+    once, often = (droplet_of(nose_hoover(**options)) for _ in range(2))
+    once.integrator.step(100)
+    for _ in range(10):
+        often.integrator.step(10)
+    assert snapshot(once) == snapshot(often)
+    assert once.integrator.conservedEnergy() == often.integrator.conservedEnergy()
+
+
+def test_a_thermostat_that_is_handed_over_makes_the_bits_of_the_integrator_named_after_it():
+    named = nose_hoover()
+    handed = rb.ExactRigidBodyIntegrator(H, "S2_2", thermostat=NoseHooverChain(30.0, FREQUENCY))
+    runs = [droplet_of(integrator) for integrator in (named, handed)]
+    for run in runs:
+        run.integrator.step(20)
+    assert snapshot(runs[0]) == snapshot(runs[1])
+    assert named.getThermostat() == handed.getThermostat()
+
+
+EVERYTHING = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+
+
+def saved(context, kind):
+    if kind == "checkpoint":
+        return context.createCheckpoint()
+    return openmm.XmlSerializer.serialize(context.getState(**EVERYTHING))
+
+
+def load(context, kind, what):
+    if kind == "checkpoint":
+        context.loadCheckpoint(what)
+    else:
+        context.setState(openmm.XmlSerializer.deserialize(what))
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "State"])
+def test_a_new_context_continues_with_the_same_bits(kind, options):
+    run = droplet_of(nose_hoover(**options))
+    run.integrator.step(6)
+    taken = saved(run.context, kind)
+    run.integrator.step(7)
+    again = droplet_of(nose_hoover(**options))
+    again.integrator.step(2)
+    load(again.context, kind, taken)
+    again.integrator.step(7)
+    assert snapshot(again) == snapshot(run)
+    assert again.integrator.conservedEnergy() == run.integrator.conservedEnergy()
+
+
+def test_chains_outlive_a_reinitialisation():
+    run = droplet_of(nose_hoover())
+    run.integrator.step(6)
+    before = run.integrator.conservedEnergy()._value
+    run.context.reinitialize(preserveState=True)
+    assert run.integrator.conservedEnergy()._value == pytest.approx(before, rel=1e-12)
+
+
+def test_a_step_that_fails_leaves_the_chains_of_the_step_before():
+    run, twin = droplet_of(nose_hoover()), droplet_of(nose_hoover())
+    for each in (run, twin):
+        each.integrator.step(5)
+    run.integrator.setStepSize(1e3)
+    with pytest.raises(rb.IntegrationError):
+        run.integrator.step(1)
+    run.integrator.setStepSize(H)
+    for each in (run, twin):
+        each.integrator.step(5)
+    assert snapshot(run) == snapshot(twin)
+
+
+# Whose checkpoints are rows of other numbers.
+def langevin(engine="host"):
+    return rb.ExactRigidBodyLangevinIntegrator(30.0, 2.0, H, engine=engine)
+
+
+OTHERS = {
+    "Langevin": langevin,
+    "Langevin, auto": lambda: langevin("auto"),
+    "constant energy": lambda: rb.ExactRigidBodyIntegrator(H, scheme="S2_2"),
+    "processed": lambda: rb.ExactRigidBodyIntegrator(H, scheme="W4_4"),
+    "device": lambda: langevin("device"),
+    "shorter": lambda: nose_hoover(chainLength=2),
+    "longer": lambda: nose_hoover(chainLength=4),
+    "together": lambda: nose_hoover(together=True),
+    "as many numbers": lambda: nose_hoover(together=True, chainLength=6),
+}
+
+
+@pytest.mark.parametrize("kind", ["checkpoint", "State"])
+@pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.parametrize("there", [True, False], ids=["there", "back"])
+def test_a_chain_is_never_read_from_other_numbers(other, there, kind):
+    """Nor they from a chain: OpenMM puts the numbers of a checkpoint into any variables, in their order.
+
+    States have names, and OpenMM itself refuses those of variables that an integrator does not have.
+    """
+    makers = (nose_hoover, OTHERS[other]) if there else (OTHERS[other], nose_hoover)
+    if other == "device":  # on Reference it has no virtual sites
+        source, target = (simulation_of(make(), *trapped(1, 1, 2)) for make in makers)
+    else:
+        source, target = (droplet_of(make()) for make in makers)
+    for run in (source, target):
+        run.integrator.step(4)
+    good, bad = saved(target.context, kind), saved(source.context, kind)
+    target.integrator.step(3)
+    expected, refusals = snapshot(target), []
+
+    def use_bad(how):
+        load(target.context, kind, bad)
+        how()
+
+    for how in (lambda: target.integrator.step(1), target.integrator.temperatures):
+        with pytest.raises((ValueError, openmm.OpenMMException)) as refusal:
+            use_bad(how)
+        refusals.append(str(refusal.value))
+    ours, theirs = "is of another kind of integrator", "Illegal"
+    assert all(ours in text or (kind == "State" and theirs in text) for text in refusals)
+    load(target.context, kind, good)
+    target.integrator.step(3)
+    parted = kind == "State" and "Langevin" in type(target.integrator).__name__  # it goes on with noise of its own
+    assert (snapshot(target) == expected) != parted
+
+
+def test_numbers_of_another_integrator_are_noticed_where_positions_are_the_same():
+    run = droplet_of(nose_hoover())
+    other = droplet_of(langevin())
+    other.integrator.step(3)
+    for setter, name in ((run.context.setPositions, "Positions"), (run.context.setVelocities, "Velocities")):
+        setter(getattr(other.context.getState(positions=True, velocities=True), f"get{name}")(asNumpy=True))
+    run.integrator.temperatures()
+    run.context.loadCheckpoint(other.context.createCheckpoint())
+    for use in (run.integrator.conservedEnergy, lambda: run.integrator.setVelocitiesToTemperature(30.0)):
+        with pytest.raises(ValueError, match="is of another kind of integrator"):
+            use()
+
+
+def test_a_checkpoint_of_openmm_s_own_integrator_is_refused():
+    theirs = droplet_of(openmm.LangevinMiddleIntegrator(30.0, 2.0, 1e-4))
+    theirs.step(2)
+    run = droplet_of(nose_hoover())
+    run.integrator.step(1)
+    run.context.loadCheckpoint(theirs.context.createCheckpoint())
+    with pytest.raises(ValueError, match="is of another kind of integrator"):
+        run.integrator.step(1)
+
+
+def test_equilibration_at_a_langevin_thermostat_is_handed_over_without_its_numbers():
+    first = droplet_of(langevin())
+    first.integrator.step(5)
+    second = droplet_of(nose_hoover())
+    rb.loadState(second, first.context.getState(**EVERYTHING))
+    assert snapshot(second) == snapshot(first)
+    second.integrator.step(2)
+    assert second.context.getStepCount() == 7
+
+
+def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_chains(tmp_path):
+    def advance(folder, until, **options):
+        run = rb.Run(tmp_path / folder, resume=True)
+        run.add_reporter(rb.EnergyReporter, "energies.csv", 7)
+        run.advance(droplet_of(nose_hoover(**options)), until)
+
+    advance("whole", 40)
+    advance("parts", 22)
+    changes = {"temperature": 31.0, "frequency": 21.0, "chainLength": 4, "numMTS": 2, "numYoshidaSuzuki": 5}
+    for change in ({name: value} for name, value in (changes | {"together": True}).items()):
+        with pytest.raises(ValueError, match="is of another run: integrator"):
+            advance("parts", 40, **change)
+    advance("parts", 40)
+    files = [(tmp_path / folder / "energies.csv").read_text() for folder in ("whole", "parts")]
+    assert files[0] == files[1]
