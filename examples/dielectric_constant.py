@@ -6,7 +6,7 @@ The system is a box of Lennard-Jones spheres with point dipoles and all their im
 picosecond all momenta are drawn again, so that the run samples the canonical ensemble. The dielectric constant follows
 from the fluctuations of the total dipole moment. The picture shows its running estimate with the standard error from
 block averages, next to the value of LAMMPS for the same state. ``--long-range "reaction field"`` truncates the dipole
-interactions instead, which does not need numba and is sufficient for weak dipoles (``--dipole2 1``).
+interactions instead, which is sufficient for weak dipoles (``--dipole2 1``).
 
 With ``--core wca --density 0.05 --temperature 1``, the spheres only repel each other: a ferrofluid in a state known
 from the literature. It is dilute, and its short chains turn slowly, so use ``--duration 10000 --step 0.03``.

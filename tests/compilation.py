@@ -11,7 +11,7 @@ def of_bodies():
     from openmm_exactrb import kernels
 
     for name in ("bodies", "exact", "clusters"):
-        kernels.load(name, "numba")
+        kernels.load(name)
 
 
 def of_dipoles():

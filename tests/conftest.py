@@ -7,7 +7,6 @@ from hypothesis import settings
 
 import compilation
 import openmm_exactrb as rb
-from openmm_exactrb import kernels
 from openmm_exactrb.mathematics import quaternions
 
 # The same examples every time: whether a change passes is no matter of luck.
@@ -22,7 +21,7 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if workers := config.getoption("numprocesses", None):  # they share the cores, and inherit this
         os.environ.setdefault("OPENMM_CPU_THREADS", str(max(1, (os.cpu_count() or 1) // workers)))
-        if not config.option.collectonly and kernels.available():
+        if not config.option.collectonly:
             compilation.at_once()
     settings.load_profile("thorough" if config.getoption("--validate") else "fast")
 

@@ -16,8 +16,11 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 RULES = re.findall(r"^([^\s#:]+): (.*)\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))
 #: Our modules by the names by which they are imported.
-LOCAL = {path.stem: path for folder in ("docs/_ext", "examples", "tests") for path in (ROOT / folder).rglob("*.py")} | {
-    ".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in (ROOT / "benchmarks").rglob("*.py")
+LOCAL = {
+    name: path
+    for folder, home in (("benchmarks", "."), ("docs/_ext", "docs/_ext"), ("examples", "examples"), ("tests", "tests"))
+    for path in (ROOT / folder).rglob("*.py")
+    for name in (path.stem, ".".join(path.relative_to(ROOT / home).with_suffix("").parts))
 }
 #: Modules that another name brings, or which a requirement has among its own.
 COMES_WITH = {
@@ -49,7 +52,7 @@ def imported(script: Path) -> set[str]:
 
 def top(modules: Iterable[str]) -> set[str]:
     """Return the packages of modules that are not ours."""
-    return {name.split(".")[0] for name in modules} - set(LOCAL) - {"benchmarks"}
+    return {name.split(".")[0] for name in modules} - {name.split(".")[0] for name in LOCAL}
 
 
 @cache

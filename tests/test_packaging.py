@@ -27,7 +27,7 @@ def test_the_lowest_versions_are_those_that_are_tested():
     extras = PROJECT["optional-dependencies"]
     tested = [
         *PROJECT["dependencies"],
-        *(r for e in ("ensemble", "examples", "fast", "plot", "test") for r in extras[e]),
+        *(r for e in ("ensemble", "examples", "plot", "test") for r in extras[e]),
     ]
     allowed = lowest(tested)
     assert set(pinned) == set(allowed)
@@ -40,7 +40,6 @@ def test_the_conda_recipe_says_what_the_project_says():
     needed = lowest(RECIPE["requirements"]["run"])
     assert needed.pop("python") == lowest([f"python{PROJECT['requires-python']}"])["python"]
     assert needed == lowest(PROJECT["dependencies"])
-    assert lowest(RECIPE["requirements"]["run_constraints"]) == lowest(PROJECT["optional-dependencies"]["fast"])
     assert RECIPE["context"]["version"] == PROJECT["version"]
     commands = [f"{name} = {target}" for name, target in PROJECT["scripts"].items()]
     assert RECIPE["build"]["python"]["entry_points"] == commands

@@ -5,10 +5,8 @@ import pytest
 from scipy.linalg import expm
 
 import openmm_exactrb as rb
-from sequences import gradient_kicks
-
-pytest.importorskip("numba")
 from benchmarks.schemes import processors
+from sequences import gradient_kicks
 
 
 @pytest.mark.parametrize(("name", "order"), [("W2_1", 2), ("W4_4", 4), ("S2_3", 2), ("Chin4A", 4), ("W4_5", 4)])

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 import openmm_exactrb as rb
-from sequences import advanced
-
-pytest.importorskip("numba")
 from benchmarks.common import droplets
 from benchmarks.schemes import search
+from sequences import advanced
 from starts import context_of
 
 

@@ -153,7 +153,7 @@ def apart(found, exact):
 def fastest_peers(R, u, box, exact, cutoffs):
     """Return settings, errors and a run of the fastest LAMMPS for each level of error."""
     distance, found = (box**3 / len(R)) ** (1 / 3), {}
-    fast_size = kernels.load("mesh", "numba").fast_size
+    fast_size = kernels.load("mesh").fast_size
     for level, order, cutoff in itertools.product(LEVELS, (7, 5), cutoffs):
         if cutoff > 0.5 * box:
             continue
@@ -174,7 +174,7 @@ def scaled_peers(R, u, box, exact, like):
     found = {}
     for words in like:
         _, _, cutoff, _, points, _, _, _, order, _, alpha = words.replace(",", "").split()
-        points = kernels.load("mesh", "numba").fast_size(int(points) * box / edge_of(SEARCHED))
+        points = kernels.load("mesh").fast_size(int(points) * box / edge_of(SEARCHED))
         mesh = f"kspace_modify mesh {points} {points} {points} order {order} gewald {alpha}"
         consider(found, exact, (R, u, box, "pppm", 1e-3, float(cutoff), mesh))
     return list({each[1]: each[1:] for each in found.values()}.values())

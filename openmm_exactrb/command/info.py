@@ -12,7 +12,6 @@ from pathlib import Path
 import openmm
 
 import openmm_exactrb
-from openmm_exactrb import kernels
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
 from openmm_exactrb.openmm_access.platforms import platforms, refused_by_default
@@ -59,7 +58,6 @@ def _lines() -> Iterator[str]:
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
-    yield f"kernels: {'compiled by numba' if kernels.available() else 'numpy'}"
     yield "platforms, fastest first:"
     for found in platforms():
         why = refused_by_default(found)

@@ -102,7 +102,6 @@ def carry_out(args: argparse.Namespace) -> int:
     platform = platform_of(args.platform)
     box = inputs.load(settled)
     _refuse_idle(args, box)
-    setup.refuse_flexible(box)
     setup.couple(box.system, settled)
     with job.lock():
         equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])

@@ -9,14 +9,10 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_exactrb import kernels
 from openmm_exactrb.averages import pressure_offset
 from openmm_exactrb.command import arguments
-from openmm_exactrb.command.inputs import Box
 from openmm_exactrb.context.updates import UPDATES
-from openmm_exactrb.detection.find import has_flexible_clusters
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
@@ -31,13 +27,6 @@ OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
 )
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
-
-
-def refuse_flexible(box: Box) -> None:
-    """Raise ModuleNotFoundError if molecules are flexible and numba, which their motion needs, is not installed."""
-    x = np.array(box.positions.value_in_unit(unit.nanometer))
-    if has_flexible_clusters(box.system, x, periodic_box(box.system)):
-        kernels.require("flexible molecules with constraints")
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:

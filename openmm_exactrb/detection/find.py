@@ -92,13 +92,6 @@ def find_bodies(
     return RigidBodies(kinds, len(masses), clusters)
 
 
-def has_flexible_clusters(system: openmm.System, positions: Array, box: Array | None = None) -> bool:
-    """Return whether constraints of a System leave a cluster a motion of its own, as `find_bodies` sees it."""
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
-    clusters, whole = _clusters(system, masses, []), whole_positions(system, positions, masses, [], box)
-    return not all(held_rigid(distances, whole[particles]) for particles, distances in clusters)
-
-
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
     """Return clusters from those of their distances that are constrained; the others are nan.
 

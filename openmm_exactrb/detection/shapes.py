@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.plain.bodies import turned
-from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind
 from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
 

@@ -14,8 +14,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-from openmm_exactrb.kernels.plain.bodies import turned
-from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, best_attitudes
 from openmm_exactrb.mechanics.images import Decided, decided, image_gaps, joined
 from openmm_exactrb.mechanics.links import Links, shortest_tree

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from numba import njit, types
 from numba.core import event
@@ -23,19 +24,14 @@ _NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PACKAGE = Path(__file__).parent.parent
 
 
-def compiled(arguments: str) -> Callable[[Function], Function]:
+def compiled(*arguments: str | type[Any]) -> Callable[[Function], Function]:
     """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
 
     `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
-    an uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result.
+    an uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result. A
+    NamedTuple of `openmm_exactrb.kernels.records` is given itself: its fields say what they are.
     """
-    scalars = {"f": types.float64, "i": types.int64}
-
-    def type_of(word: str) -> Any:
-        scalar, axes = scalars[word[0].lower()], word[1:]
-        return types.Array(scalar, int(axes), "C", readonly=word[0].islower()) if axes else scalar
-
-    signature = types.void(*map(type_of, arguments.split()))
+    signature = types.void(*itertools.chain.from_iterable(map(_types, arguments)))
 
     def decorate(function: Function) -> Function:
         dispatcher: Any = _cached(njit(error_model="numpy", nogil=True)(function))
@@ -45,6 +41,19 @@ def compiled(arguments: str) -> Callable[[Function], Function]:
         return ready
 
     return decorate
+
+
+def _types(argument: str | type[Any]) -> Sequence[Any]:
+    """Return numba's types of some arguments."""
+    if isinstance(argument, str):
+        return [_type(word) for word in argument.split()]
+    fields = get_type_hints(argument, include_extras=True).values()
+    return [types.NamedTuple([_type(field.__metadata__[0]) for field in fields], argument)]
+
+
+def _type(word: str) -> Any:
+    scalar, axes = {"f": types.float64, "i": types.int64}[word[0].lower()], word[1:]
+    return types.Array(scalar, int(axes), "C", readonly=word[0].islower()) if axes else scalar
 
 
 def reordered(function: Function) -> Function:

@@ -7,22 +7,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.kernels.records import F1, I1, I2
+
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class Graph(NamedTuple):
     """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
 
-    inverse: Array  #: inverse masses of the atoms (n,)
-    pairs: Indices  #: the two atoms of each constraint (m, 2)
-    lengths: Array  #: of the constraints (m,)
-    weights: Array  #: B_cd of each entry (e,), row by row, the diagonal last
-    rows: Indices  #: first entry of each row (m + 1,)
-    columns: Indices  #: column of each entry (e,)
-    starts: Indices  #: first of the products that are subtracted from each entry (e + 1,)
-    left: Indices  #: first entry of each product
-    right: Indices  #: second entry of each product
+    inverse: F1  #: inverse masses of the atoms (n,)
+    pairs: I2  #: the two atoms of each constraint (m, 2)
+    lengths: F1  #: of the constraints (m,)
+    weights: F1  #: B_cd of each entry (e,), row by row, the diagonal last
+    rows: I1  #: first entry of each row (m + 1,)
+    columns: I1  #: column of each entry (e,)
+    starts: I1  #: first of the products that are subtracted from each entry (e + 1,)
+    left: I1  #: first entry of each product
+    right: I1  #: second entry of each product
 
 
 def factor(graph: Graph, r: Array) -> list[Array]:

@@ -113,3 +113,13 @@ def random(rng: np.random.Generator, n: int) -> Array:
     q = rng.standard_normal((n, 4))
     unit: Array = q / np.linalg.norm(q, axis=1, keepdims=True)
     return unit
+
+
+def turned(Q: Array, sites: Array) -> Array:
+    """Return Q b for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
+    n, (shapes, k, _) = len(Q), sites.shape
+    if shapes > 1:
+        own: Array = np.einsum("nij,nsj->nsi", Q, sites)
+        return own
+    shared: Array = (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, k).swapaxes(1, 2)
+    return shared

@@ -206,7 +206,7 @@ class ClusterState(NamedTuple):
 
 
 class Clusters:
-    """Clusters of several kinds as one set of arrays; ModuleNotFoundError if there are any, but no numba.
+    """Clusters of several kinds as one set of arrays.
 
     Atom a of cluster i of a kind is column first + a N + i of state arrays, with N clusters of the kind, whose first
     column is `first`.
@@ -220,8 +220,7 @@ class Clusters:
         self.particles: Indices = np.concatenate([np.empty(0, np.int64), *(k.particles.T.ravel() for k in self.kinds)])
         self.mass: Array = np.concatenate([np.empty(0), *(np.repeat(k.masses, len(k.particles)) for k in self.kinds)])
         if kinds:
-            kernels.require("flexible molecules with constraints")
-            self._advance = kernels.load("clusters", "numba").advance
+            self._advance = kernels.load("clusters").advance
 
     def __len__(self) -> int:
         """Return the number of clusters."""
@@ -263,7 +262,7 @@ class Clusters:
         """Return the state after free motion for a time, or with momenta that are projected alone."""
         after = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
-            self._advance(*state, tau, moves, first, len(kind.particles), *kind.graph, *after)
+            self._advance(*state, tau, moves, first, len(kind.particles), kind.graph, *after)
         return after
 
 

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.plain.bodies import turned
 from openmm_exactrb.mathematics.compensated import exactly
-from openmm_exactrb.mathematics.quaternions import from_matrix, matrix
+from openmm_exactrb.mathematics.quaternions import from_matrix, matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState

@@ -6,7 +6,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.context.forces import ContextForces, Positions
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, PAIR
 from openmm_exactrb.substeps import Force
@@ -28,29 +29,12 @@ _HARMONIC = re.compile(r"k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-thet
 _PARAMETERS = {_LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
 
 
-class Terms(NamedTuple):
-    """What `kernels.compiled.bonded` takes: particles of terms, and their numbers."""
-
-    bonds: Indices
-    of_bonds: Array
-    angles: Indices
-    of_angles: Array
-    torsions: Indices
-    of_torsions: Array
-    pairs: Indices
-    of_pairs: Array
-    impropers: Indices
-    of_impropers: Array
-    maps: Indices
-    patches: Array
-
-
 class BondedForces(ContextForces):
     """The same as `ContextForces`, by a compiled kernel; energies are OpenMM's."""
 
     def __init__(self, terms: Terms, positions: Positions, groups: int, timings: Timings, counter: str) -> None:
         super().__init__(positions, groups, timings, counter)
-        self.terms, self._sum = terms, kernels.load("bonded", "numba").forces
+        self.terms, self._sum = terms, kernels.load("bonded").forces
 
     @property
     def known(self) -> Force | None:
@@ -71,16 +55,16 @@ class BondedForces(ContextForces):
         start = time.perf_counter()
         x = self.positions.placed(state)
         out = np.empty_like(x)
-        self._sum(x, *self.terms, out)
+        self._sum(x, self.terms, out)
         found = self.positions.bodies.forces(state.rounded, out)
         self._count(start)
         return found
 
 
 def terms_of(system: openmm.System, groups: int) -> Terms | None:
-    """Return the terms of a System in some groups (bits), None without numba or where it has terms of other forms."""
+    """Return the terms of a System in some groups (bits), None where it has terms of other forms."""
     forces = list(system.getForces())
-    if not kernels.available() or not all(map(_known, forces)):
+    if not all(map(_known, forces)):
         return None
     some = [force for force in forces if groups >> force.getForceGroup() & 1]
     bonds, angles, pairs, impropers = (

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.graph import Graph
+from openmm_exactrb.kernels.records import Bodies
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.clusters import Clusters
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
@@ -35,10 +36,10 @@ class CompiledInnerSteps:
         self._forces, self._sequence, self._repetitions, self._divergence = forces, sequence, repetitions, divergence
         bodies = forces.positions.bodies
         moments = np.ascontiguousarray(bodies.inertia.T)
-        layout = bodies.mass, moments, constants(moments), *_particles(bodies)
-        self._constants = *layout, *_packed(bodies.clusters, bodies.n_turning), *forces.terms
+        own = Bodies(bodies.mass, moments, constants(moments), *_particles(bodies))
+        self._constants = own, *_packed(bodies.clusters, bodies.n_turning), forces.terms
         self._sequences: dict[int, tuple[Indices, Array]] = {}
-        self._advance = kernels.load("inner_steps", "numba").advance
+        self._advance = kernels.load("inner_steps").advance
 
     def __call__(self, state: State, tau: float) -> State:
         """Return the state after a drift over tau (ps); IntegrationError if it diverges."""
@@ -82,7 +83,7 @@ def _particles(bodies: RigidBodies) -> tuple[Indices, Indices, Array]:
     return particles, bodies.owner[particles].astype(np.int64), np.ascontiguousarray(np.concatenate(sites))
 
 
-def _packed(clusters: Clusters, first: int) -> tuple[Indices | Array, ...]:
+def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
     """Return where the kinds of clusters begin, from column `first` on, and their graphs behind each other."""
     graphs = [kind.graph for kind in clusters.kinds]
     begins = [(len(g.inverse), len(g.pairs), len(g.columns), len(g.rows), len(g.starts), len(g.left)) for g in graphs]
@@ -91,8 +92,8 @@ def _packed(clusters: Clusters, first: int) -> tuple[Indices | Array, ...]:
     places[:-1, 1] = [len(kind.particles) for kind in clusters.kinds]
     places[1:, 2:] = np.cumsum(np.array(begins, dtype=np.int64).reshape(-1, 6), axis=0)
     if not graphs:
-        return places, *_NONE
-    return places, *map(np.concatenate, zip(*graphs, strict=True))
+        return places, _NONE
+    return places, Graph(*map(np.concatenate, zip(*graphs, strict=True)))
 
 
 # The fields of `Graph` without clusters.

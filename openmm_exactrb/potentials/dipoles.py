@@ -59,11 +59,10 @@ def soft_dipole_force(
     boundary : Open, ReactionField or Ewald
         Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images.
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Type of the force. "compiled": a kernel in double precision on all cores, which needs numba and is some fifty
-        times faster on a CPU. "openmm": a `CustomHbondForce`, if there is a cutoff, which stays on the device with
+        Type of the force. "auto" or "compiled": a kernel in double precision on all cores, some fifty times faster on a
+        CPU. "openmm": a `CustomHbondForce`, if there is a cutoff, which stays on the device with
         OpenCL, CUDA and HIP. "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on
-        Reference and supports any cutoff. "auto": the compiled kernel if numba is installed, otherwise bonds; the
-        choice does not depend on the platform, which is not known here. `Ewald` needs the compiled kernel.
+        Reference and supports any cutoff. `Ewald` needs the compiled kernel.
 
     Returns
     -------
@@ -78,8 +77,6 @@ def soft_dipole_force(
         If the kernel is unknown, arrows are not pairs of particles, a number is out of its range, box and boundary do
         not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one. With "openmm",
         if cutoff + 2 length reaches half the shortest edge.
-    ModuleNotFoundError
-        If the compiled kernel is asked for, or an Ewald sum, and numba is not installed.
 
     Notes
     -----
@@ -112,12 +109,10 @@ def soft_dipole_force(
 
 def _chosen(kernel: str, *, needs_compiled: bool) -> str:
     """Return which of "openmm", "bonds" and "compiled" computes the force; an Ewald sum needs the last."""
-    if needs_compiled or kernel == "compiled":
-        kernels.require()
     if kernel not in ("auto", "openmm", "bonds", "compiled"):
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
     if kernel == "auto":
-        kernel = "compiled" if kernels.available() else "bonds"
+        kernel = "compiled"
     if needs_compiled and kernel != "compiled":
         raise ValueError(
             "only the compiled kernel has an Ewald sum in one force: use kernel='compiled', or "
@@ -222,7 +217,7 @@ class SoftDipoles:
         ValueError
             If the box is not rectangular or too small, or spheres that end at a minimum do not repel.
         """
-        return kernels.load("pairs", "numba").soft_dipoles(  # type: ignore[no-any-return]
+        return kernels.load("pairs").soft_dipoles(  # type: ignore[no-any-return]
             positions,
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],

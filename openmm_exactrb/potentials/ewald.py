@@ -50,7 +50,7 @@ def splitting(
         x = math.log(max(a**2.5 * x**1.5 / tolerance, math.e)) ** 0.5
         y = math.log(max(0.7 * a**2.5 * y**1.5 / tolerance, 0.9 * a**3 * y / tolerance, math.e)) ** 0.5
     alpha = x / switch
-    waves = kernels.load("pairs", "numba").number_of_waves(box, 2.0 * alpha * y)
+    waves = kernels.load("pairs").number_of_waves(box, 2.0 * alpha * y)
     if waves > MOST_WAVES:
         raise ValueError(
             f"an Ewald sum with a switch at {switch:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "
@@ -84,7 +84,7 @@ def cost(n: int, edges: Edges, chosen: EwaldParameters) -> float:
     neighbours = 4.0 / 3.0 * math.pi * chosen.cutoff**3 * n / math.prod(edges)
     pairs = n * (_ROW * n if reach > _WHOLE else _CELL * neighbours)
     if chosen.method == "direct":
-        return pairs + n * _WAVE * float(kernels.load("pairs", "numba").number_of_waves(edges, chosen.k_max))
+        return pairs + n * _WAVE * float(kernels.load("pairs").number_of_waves(edges, chosen.k_max))
     return pairs + _POINT * math.prod(chosen.points) + n * _SPLINE * chosen.order**3 + _MESH
 
 
@@ -124,7 +124,7 @@ def meshes(
 
 def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
     """Yield numbers of points along the edges that have fast transforms, from few on."""
-    fast_size, shortest, many = kernels.load("mesh", "numba").fast_size, min(edges), order + LANES
+    fast_size, shortest, many = kernels.load("mesh").fast_size, min(edges), order + LANES
     while many <= MOST_POINTS:
         many = fast_size(many)
         mesh = tuple(fast_size(many * edge / shortest) for edge in edges)

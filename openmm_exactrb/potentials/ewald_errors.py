@@ -110,7 +110,7 @@ def _table(order: int) -> Array:
     k = [axis[:, None, None], axis[:, None], axis]
     volume = weights[:, None, None] * weights[:, None] * weights
     k2 = k[0] ** 2 + k[1] ** 2 + k[2] ** 2
-    W2, second, fourth = kernels.load("mesh", "numba").alias_sums(k, (1.0, 1.0, 1.0), order)
+    W2, second, fourth = kernels.load("mesh").alias_sums(k, (1.0, 1.0, 1.0), order)
     q = np.linspace(math.pi, math.pi + 15.0, 600)  # what the mesh does not have, in shells outside of the cube
     shells = 4.0 * math.pi * q**2 * np.clip(3.0 - 3.0 * math.pi / q, 0.0, 1.0) * (q[1] - q[0])
     rows = []

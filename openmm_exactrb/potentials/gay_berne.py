@@ -69,7 +69,7 @@ class GayBerne:
         edges = box.diagonal().copy()
         check_cutoff(self.law[5], edges.tolist())
         forces, energy = np.empty_like(positions), np.empty(1)
-        kernels.load("ellipsoids", "numba").gay_berne(positions, edges, np.array(self.law), forces, energy)
+        kernels.load("ellipsoids").gay_berne(positions, edges, np.array(self.law), forces, energy)
         return float(energy[0]), forces
 
 

@@ -22,7 +22,7 @@ from openmm_exactrb.kernels.plain.exact import SAFE
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
-from openmm_exactrb.rotors.exact import rotor as exact_rotor
+from openmm_exactrb.rotors import exact
 from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
@@ -101,7 +101,7 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
         q1[:, regular], m1[:, regular] = regular_flow(q[:, regular], m[:, regular], t[regular], regular)
         other = ~regular
         rest = inertia if shared else inertia[:, other]
-        q1[:, other], m1[:, other] = exact_rotor("numpy")(rest)(q[:, other], m[:, other], t[other])
+        q1[:, other], m1[:, other] = exact.in_numpy(rest)(q[:, other], m[:, other], t[other])
         return q1, m1
 
     return flow

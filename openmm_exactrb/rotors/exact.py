@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
+from openmm_exactrb.kernels.plain import exact as plain
 from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 
-def rotor(which: Literal["fastest", "numpy", "numba"]) -> Callable[[Array], Flow]:
-    """Return the factory of exact flows, for moments (3, 1) or (3, N), with one of the kernels; see `kernels.load`.
+def compiled(inertia: Array) -> Flow:
+    """Return the exact flow for moments (3, 1) or (3, N), compiled; see `in_numpy`."""
+    return _in_any_order(inertia, kernels.load("exact").advance)
 
-    The flows also take double-doubles q (2, 4, N) and m (2, 3, N).
-    """
-    return lambda inertia: _in_any_order(inertia, kernels.load("exact", which).advance)
+
+def in_numpy(inertia: Array) -> Flow:
+    """Return the exact flow for moments (3, 1) or (3, N) in numpy; it takes sums of two, (2, ., N), too."""
+    return _in_any_order(inertia, plain.advance)
 
 
 def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:

@@ -68,14 +68,14 @@ _GAUSS = tuple(
     for p in (3, 4, 5)
 )
 
-#: All flows by name. "exact" is compiled where numba is installed; the two after it say which one to take.
+#: All flows by name. "exact" is the compiled one of the two after it.
 ROTORS: Mapping[str, Rotor] = MappingProxyType(
     {
         entry.name: entry
         for entry in (
-            Rotor("exact", None, exact.rotor("fastest"), _PAPER, sums=True),
-            Rotor("exact_numpy", None, exact.rotor("numpy"), _PAPER, sums=True),
-            Rotor("exact_compiled", None, exact.rotor("numba"), _PAPER, sums=True),
+            Rotor("exact", None, exact.compiled, _PAPER, sums=True),
+            Rotor("exact_numpy", None, exact.in_numpy, _PAPER, sums=True),
+            Rotor("exact_compiled", None, exact.compiled, _PAPER, sums=True),
             Rotor("rotation", None, rotation.rotor, f"{_PAPER}, section 2.2"),
             Rotor("quaternion_a", None, quaternion.kosenko, f"{_PAPER}, equation (38)"),
             Rotor("quaternion_b", None, quaternion.moving_frame, f"{_PAPER}, section 2.4 (b)"),
@@ -93,7 +93,7 @@ ROTORS: Mapping[str, Rotor] = MappingProxyType(
     }
 )
 
-#: The flows that are compiled where numba is installed.
+#: The flows that are compiled.
 COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 

@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 import openmm
 from openmm import unit
 
-from openmm_exactrb import kernels
 from openmm_exactrb.engines.custom_program.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.support.stable_text import digest, stable_text
@@ -24,7 +23,6 @@ def identity_of(simulation: Any) -> dict[str, str]:
     identity = {
         "openmm": openmm.__version__,
         "openmm-exactrb": version("not installed"),
-        "kernels": "compiled" if kernels.available() else "numpy",  # they round differently
         "platform": simulation.context.getPlatform().getName(),
         "System": _text_of_system(without_sums(simulation.system)),
         "integrator": type(integrator).__name__,

@@ -9,7 +9,6 @@ import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
 
-from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.potentials import GayBerne, gay_berne_force
 from openmm_exactrb.support import checks
@@ -83,8 +82,6 @@ def ellipsoids(
     ValueError
         If a number is out of its range, a unit does not fit, the cutoff is more than half the box, or the ellipsoids do
         not fit on the lattice.
-    ModuleNotFoundError
-        If numba is not installed, which compiles the potential.
 
     Notes
     -----
@@ -99,7 +96,6 @@ def ellipsoids(
     density = 0.9 / (kappa * sigma**3) if density is None else stripped(density, unit.nanometer**-3)
     box = float((n / checks.positive(density, "density", "ellipsoids a nm³")) ** (1.0 / 3.0))
     cutoff, switch = _truncation(stripped(cutoff, unit.nanometer), stripped(switch, unit.nanometer), kappa, sigma)
-    kernels.require("ellipsoids")
     if cutoff > 0.5 * box:
         raise ValueError(
             f"the cutoff of {cutoff:g} nm is more than half the box of {box:.3g} nm: use more ellipsoids, or a "

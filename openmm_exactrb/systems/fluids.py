@@ -146,8 +146,6 @@ def dipole_fluid(
     ------
     ValueError
         If a number is out of its range, a unit does not fit, or an option does not apply to the boundary.
-    ModuleNotFoundError
-        If the compiled kernel is asked for and numba is not installed.
     """
     sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
     mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)

@@ -4,11 +4,8 @@ import os
 import subprocess
 import sys
 
-from openmm_exactrb import kernels
-
 COMMAND = [sys.executable, "-m", "openmm_exactrb.command.main"]
-#: In numpy each starts sooner.
-ENVIRONMENT = os.environ | {kernels.SWITCH: "0", "OPENMM_CPU_THREADS": "1"}
+ENVIRONMENT = os.environ | {"OPENMM_CPU_THREADS": "1"}
 
 
 def launch(*arguments):

@@ -1,7 +1,5 @@
 """What is wrong with a command line is told in one line, with status 2, and no file is touched."""
 
-import sys
-
 import openmm
 import pytest
 from openmm import app, unit
@@ -9,7 +7,6 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb.command.inputs import topology_of
 from openmm_exactrb.command.main import main
-from peptides import PEPTIDE
 from starts import context_of
 
 CASES = [
@@ -162,22 +159,6 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     assert f"{name} is of an earlier run" in errors
     assert errors.count("\n") == 1
     assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
-
-
-def test_flexible_molecules_without_numba_are_refused_before_the_equilibration(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    options = "--constraints", "HBonds", "--platform", "Reference", "--out", str(tmp_path / "out")
-    assert main(["run", str(PEPTIDE), "--forcefield", "amber14-all.xml", *options]) == 2
-    errors = capsys.readouterr().err
-    assert errors.startswith("exactrb run: flexible molecules with constraints need numba: python -m pip install ")
-    assert errors.count("\n") == 1
-    assert not (tmp_path / "out").exists()
-
-
-def test_rigid_molecules_run_without_numba(serialised, tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    options = "--step", "2fs", "--duration", "4fs", "--no-picture", "--quiet", "--platform", "Reference"
-    assert main(["run", *map(str, serialised), *options, "--out", str(tmp_path / "out")]) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("nothing", [None, 3, b"state.xml"])

@@ -9,7 +9,6 @@ from openmm_exactrb.multiple_time_steps.bonded import pairs_by_formula
 from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
 from starts import context_of
 
-pytest.importorskip("numba")
 RNG = np.random.default_rng(5)
 N = 140  # more terms than two blocks of the kernel have
 
@@ -85,7 +84,7 @@ def maps():
 def both(system, x, groups=-1):
     """Return the forces of the kernel and those of OpenMM."""
     out = np.empty_like(x)
-    kernels.load("bonded", "numba").forces(x, *terms_of(system, groups), out)
+    kernels.load("bonded").forces(x, terms_of(system, groups), out)
     context = context_of(system, openmm.VerletIntegrator(0.001), x)
     return out, context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
 
@@ -133,7 +132,7 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
     x[:3] = [0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.0]
     x[3:7] = [0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.15], [0.1 * np.cos(angle), 0.1 * np.sin(angle), 0.25]
     out = np.empty_like(x)
-    kernels.load("bonded", "numba").forces(x, *terms_of(system_of(force, torsion), -1), out)
+    kernels.load("bonded").forces(x, terms_of(system_of(force, torsion), -1), out)
     a = abs(out[0])
     assert a[1] == pytest.approx(500.0 * abs(angle - 1.9) / 0.1, rel=1e-8)  # along the arc, strength times the rest
     turn = np.array([0.1, 0.1, 0.0])
@@ -153,7 +152,7 @@ def test_positions_that_are_not_finite_have_such_forces(make):
     x = RNG.normal(size=(N, 3))
     x[4] = np.nan
     out = np.empty_like(x)
-    kernels.load("bonded", "numba").forces(x, *terms_of(system_of(make()), -1), out)
+    kernels.load("bonded").forces(x, terms_of(system_of(make()), -1), out)
     assert np.isnan(out[4]).all()
 
 

@@ -8,8 +8,6 @@ from openmm_exactrb.multiple_time_steps import compiled_inner_steps
 from peptides import peptide
 from starts import context_of
 
-pytest.importorskip("numba")
-
 
 @pytest.mark.parametrize("scheme", ["W2_3", "S2_2", "W4_5"])
 def test_a_peptide_moves_as_by_flows_that_numpy_turns(scheme, monkeypatch):

@@ -4,7 +4,6 @@ import copy
 import itertools
 import pickle
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -249,19 +248,9 @@ def potential(system):
     return system.getForce(0)
 
 
-def test_auto_takes_the_compiled_kernel_where_numba_is_installed(monkeypatch):
+def test_the_kernel_is_compiled_unless_another_is_named():
     assert isinstance(potential(rb.dipole_fluid(2)[1]), openmm.PythonForce)
-    monkeypatch.setitem(sys.modules, "numba", None)
-    assert isinstance(potential(rb.dipole_fluid(2)[1]), openmm.CustomCompoundBondForce)
-    with pytest.raises(ModuleNotFoundError, match=r"openmm-exactrb\[fast\]"):
-        rb.dipole_fluid(2, kernel="compiled")
-
-
-def test_a_system_read_without_numba_says_what_is_missing(monkeypatch):
-    context, _ = fluid(2, kernel="compiled")
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(Exception, match=r"openmm-exactrb\[fast\]"):
-        context.getState(energy=True)
+    assert isinstance(potential(rb.dipole_fluid(2, kernel="bonds")[1]), openmm.CustomCompoundBondForce)
 
 
 @pytest.mark.parametrize("options", [{}, FIELD], ids=["open", "periodic"])

@@ -1,7 +1,5 @@
 """The Ewald sum of the compiled kernel: its functions, its derivatives, its tolerance, and sums known otherwise."""
 
-import sys
-
 import mpmath as mp
 import numpy as np
 import openmm
@@ -11,7 +9,6 @@ from openmm import unit
 import openmm_exactrb as rb
 import starts
 from force_laws import assert_gradient, context_of, evaluated, positions_of
-from openmm_exactrb import kernels
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
 from soft_dipoles import PARAMETERS, arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
@@ -277,19 +274,6 @@ def test_wrong_options_get_one_sentence(options, message):
         rb.dipole_fluid(27, **({"boundary": rb.Ewald()} | options))
 
 
-def test_a_kernel_that_is_refused_is_not_used(monkeypatch):
-    monkeypatch.setenv(kernels.SWITCH, "0")
-    with pytest.raises(ValueError, match="only the compiled kernel"):
-        rb.dipole_fluid(27, boundary=rb.Ewald())
-    rb.dipole_fluid(27, boundary=rb.Ewald(), kernel="compiled")
-
-
 def test_the_kernel_needs_a_box_too():
     with pytest.raises(ValueError, match="needs a box"):
         SoftDipoles(None, (1.0, 1.0, 1.0)).energy_and_forces(np.zeros((2, 3)), PARAMETERS)
-
-
-def test_without_numba_there_is_no_sum(monkeypatch):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(ModuleNotFoundError, match=r"openmm-exactrb\[fast\]"):
-        rb.dipole_fluid(2, boundary=rb.Ewald(), density=0.1)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from forked import FORKED
-from openmm_exactrb import kernels
 from openmm_exactrb.runs.signals import ENDING
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
-#: In numpy each starts sooner, and on a busy machine a bar would be a second line of errors.
-SETTINGS = {kernels.SWITCH: "0", "TQDM_DISABLE": "1"}
+#: On a busy machine a bar would be a second line of errors.
+SETTINGS = {"TQDM_DISABLE": "1"}
 
 
 @dataclass

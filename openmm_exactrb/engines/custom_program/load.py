@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.context import variables
 from openmm_exactrb.engines.custom_program import names
 from openmm_exactrb.engines.custom_program.noise import streams
-from openmm_exactrb.kernels.plain.bodies import turned
-from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.rotors.exact import constants

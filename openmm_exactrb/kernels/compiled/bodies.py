@@ -1,9 +1,34 @@
-"""Rigid bodies, compiled: the twin of `plain.bodies`."""
+"""Rigid bodies: places and velocities of their particles, sums of forces and torques, and double-doubles that move."""
 
 from __future__ import annotations
 
-from openmm_exactrb.kernels.build import compiled
+from openmm_exactrb.kernels.build import compiled, inlined
 from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
+
+
+@inlined
+def orientation(q, body):
+    """Return the entries of the matrix Q of a body, row by row."""
+    return matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
+
+
+@inlined
+def turned(Q, b):
+    """Return Q b."""
+    return (
+        Q[0] * b[0] + Q[1] * b[1] + Q[2] * b[2],
+        Q[3] * b[0] + Q[4] * b[1] + Q[5] * b[2],
+        Q[6] * b[0] + Q[7] * b[1] + Q[8] * b[2],
+    )
+
+
+@inlined
+def torque_of(Q, b, F):
+    """Return b x (transposed Q) F, the torque in the body of a force F in space."""
+    f0 = Q[0] * F[0] + Q[3] * F[1] + Q[6] * F[2]
+    f1 = Q[1] * F[0] + Q[4] * F[1] + Q[7] * F[2]
+    f2 = Q[2] * F[0] + Q[5] * F[1] + Q[8] * F[2]
+    return b[1] * f2 - b[2] * f1, b[2] * f0 - b[0] * f2, b[0] * f1 - b[1] * f0
 
 
 @compiled("f2 f2 i2 f3 i F2")
@@ -13,15 +38,11 @@ def place(R, q, particles, sites, first, x):
     own = sites.shape[0] > 1
     for i in range(n):
         body = first + i
-        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
-        R0, R1, R2 = R[0, body], R[1, body], R[2, body]
-        shape = i if own else 0
+        Q = orientation(q, body)
         for s in range(k):
-            s0, s1, s2 = sites[shape, s, 0], sites[shape, s, 1], sites[shape, s, 2]
-            row = particles[i, s]
-            x[row, 0] = R0 + (a * s0 + b * s1 + c * s2)
-            x[row, 1] = R1 + (d * s0 + e * s1 + f * s2)
-            x[row, 2] = R2 + (g * s0 + h * s1 + j * s2)
+            u = turned(Q, sites[i if own else 0, s])
+            for e in range(3):
+                x[particles[i, s], e] = R[e, body] + u[e]
 
 
 @compiled("f2 f2 f2 i2 f3 i F2")
@@ -31,17 +52,13 @@ def move(V, omega, q, particles, sites, first, v):
     own = sites.shape[0] > 1
     for i in range(n):
         body = first + i
-        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
-        V0, V1, V2 = V[0, body], V[1, body], V[2, body]
+        Q = orientation(q, body)
         w0, w1, w2 = omega[0, body], omega[1, body], omega[2, body]
-        shape = i if own else 0
         for s in range(k):
-            s0, s1, s2 = sites[shape, s, 0], sites[shape, s, 1], sites[shape, s, 2]
-            u0, u1, u2 = w1 * s2 - w2 * s1, w2 * s0 - w0 * s2, w0 * s1 - w1 * s0
-            row = particles[i, s]
-            v[row, 0] = V0 + (a * u0 + b * u1 + c * u2)
-            v[row, 1] = V1 + (d * u0 + e * u1 + f * u2)
-            v[row, 2] = V2 + (g * u0 + h * u1 + j * u2)
+            b = sites[i if own else 0, s]
+            u = turned(Q, (w1 * b[2] - w2 * b[1], w2 * b[0] - w0 * b[2], w0 * b[1] - w1 * b[0]))
+            for e in range(3):
+                v[particles[i, s], e] = V[e, body] + u[e]
 
 
 @compiled("f2 i2 f3 i f2 F2 F2")
@@ -51,17 +68,14 @@ def collect(q, particles, sites, first, forces, total, torque):
     own = sites.shape[0] > 1
     for i in range(n):
         body = first + i
-        a, b, c, d, e, f, g, h, j = matrix_entries(q[0, body], q[1, body], q[2, body], q[3, body])
+        Q = orientation(q, body)
         T0 = T1 = T2 = 0.0
         N0 = N1 = N2 = 0.0
-        shape = i if own else 0
         for s in range(k):
-            row = particles[i, s]
-            F0, F1, F2 = forces[row, 0], forces[row, 1], forces[row, 2]
-            T0, T1, T2 = T0 + F0, T1 + F1, T2 + F2
-            f0, f1, f2 = a * F0 + d * F1 + g * F2, b * F0 + e * F1 + h * F2, c * F0 + f * F1 + j * F2
-            s0, s1, s2 = sites[shape, s, 0], sites[shape, s, 1], sites[shape, s, 2]
-            N0, N1, N2 = N0 + (s1 * f2 - s2 * f1), N1 + (s2 * f0 - s0 * f2), N2 + (s0 * f1 - s1 * f0)
+            F = forces[particles[i, s]]
+            T0, T1, T2 = T0 + F[0], T1 + F[1], T2 + F[2]
+            t0, t1, t2 = torque_of(Q, sites[i if own else 0, s], F)
+            N0, N1, N2 = N0 + t0, N1 + t1, N2 + t2
         total[0, body], total[1, body], total[2, body] = T0, T1, T2
         torque[0, body], torque[1, body], torque[2, body] = N0, N1, N2
 

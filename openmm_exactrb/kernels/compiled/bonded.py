@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner, inner_reordered
+from openmm_exactrb.kernels.records import Terms
 
 _CIRCLE = 2.0 * math.pi
 #: Terms in a block. Rows of `lanes` (17, 64) are three for each of up to four particles, the factor of their forces,
@@ -249,35 +250,13 @@ def _add_maps(x, maps, patches, out):
         _scatter(others, maps, n, count, 4, 4, out)
 
 
-@compiled("f2 i2 f2 i2 f2 i2 f3 i2 f2 i2 f2 i2 f3 F2")
-def forces(
-    x,
-    bonds,
-    of_bonds,
-    angles,
-    of_angles,
-    torsions,
-    of_torsions,
-    pairs,
-    of_pairs,
-    impropers,
-    of_impropers,
-    maps,
-    patches,
-    out,
-):
-    """Write the forces (n, 3) in kJ/mol/nm on particles at x (n, 3) in nm.
-
-    `of_bonds` (2, .) are lengths and strengths, `of_angles` (3, .) cosines and sines of angles, and strengths,
-    `of_torsions` (2, N, .) the coefficients of cosines and sines, `of_pairs` (3, .) products of charges in kJ nm/mol,
-    sigmas and epsilons, `of_impropers` (3, .) angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's
-    formulas have it. `maps` (., 10) are the particles of two torsions, the first patch of a map and how many it has in
-    each direction; `patches` (., 4, 4) the coefficients of bicubic polynomials, highest powers first.
-    """
+@compiled("f2", Terms, "F2")
+def forces(x, terms, out):
+    """Write the forces (n, 3) in kJ/mol/nm on particles at x (n, 3) in nm."""
     out[:] = 0.0
-    _add_bonds(x, bonds, of_bonds, out)
-    _add_pairs(x, pairs, of_pairs, out)
-    _add_angles(x, angles, of_angles, out)
-    _add_torsions(x, torsions, of_torsions, out)
-    _add_impropers(x, impropers, of_impropers, out)
-    _add_maps(x, maps, patches, out)
+    _add_bonds(x, terms.bonds, terms.of_bonds, out)
+    _add_pairs(x, terms.pairs, terms.of_pairs, out)
+    _add_angles(x, terms.angles, terms.of_angles, out)
+    _add_torsions(x, terms.torsions, terms.of_torsions, out)
+    _add_impropers(x, terms.impropers, terms.of_impropers, out)
+    _add_maps(x, terms.maps, terms.patches, out)

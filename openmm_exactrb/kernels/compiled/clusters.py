@@ -226,19 +226,17 @@ def _give_up(X, P, work):
                             X[s, a, e * L + i % L] = P[s, a, e * L + i % L] = math.nan
 
 
-@compiled("f3 f3 f i i i f1 i2 f1 f1 i1 i1 i1 i1 i1 F3 F3")
-def advance(x, p, t, moves, first, count, inverse, pairs, lengths, weights, rows, columns, starts, left, right, x1, p1):
+@compiled("f3 f3 f i i i", Graph, "F3 F3")
+def advance(x, p, t, moves, first, count, graph, x1, p1):
     """Write where the clusters of a kind are after the time t, and their momenta.
 
     A cluster with a number that is not finite, at a singular place, or too fast to be followed becomes nan.
 
-    The kind has `count` clusters from column `first` on; `inverse` to `right` are the fields of its `Graph`. Unless it
-    `moves`, the momenta lose their parts along the constraints, so that r_c.r_c' = 0, and that is all. The results x1
-    and p1 may be x and p.
+    The kind has `count` clusters from column `first` on. Unless it `moves`, the momenta lose their parts along the
+    constraints, so that r_c.r_c' = 0, and that is all. The results x1 and p1 may be x and p.
     """
-    graph = Graph(inverse, pairs, lengths, weights, rows, columns, starts, left, right)
     L = min(count, LANES)
-    X, P = np.empty((len(x), len(inverse), 3 * L)), np.empty((len(x), len(inverse), 3 * L))
+    X, P = np.empty((len(x), len(graph.inverse), 3 * L)), np.empty((len(x), len(graph.inverse), 3 * L))
     work = _workspace(graph, L, ORDERS if moves else 0)
     for start in range(0, count, L):
         gather(x, first, count, start, X)

@@ -7,47 +7,42 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.kernels.build import compiled, inlined, inner
-from openmm_exactrb.kernels.compiled import bodies, bonded, clusters, exact
-from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
+from openmm_exactrb.kernels.build import compiled, inner
+from openmm_exactrb.kernels.compiled import bonded, clusters, exact
+from openmm_exactrb.kernels.compiled.bodies import advance as add_scaled
+from openmm_exactrb.kernels.compiled.bodies import orientation, torque_of, turned
+from openmm_exactrb.kernels.compiled.formulas import two_sum
+from openmm_exactrb.kernels.graph import Graph
+from openmm_exactrb.kernels.records import Bodies, Terms
 
 
 @inner
-def _place(R, q, particles, owners, sites, x):
-    """Write R + Q b of the sites b of particles (n,) with owners (n,), of which single ones do not turn."""
-    turning = q.shape[2]
-    for p in range(len(particles)):
-        row, body = particles[p], owners[p]
-        if body < turning:
-            a, b, c, d, e, f, g, h, j = matrix_entries(q[0, 0, body], q[0, 1, body], q[0, 2, body], q[0, 3, body])
-            s0, s1, s2 = sites[p]
-            x[row, 0] = R[0, 0, body] + (a * s0 + b * s1 + c * s2)
-            x[row, 1] = R[0, 1, body] + (d * s0 + e * s1 + f * s2)
-            x[row, 2] = R[0, 2, body] + (g * s0 + h * s1 + j * s2)
+def _place(R, q, bodies, x):
+    """Write R + Q b of the sites b of all particles, of which single ones do not turn."""
+    for p in range(len(bodies.particles)):
+        row, body = bodies.particles[p], bodies.owners[p]
+        if body < q.shape[2]:
+            u = turned(orientation(q[0], body), bodies.sites[p])
+            for e in range(3):
+                x[row, e] = R[0, e, body] + u[e]
         else:
-            for i in range(3):
-                x[row, i] = R[0, i, body]
+            for e in range(3):
+                x[row, e] = R[0, e, body]
 
 
 @inner
-def _collect(q, particles, owners, sites, forces, total, torque):
+def _collect(q, bodies, forces, total, torque):
     """Sum the forces on particles to those (3, N) and the torques (3, K) of their owners."""
-    turning = q.shape[2]
     total[:] = 0.0
     torque[:] = 0.0
-    for p in range(len(particles)):
-        row, body = particles[p], owners[p]
-        F0, F1, F2 = forces[row, 0], forces[row, 1], forces[row, 2]
-        total[0, body] += F0
-        total[1, body] += F1
-        total[2, body] += F2
-        if body < turning:
-            a, b, c, d, e, f, g, h, j = matrix_entries(q[0, 0, body], q[0, 1, body], q[0, 2, body], q[0, 3, body])
-            f0, f1, f2 = a * F0 + d * F1 + g * F2, b * F0 + e * F1 + h * F2, c * F0 + f * F1 + j * F2
-            s0, s1, s2 = sites[p]
-            torque[0, body] += s1 * f2 - s2 * f1
-            torque[1, body] += s2 * f0 - s0 * f2
-            torque[2, body] += s0 * f1 - s1 * f0
+    for p in range(len(bodies.particles)):
+        F, body = forces[bodies.particles[p]], bodies.owners[p]
+        for e in range(3):
+            total[e, body] += F[e]
+        if body < q.shape[2]:
+            t = torque_of(orientation(q[0], body), bodies.sites[p], F)
+            for e in range(3):
+                torque[e, body] += t[e]
 
 
 @inner
@@ -70,79 +65,36 @@ def _mean_energy(P, m, mass, moments):
     return energy / P.shape[2]
 
 
-@inlined
+@inner
 def _move_clusters(R, P, t, places, graphs):
     """Let the clusters of all kinds move freely."""
-    inverse, pairs, lengths, weights, rows, columns, starts, left, right = graphs
     for k in range(len(places) - 1):
         first, count, n, m, e, r, s, p = places[k]
         _, _, n1, m1, e1, r1, s1, p1 = places[k + 1]
-        graph = (inverse[n:n1], pairs[m:m1], lengths[m:m1], weights[e:e1], rows[r:r1], columns[e:e1])
-        products = (starts[s:s1], left[p:p1], right[p:p1])
-        clusters.advance(R, P, t, 1, first, count, *graph, *products, R, P)
+        graph = Graph(
+            graphs.inverse[n:n1],
+            graphs.pairs[m:m1],
+            graphs.lengths[m:m1],
+            graphs.weights[e:e1],
+            graphs.rows[r:r1],
+            graphs.columns[e:e1],
+            graphs.starts[s:s1],
+            graphs.left[p:p1],
+            graphs.right[p:p1],
+        )
+        clusters.advance(R, P, t, 1, first, count, graph, R, P)
 
 
-@compiled(
-    "i1 f1 f f i f1 f2 f2 i1 i1 f2 i2 f1 i2 f1 f1 i1 i1 i1 i1 i1 i2 f2 i2 f2 i2 f3 i2 f2 i2 f2 i2 f3 "
-    "F3 F3 F3 F3 F2 F2 F2 F2 F1"
-)
-def advance(
-    kicks,
-    parts,
-    t,
-    hottest,
-    known,
-    mass,
-    moments,
-    body,
-    particles,
-    owners,
-    sites,
-    places,
-    inverse,
-    pairs,
-    lengths,
-    weights,
-    rows,
-    columns,
-    starts,
-    left,
-    right,
-    bonds,
-    of_bonds,
-    angles,
-    of_angles,
-    torsions,
-    of_torsions,
-    bonded_pairs,
-    of_pairs,
-    impropers,
-    of_impropers,
-    maps,
-    patches,
-    R,
-    P,
-    q,
-    m,
-    x,
-    forces,
-    total,
-    torque,
-    found,
-):
+@compiled("i1 f1 f f i", Bodies, "i2", Graph, Terms, "F3 F3 F3 F3 F2 F2 F2 F2 F1")
+def advance(kicks, parts, t, hottest, known, bodies, places, graph, terms, R, P, q, m, x, forces, total, torque, found):
     """Make a sequence of kicks and drifts, of which `kicks` (k,) says which is which, over parts (k,) of the time t.
 
-    R to m are changed in place; they, `mass` (N,) and `moments` (3, 1) or (3, K) are those of the bodies, `body` that
-    of `exact.advance`. `particles` (n,) have `owners` (n,) and `sites` (n, 3) in them. `places` (kinds + 1, 8) are the
-    first column and the number of clusters of each kind, and where its part of the fields of `Graph`, `inverse` to
-    `right`, begins: of atoms, constraints, entries, rows, starts and products. `bonds` to `patches` are those of
-    `bonded.forces`, at x (., 3), which is overwritten as `forces` (., 3) are. If `known`, `total` (3, N) and `torque`
-    (3, K) are those at the start. A kick that leaves more kinetic energy per body (kJ/mol) than the hottest bodies have
-    is the last one. `found` (2,) is how often forces were evaluated, and this energy.
+    R to m are changed in place. `places` (kinds + 1, 8) are the first column and the number of clusters of each kind,
+    and where its part of the fields of `graph`, those of all kinds behind each other, begins: of atoms, constraints,
+    entries, rows, starts and products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and
+    `torque` (3, K) are those at the start. A kick that leaves more kinetic energy per body (kJ/mol) than the hottest
+    bodies have is the last one. `found` (2,) is how often forces were evaluated, and this energy.
     """
-    graphs = (inverse, pairs, lengths, weights, rows, columns, starts, left, right)
-    terms = (bonds, of_bonds, angles, of_angles, torsions, of_torsions, bonded_pairs, of_pairs)
-    others = (impropers, of_impropers, maps, patches)
     first = places[0, 0]  # of the clusters, behind which there are none
     last = places[len(places) - 1, 0]
     time = np.empty(1)
@@ -151,21 +103,21 @@ def advance(
         part = parts[k] * t
         if kicks[k]:
             if not known:
-                _place(R, q, particles, owners, sites, x)
-                bonded.forces(x, *terms, *others, forces)
-                _collect(q, particles, owners, sites, forces, total, torque)
+                _place(R, q, bodies, x)
+                bonded.forces(x, terms, forces)
+                _collect(q, bodies, forces, total, torque)
                 found[0] += 1.0
                 known = 1
-            bodies.advance(P, total, part, P)
-            bodies.advance(m, torque, part, m)
-            found[1] = _mean_energy(P, m, mass, moments)
+            add_scaled(P, total, part, P)
+            add_scaled(m, torque, part, m)
+            found[1] = _mean_energy(P, m, bodies.mass, bodies.moments)
             if not found[1] <= hottest:
                 return
         else:
             if m.size:
                 time[0] = part
-                exact.advance(body, q, m, time, q, m)
-            _move_single(R, P, mass, 0, first, part)
-            _move_single(R, P, mass, last, len(mass), part)
-            _move_clusters(R, P, part, places, graphs)
+                exact.advance(bodies.constants, q, m, time, q, m)
+            _move_single(R, P, bodies.mass, 0, first, part)
+            _move_single(R, P, bodies.mass, last, len(bodies.mass), part)
+            _move_clusters(R, P, part, places, graph)
             known = 0

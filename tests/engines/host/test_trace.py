@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 import openmm_exactrb as rb
-from openmm_exactrb import kernels
 from peptides import peptide
 from starts import context_of
 
@@ -41,7 +40,6 @@ def trace_of(system, positions, integrator):
     return files, outside
 
 
-@pytest.mark.parametrize("which", ["numpy", "numba"])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -51,15 +49,13 @@ def trace_of(system, positions, integrator):
     ],
     ids=["S2_2", "default", "Langevin"],
 )
-def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
-    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
+def test_a_step_of_water_passes_few_files(make, most):
     _, system, positions = rb.rigid_water(2)
     files, outside = trace_of(system, positions, make())
     assert len(files) <= most, sorted(files)
     assert outside <= 143
 
 
-@pytest.mark.parametrize(("which", "more"), [("numpy", 2), ("numba", 0)])
 @pytest.mark.parametrize(
     ("make", "most"),
     [
@@ -69,11 +65,8 @@ def test_a_step_of_water_passes_few_files(monkeypatch, which, make, most):
     ],
     ids=["plain", "Langevin", "nested"],
 )
-def test_a_step_of_a_peptide_passes_few_files(monkeypatch, which, more, make, most):
-    """In numpy two more files: kernels of rigid bodies and double-doubles in numpy, and those of clusters compiled."""
-    pytest.importorskip("numba")  # of its constraints
-    monkeypatch.setenv(kernels.SWITCH, "1" if which == "numba" else "0")
+def test_a_step_of_a_peptide_passes_few_files(make, most):
     _, system, positions = peptide()
     files, outside = trace_of(system, positions, make())
-    assert len(files) <= most + more, sorted(files)
+    assert len(files) <= most, sorted(files)
     assert outside <= 143

@@ -1,4 +1,4 @@
-"""Rigid bodies in numpy: places of their particles, sums of forces and torques, and double-doubles that move."""
+"""Rigid bodies in numpy: the reference of the compiled kernels."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.compensated import add
-from openmm_exactrb.mathematics.quaternions import matrix
+from openmm_exactrb.mathematics.quaternions import matrix, turned
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -52,13 +52,3 @@ def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Arra
 def advance(x: Array, rate: Array, t: float, total: Array) -> None:
     """Write x + t rate of double-doubles x (2, k, N) and rates (k, N) into `total`."""
     total[...] = add(x, t * rate)
-
-
-def turned(Q: Array, sites: Array) -> Array:
-    """Return Q b for orientations (n, 3, 3) and sites (1, k, 3) or (n, k, 3), as (n, k, 3)."""
-    n, (shapes, k, _) = len(Q), sites.shape
-    if shapes > 1:
-        own: Array = np.einsum("nij,nsj->nsi", Q, sites)
-        return own
-    shared: Array = (Q.reshape(3 * n, 3) @ sites[0].T).reshape(n, 3, k).swapaxes(1, 2)
-    return shared

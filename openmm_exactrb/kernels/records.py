@@ -1,0 +1,43 @@
+"""What compiled kernels take together, as NamedTuples, which numba knows."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Arrays of floats and of integers, with the number of their axes as `build.compiled` reads it.
+F1 = Annotated[NDArray[np.float64], "F1"]
+F2 = Annotated[NDArray[np.float64], "F2"]
+F3 = Annotated[NDArray[np.float64], "F3"]
+I1 = Annotated[NDArray[np.int64], "I1"]
+I2 = Annotated[NDArray[np.int64], "I2"]
+
+
+class Bodies(NamedTuple):
+    """Bodies, of which those that turn come first, and their particles."""
+
+    mass: F1  #: of the bodies (N,)
+    moments: F2  #: of those that turn (3, 1) or (3, K)
+    constants: F2  #: of their free rotation, see `openmm_exactrb.rotors.exact.constants`
+    particles: I1  #: (n,)
+    owners: I1  #: the body of each particle (n,)
+    sites: F2  #: the place of each particle in its body (n, 3)
+
+
+class Terms(NamedTuple):
+    """Bonded terms: the particles of each, in rows, and its numbers, in columns."""
+
+    bonds: I2
+    of_bonds: F2  #: lengths and strengths (2, .)
+    angles: I2
+    of_angles: F2  #: cosines and sines of angles, and strengths (3, .)
+    torsions: I2
+    of_torsions: F3  #: coefficients of cosines and sines (2, N, .)
+    pairs: I2
+    of_pairs: F2  #: products of charges in kJ nm/mol, sigmas and epsilons (3, .)
+    impropers: I2
+    of_impropers: F2  #: angles, strengths k of k (phi - phi0)², and the circle, as OpenMM's formulas have it (3, .)
+    maps: I2  #: particles of two torsions, first patch of a map, and how many it has in each direction (., 10)
+    patches: F3  #: coefficients of bicubic polynomials, highest powers first (., 4, 4)
