@@ -114,7 +114,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         ValueError
             On the device, which does not add it up.
         """
-        if self._propagator is not None and self.getEngine() != "host":
+        if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 

@@ -16,7 +16,7 @@ from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
-from openmm_exactrb.engines.engine import NO_BALANCE
+from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
 from openmm_exactrb.mechanics.state import State
@@ -74,8 +74,9 @@ class DevicePropagator:
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Raise ValueError: the device does not add up the heat of its thermostat."""
-        raise ValueError(NO_BALANCE)
+        """Return the total energy (kJ/mol) at the last heat exchange."""
+        self.sync.pull()
+        return energy_at_exchange(self.sync, settings(), self._timings)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
