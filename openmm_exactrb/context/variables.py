@@ -26,7 +26,7 @@ SHOWN, INNER = "", "inner_"
 # Whether there is a state in them, and whether Python is at work. A state is there from _WRITTEN to below _STEPPING,
 # which says in which format; see `written`.
 _STORED = "stored"
-NOTHING, _WRITTEN, _STEPPING = 0.0, 1.0, 2.0
+NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
 #: What the program of a device has as its first number.
 FROM_DEVICE = 4.0
 #: The mark of the coordinates of the inner state, 0 if there is none, and how many forces and differences of displaced
@@ -92,6 +92,17 @@ def marks(own: Sequence[str] = ()) -> tuple[float, float]:
 def declared(integrator: openmm.CustomIntegrator) -> bool:
     """Return whether an integrator has these variables."""
     return bool(integrator.getGlobalVariableName(0) == _PREFIX + _STORED)
+
+
+def device(own: Sequence[str]) -> float:
+    """Return the first number of an integrator whose state is on a device: at least 5, below 6."""
+    return written(own) + _DEVICE
+
+
+def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
+    """Give a new integrator, which keeps the state itself, the mark and its numbers."""
+    integrator.addGlobalVariable(_PREFIX + _STORED, NOTHING)
+    declare_numbers(integrator, own)
 
 
 def own_numbers(integrator: openmm.CustomIntegrator) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from openmm_exactrb.engines.custom_program.record import DEVICE
+from openmm_exactrb.engines.device.record import DEVICE
 from openmm_exactrb.engines.engine import Engine
 from openmm_exactrb.engines.host.record import HOST
 

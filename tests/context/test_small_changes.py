@@ -5,7 +5,7 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-import starts
+from on_device import platform_for
 from peptides import moving, peptide, positions_of
 
 SMALL = 1e-12  # nm, nm/ps
@@ -25,7 +25,8 @@ def system():
 def context_of(system, engine, scheme):
     system, positions = system
     integrator = rb.ExactRigidBodyIntegrator(0.001, scheme=scheme, engine=engine)
-    context = starts.context_of(openmm.XmlSerializer.clone(system), integrator, positions)
+    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, *platform_for(engine))
+    context.setPositions(positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(3)
     return context

@@ -9,6 +9,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from on_device import platform_for
 
 KB = 0.00831446261815324
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -59,12 +60,12 @@ def gas(names, named=False, remover=False):
     return system, np.concatenate(places), bodies or None, freedom
 
 
-def simulation_of(system, places, integrator):
+def simulation_of(system, places, integrator, platform=(REFERENCE,)):
     topology = app.Topology()
     residue = topology.addResidue("ALL", topology.addChain())
     for i in range(system.getNumParticles()):
         topology.addAtom(f"A{i}", None, residue)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation = app.Simulation(topology, system, integrator, *platform)
     simulation.context.setPositions(places)
     return simulation
 
@@ -116,7 +117,7 @@ def test_it_prints_the_same_on_the_device(names):
         field.addParticle(i)
     system.addForce(field)
     integrator = rb.ExactRigidBodyLangevinIntegrator(BATH, 5.0, 0.002, engine="device")
-    simulation = simulation_of(system, places, integrator)
+    simulation = simulation_of(system, places, integrator, platform_for("device"))
     integrator.setVelocitiesToTemperature(BATH, 1)
     found = printed(simulation, 3)[-1]
     assert integrator.getEngine() == "device"

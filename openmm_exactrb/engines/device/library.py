@@ -66,6 +66,10 @@ class Library:
         """Return a new integrator without a program: an openmm.CustomIntegrator, for all that Python knows."""
         return openmm.XmlSerializer.deserialize('<Integrator type="ProgramIntegrator" version="1" stepSize="0"/>')
 
+    def owns(self, integrator: Any) -> bool:
+        """Return whether an integrator is one that this library made."""
+        return bool(self._functions.pi_owns(ctypes.c_void_p(int(integrator.this))))
+
     def call(self, function: str, integrator: Any, *arguments: Any) -> None:
         """Call a function of the library, without Python's lock; OpenMMException if it fails."""
         pointer = ctypes.c_void_p(int(integrator.this))

@@ -841,6 +841,9 @@ void registerKernelFactories() {
 const char* pi_error() {
     return lastError.c_str();
 }
+int pi_owns(void* integrator) {
+    return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
+}
 int pi_program(void* integrator, const char* text) {
     return guarded(integrator, [&](ProgramIntegrator& it) { it.setProgram(text); });
 }

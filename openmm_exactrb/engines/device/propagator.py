@@ -60,6 +60,7 @@ class DevicePropagator:
         self._surroundings: object = (
             None  # box and parameters at the end of the last call: inner coordinates are theirs
         )
+        self._kept = 0.0  # the mark of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
         self._load()
 
@@ -126,6 +127,19 @@ class DevicePropagator:
         numbers = self._settings.thermostat.kernel_exchange(tau, (translational, bodies.rotational_freedom))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
+    def _send_numbers(self) -> None:
+        """Write the persistent numbers of a thermostat to the device."""
+        if self._factors is not None:
+            integrator = self._integrator()
+            self.device.upload("thermostat", np.array([variables.get(integrator, n) for n in self._settings.numbers]))
+
+    def _fetch_numbers(self) -> None:
+        """Read the persistent numbers of a thermostat."""
+        if self._factors is not None:
+            values = self.device.download("thermostat", np.empty(self._factors.size))
+            for name, value in zip(self._settings.numbers, values, strict=True):
+                variables.put(self._integrator(), name, float(value))
+
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
@@ -149,15 +163,15 @@ class DevicePropagator:
         self.device["key"] = key
         if changed:
             self._largest = self._report()[0]
-        coordinates = self._coordinates
+            self._send_numbers()
+        self._kept = self._coordinates
         self.device.keep()
         try:
             self._make(n)
         except BaseException:
-            self.device.restore()
-            self._coordinates = coordinates
-            self.sync.moved_on()
+            self._restore()
             raise
+        self._fetch_numbers()
         if self._processed:
             self._surroundings = self._present_surroundings()
 
@@ -171,6 +185,12 @@ class DevicePropagator:
             self._compare(kinetic, n)
             self._step(n)  # again, for the comparison has led back
         self._largest = max(self._largest, kinetic)
+
+    def _restore(self) -> None:
+        """Return to the state before a call."""
+        self.device.restore()
+        self._coordinates = self._kept
+        self.sync.moved_on()
 
     def _step(self, n: int) -> None:
         """Make n steps, and show the result."""
@@ -223,7 +243,7 @@ class DevicePropagator:
     def _compare(self, kinetic: float, n: int) -> None:
         """Return to the state before n steps; IntegrationError if the total energy was far lower there."""
         energy = kinetic + self._potential()
-        self.device.restore()
+        self._restore()
         kinetic_before = self._report()[0]
         before = kinetic_before, kinetic_before + self._potential()
         if message := gained(len(self.sync.bodies), before, (kinetic, energy)):

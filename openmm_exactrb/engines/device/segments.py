@@ -290,12 +290,13 @@ class Sequences:
         to.sequence("body", [*self.carried_out(middle), *self.before(last)])
         to.sequence("between", [*self.moved(step.between), *ends])
         to.sequence("close", [*self.moved(last), *ends, *self._sites])
-        to.sequence("report", self.reductions())
+        to.sequence("report", self.reductions(copied=True))
 
     def write_processor(self, to: Program, scheme: Scheme) -> None:
         """Write "enter", the way to inner coordinates, and the ways back: "output" and the exact "postprocess"."""
         to.sequence("enter", [*self._each("returns"), *self._way(scheme.processor, copied=False)])
-        to.sequence("postprocess", [*self._each("copies"), *self._way(scheme.postprocessor, copied=True)])
+        placed = self.moved(Segment(places=True, copied=True))  # for its forces, where a copy was shown before
+        to.sequence("postprocess", [*self._each("copies"), *placed, *self._way(scheme.postprocessor, copied=True)])
         to.sequence("output", [*self._each("copies"), *self._way(scheme.output, copied=True)])
 
     def _way(self, rows: Rows, copied: bool) -> list[Operation]:

@@ -74,8 +74,13 @@ class DeviceState(Synchronisation):
             if known is not None:
                 self._follow(known, state)
             self._upload()
-        variables.mark(self._integrator(), variables.FROM_DEVICE)
+        self.mark()
         self._device.changes(clear=SET | LOADED)
+
+    def mark(self) -> None:
+        """Mark the integrator's variables: there is a state."""
+        integrator = self._integrator()
+        variables.mark(integrator, variables.device(variables.own_numbers(integrator)))
 
     def _upload(self) -> None:
         for part in self._parts:

@@ -1,0 +1,113 @@
+"""The device engine, as the rest of the package sees it, and what it prepares."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import openmm
+
+from openmm_exactrb.context import variables
+from openmm_exactrb.context.synchronisation import refuse_unset
+from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.engines.custom_program import record as flexible
+from openmm_exactrb.engines.device.library import MissingLibraryError, library
+from openmm_exactrb.engines.device.propagator import DevicePropagator
+from openmm_exactrb.engines.engine import Engine, Propagator, Settings
+from openmm_exactrb.moves import of_substep
+from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
+from openmm_exactrb.openmm_access import arrays, platforms
+from openmm_exactrb.openmm_access.rebind import rebind
+from openmm_exactrb.rotors import ROTORS
+
+_ROTORS = ("exact", "exact_numpy", "exact_compiled")
+
+
+def _unsupported(settings: Settings) -> str | None:
+    """Return why the rotor, the thermostat or a substep is not served."""
+    thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
+    if thermostat is not None and thermostat.kernel_exchange(0.0, (0, 0)) is None:
+        return f"the device does not support {type(thermostat).__name__}"
+    if rotor not in map(ROTORS.get, _ROTORS):
+        own = "" if ROTORS.get(rotor.name) is rotor else "your own rotor "
+        return f"the device supports the exact rotor only, not {own}{rotor.name}"
+    try:
+        for substep, part in (*scheme.sequence, *scheme.processor, *scheme.output):
+            of_substep(substep, part)
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def _unsupported_in(context: Any, settings: Settings) -> str | None:
+    """Return why a Context is not served."""
+    if _is_flexible(context, settings):
+        return flexible.DEVICE.unsupported(settings) or flexible.DEVICE.unsupported_in(context, settings)
+    platform = context.getPlatform()
+    name = platform.getName()
+    if name not in platforms.DEVICES:
+        return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
+    if "," in platform.getPropertyValue(context, "DeviceIndex"):
+        return "the device engine needs a Context on one device, not on several"
+    return None
+
+
+def _is_flexible(context: Any, settings: Settings) -> bool:
+    """Return whether molecules have inner steps or constraints that leave them a motion of their own."""
+    refuse_unset(context)
+    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
+    bodies = find_bodies(system, x, settings.named)
+    found = fast_forces(system, bodies, settings.fast)
+    return bool(len(bodies.clusters)) or (found is not None and found.acts(settings.outer, settings.h))
+
+
+def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
+    if why := platforms.no_gpu(context):
+        return False, why
+    if _is_flexible(context, settings):
+        return flexible.DEVICE.advice(context, settings)
+    try:
+        library()
+    except MissingLibraryError as error:
+        return False, str(error)
+    return True, f"{context.getPlatform().getName()} computes on a GPU"
+
+
+def _marks(settings: Settings) -> tuple[float, ...]:
+    return variables.device(settings.own_numbers), *flexible.DEVICE.marks(settings)
+
+
+def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
+    """Put an integrator of the library behind this one, with the numbers of the package."""
+    try:
+        made = library().make()
+    except MissingLibraryError as error:
+        raise ValueError(f"{error}; or use engine='host'") from error
+    made.setStepSize(settings.h)
+    made.setIntegrationForceGroups(settings.groups)
+    integrator.this, made.this = made.this, integrator.this
+    variables.declare_device(integrator, settings.own_numbers)
+
+
+def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
+    """Return a propagator, with an integrator of the library behind the Python object."""
+    if _is_flexible(context, settings):
+        made: Propagator = flexible.DEVICE.propagator(context, integrator, settings, timings)
+        return made
+    if not library().owns(integrator):
+        program = openmm.CustomIntegrator(0.0)
+        _declare(program, settings)
+        rebind(context, integrator, program)
+    return DevicePropagator(context, integrator, settings, timings)
+
+
+DEVICE = Engine(
+    name="device",
+    unsupported=_unsupported,
+    unsupported_in=_unsupported_in,
+    advice=_advice,
+    marks=_marks,
+    declare=_declare,
+    propagator=_propagator,
+    release=flexible.DEVICE.release,
+)

@@ -1,0 +1,32 @@
+"""Where tests of an engine run: the host on Reference, the device on a GPU, or on the CPU by OpenCL."""
+
+import openmm
+import pytest
+
+from openmm_exactrb.openmm_access.platforms import DEVICES, platforms
+
+REFERENCE = openmm.Platform.getPlatform("Reference")
+
+
+def device_platform(names=DEVICES):
+    """Return the first platform of these that has a device here; skip the test if there is none."""
+    present = {platform.getName(): platform for platform in platforms()}
+    system = openmm.System()
+    system.addParticle(1.0)
+    system.addParticle(1.0)
+    missing = []
+    for name in names:
+        try:
+            openmm.Context(system, openmm.VerletIntegrator(0.001), present[name])
+        except KeyError:
+            missing.append(f"OpenMM has no platform {name}")
+        except openmm.OpenMMException as error:
+            missing.append(f"no device for {name}: {error}")
+        else:
+            return present[name]
+    return pytest.skip("; ".join(missing))
+
+
+def platform_for(engine, precision="double"):
+    """Return the platform and its properties for an engine."""
+    return (device_platform(), {"Precision": precision}) if engine == "device" else (REFERENCE, {})
