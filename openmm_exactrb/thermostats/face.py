@@ -112,7 +112,7 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            On the device, which does not add it up.
+            With friction on the device, which does not add it up.
         """
         if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
@@ -129,6 +129,6 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            On the device, which does not add up the heat.
+            With friction on the device, which does not add up the heat.
         """
         return self._energyAtExchange() - self.heat()

@@ -55,10 +55,9 @@ def test_the_remover_lowers_the_order_of_the_energy(pushed, remover, order):
     np.testing.assert_allclose(-np.diff(np.log2(found)), order, atol=0.15)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
-def test_frozen_particles_are_pointed_out_once(engine):
+def test_frozen_particles_are_pointed_out_once():
     system, positions = droplet(True, frozen=True)
-    integrator = rb.ExactRigidBodyIntegrator(0.001, engine=engine)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
     message = r"that frozen particles, of mass 0, give.*removeCMMotion=False"

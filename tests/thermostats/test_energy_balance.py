@@ -11,7 +11,7 @@ from openmm_exactrb.schemes.sequence import palindromic
 from openmm_exactrb.schemes.thermostatted import behind_exchange, with_thermostat
 from openmm_exactrb.substeps import DRIFT
 from peptides import in_water
-from thermostatted import REFERENCE, droplet_of, simulation_of, snapshot, trapped
+from thermostatted import REFERENCE, droplet_of, snapshot
 
 KELVIN = 30.0
 STEPS = 0.02, 0.01, 0.005
@@ -155,12 +155,3 @@ def test_drifts_behind_the_last_heat_exchange():
     assert 0.0 < found["W2_3m"][0] < 0.135
     assert behind_exchange(with_thermostat(rb.SCHEMES["S2_2"]).sequence) == ()
     assert behind_exchange(((DRIFT, 1.0),)) == ()
-
-
-def test_on_the_device_there_is_no_balance():
-    integrator = langevin(0.001, 1.0, engine="device")
-    simulation = simulation_of(integrator, *trapped(2, 1, 1))
-    simulation.step(1)
-    for ask in (integrator.heat, integrator.effectiveEnergy):
-        with pytest.raises(ValueError, match="use engine='host' to monitor the energy balance"):
-            ask()
