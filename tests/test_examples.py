@@ -114,6 +114,7 @@ LARGE = pytest.mark.validate  # seconds, and `make docs` runs it too
         pytest.param("ions_in_rigid_water.py", ["--steps", "20"], ["temperatures.png"], marks=LARGE),
         pytest.param("solvated_peptide.py", ["--steps", "20"], ["energy.png"], marks=LARGE),
         ("rigid_benzene.py", ["-n", "8", "--steps", "20"], ["cluster.png"]),
+        ("rigid_domains.py", ["--steps", "50"], ["energies.csv", "protein.png"]),
         pytest.param(
             "stockmayer_fluid.py",
             ["-n", "27", "--equilibration", "0.6", "--duration", "1.8"],
@@ -145,6 +146,7 @@ def test_the_other_examples_leave_their_files(run, tmp_path, example, arguments,
         ("ions_in_rigid_water.py", []),
         ("solvated_peptide.py", []),
         ("rigid_benzene.py", ["-n", "8"]),
+        ("rigid_domains.py", []),
         ("dielectric_constant.py", ["-n", "8"]),
     ],
 )

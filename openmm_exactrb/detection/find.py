@@ -19,7 +19,7 @@ from openmm_exactrb.detection.shapes import (
     kinds_from_positions,
     on_constraints,
 )
-from openmm_exactrb.detection.whole import constraints, whole_positions
+from openmm_exactrb.detection.whole import Constraints, constraints, whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
@@ -60,9 +60,10 @@ def find_bodies(
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
     _refuse_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
-    whole = whole_positions(system, positions, masses, given, box)
+    held = constraints(system)
+    whole = whole_positions(system, positions, masses, given, box, held)
     groups: dict[tuple[bytes, bytes], list[Indices]] = {}
-    for particles, distances in _clusters(system, masses, given):
+    for particles, distances in _clusters(held, masses, given):
         groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
     shapes: list[Kind] = []
     flexible: list[ClusterKind] = []
@@ -164,12 +165,12 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     return named
 
 
-def _clusters(system: openmm.System, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
     """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
-    n, (pairs, lengths) = len(masses), constraints(system)
+    n, (pairs, lengths) = len(masses), held
     owner = np.full(n, -1)
     for number, particles in enumerate(given):
         owner[particles] = number

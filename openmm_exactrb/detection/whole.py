@@ -28,7 +28,11 @@ _SHORTER = 1.0 - 1e-6
 _FITTING = 2.0
 
 
-def constraints(system: openmm.System) -> tuple[Indices, Array]:
+#: Pairs of particles (m, 2) and their distances (m,) in nm.
+Constraints = tuple[Indices, Array]
+
+
+def constraints(system: openmm.System) -> Constraints:
     """Return the particles (m, 2) of the constraints of a System, and their lengths (m,) in nm."""
     count = system.getNumConstraints()
     pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
@@ -43,7 +47,7 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
 
     That is nearest images to a particle that a virtual site depends on, or to the first of the molecule.
     """
-    pairs, lengths = _with_bonds(system)
+    pairs, lengths = _with_bonds(system, constraints(system))
     n = len(molecule)
     sites = [(system.getVirtualSite(i).getParticle(0), i) for i in range(n) if system.isVirtualSite(i)]
     pairs = np.concatenate([pairs, np.array(sites, dtype=np.intp).reshape(-1, 2)])
@@ -54,12 +58,11 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
     return Links(np.concatenate([pairs, rest]), np.concatenate([lengths, np.full(len(rest), np.nan)]), n)
 
 
-def _with_bonds(system: openmm.System) -> tuple[Indices, Array]:
+def _with_bonds(system: openmm.System, held: Constraints) -> Constraints:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
-    pairs, lengths = constraints(system)
     bonds = list(_bonds(system))
-    pairs = np.concatenate([pairs, np.array([bond[:2] for bond in bonds], dtype=np.intp).reshape(-1, 2)])
-    return pairs, np.concatenate([lengths, np.array([bond[2] for bond in bonds])])
+    pairs = np.concatenate([held[0], np.array([bond[:2] for bond in bonds], dtype=np.intp).reshape(-1, 2)])
+    return pairs, np.concatenate([held[1], np.array([bond[2] for bond in bonds])])
 
 
 def _bonds(system: openmm.System) -> Iterator[tuple[int, int, float]]:
@@ -74,8 +77,12 @@ def _bonds(system: openmm.System) -> Iterator[tuple[int, int, float]]:
                 yield *force.getBondParameters(i)[:2], np.nan
 
 
-def whole_positions(system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None) -> Array:
+def whole_positions(
+    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: Constraints
+) -> Array:
     """Return positions (n_particles, 3) with clusters of constraints whole, and the bodies that a user named.
+
+    `held` are the constraints of the System.
 
     Raises
     ------
@@ -89,10 +96,9 @@ def whole_positions(system: openmm.System, x: Array, masses: Array, named: list[
     """
     if box is None:
         return x
-    pairs, lengths = constraints(system)
     if not named:
-        return joined(x, Links(pairs, lengths, len(x)), box)
-    pairs, lengths = _with_bonds(system)
+        return joined(x, Links(*held, len(x)), box)
+    pairs, lengths = _with_bonds(system, held)
     owner = np.full(len(x), -1)
     for number, particles in enumerate(named):
         owner[particles] = number
