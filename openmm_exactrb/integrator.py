@@ -182,7 +182,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         self._changed()
         if self._propagator is not None and not self._propagator.outdated:
             try:
-                self._selection.settle(self._propagator.sync.context, self, self._settings())
+                self._settle(self._propagator.sync.context)
             except ValueError:
                 self._h = before
                 super().setStepSize(before)
@@ -219,7 +219,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def getEngine(self) -> str:
         """Return the name of the engine that performs the steps; with engine="auto" the Context decides."""
         if self._selection.open and self._unsettled():
-            self._selection.settle(self._found(), self, self._settings())
+            self._settle(self._found())
         return self._selection.engine.name
 
     def engineNote(self) -> str:
@@ -366,8 +366,17 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         propagator.sync.pull()
         return propagator
 
-    def _unsettled(self) -> bool:  # whether the Context is not known, or has changed
-        return self._propagator is None or self._propagator.outdated or not self._selection.settled(self)
+    def _unsettled(self) -> bool:
+        """Return whether the Context is not known or was made again, or has a state of another engine."""
+        propagator = self._propagator
+        return propagator is None or propagator.outdated or self.getGlobalVariable(0) not in self._selection.marks
+
+    def _settle(self, context: Any) -> None:
+        """Have the engine chosen for a Context, with a propagator of its own if it is another one."""
+        before = self._selection.engine
+        self._selection.settle(context, self, self._settings())
+        if self._selection.engine is not before:
+            self._propagator = None
 
     def _found(self) -> Any:
         return (self._context and self._context()) or find_context(self)
@@ -375,9 +384,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _present(self) -> Propagator:
         """Return the propagator of the present Context."""
         if self._propagator is None or self._unsettled():
-            context, settings = self._found(), self._settings()
-            self._selection.settle(context, self, settings)
-            self._propagator = self._selection.propagator(context, self, settings, self.timings)
+            self._settle(context := self._found())
+            self._propagator = self._selection.propagator(context, self, self._settings(), self.timings)
             self._propagator.sync.new_trajectory = _parting(self)
             warn_of_removed_motion(context.getSystem())
         return self._propagator

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.environment import Environment, Force, Forces
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
@@ -21,10 +22,6 @@ from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.moves import Move, Op
 
 Array = NDArray[np.float64]
-#: Force (3, N) and body-frame torque (3, K).
-Force = tuple[Array, Array]
-#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
-Remembered = tuple[list[Force], list[Force]]
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 
@@ -56,12 +53,12 @@ class Substep:
     additive: ClassVar[bool] = False
     displaced_forces: ClassVar[int] = 0
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return ``flow(state, tau) -> state``, the motion of an `openmm_exactrb.mechanics.state.State` over tau (ps).
 
         Parameters
         ----------
-        environment : openmm_exactrb.engines.host.environment.ContextEnvironment
+        environment : openmm_exactrb.environment.Environment
         """
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
@@ -97,11 +94,10 @@ class Drift(Substep):
     symbol: ClassVar[str] = "A"
     additive: ClassVar[bool] = True
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return the free motion of these bodies, including fast forces."""
         kinetic = environment.kinetic
-        drift: Flow[State] = kinetic.drift if self.bodies == "all" else kinetic.partial[self.bodies]
-        return drift
+        return kinetic.drift if self.bodies == "all" else kinetic.split[self.bodies]
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of q' = p."""
@@ -135,7 +131,7 @@ class Kick(Substep):
     kicks: ClassVar[bool] = True
     additive: ClassVar[bool] = True
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau F and m + tau N."""
         return kick(environment.forces(self.group), environment.check_momenta)
 
@@ -182,7 +178,7 @@ class GradientKick(Substep):
     kicks: ClassVar[bool] = True
     displaced_forces: ClassVar[int] = 1
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return the kick by displaced forces."""
         kinetic, inertia = environment.kinetic, environment.inertia
         return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.check)
@@ -219,7 +215,7 @@ class LastForcesKick(Substep):
     symbol: ClassVar[str] = "L"
     moves: ClassVar[bool] = False
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
         advance = advancing()
 
@@ -227,7 +223,7 @@ class LastForcesKick(Substep):
             memory = environment.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
-            force, torque = (sum(w * value[i] for w, value in terms) for i in (0, 1))
+            force, torque = (np.asarray(sum(w * value[i] for w, value in terms)) for i in (0, 1))
             return state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
 
         return flow
@@ -258,10 +254,9 @@ class HeatExchange(Substep):
     moves: ClassVar[bool] = False
     additive: ClassVar[bool] = True
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return the flow of the integrator's thermostat."""
-        exchange: Flow[State] = environment.exchange_of(self.number)
-        return exchange
+        return environment.exchange_of(self.number)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the identity: a thermostat is ignored."""
@@ -276,6 +271,8 @@ class HeatExchange(Substep):
         return (Move(Op.EXCHANGE, part, self.number),)
 
 
+#: Pairs of a substep and its part of the step, in the order of their use.
+Sequence = tuple[tuple[Substep, float], ...]
 DRIFT, KICK, HEAT_EXCHANGE = Drift(), Kick(), HeatExchange()
 
 
@@ -311,7 +308,7 @@ def kick(forces: Callable[[State], Force], check: Callable[[State], Any] = _unch
 
 
 def gradient_kick(
-    forces: Any, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], Any] = _unchecked
+    forces: Forces, kinetic: Kinetic, inertia: Array, strength: float, check: Callable[[State], Any] = _unchecked
 ) -> Flow[State]:
     """Return the flow of `GradientKick` by displaced forces; arguments are fields of the environment."""
     advance = advancing()

@@ -13,6 +13,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.environment import Environment
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
@@ -76,15 +77,15 @@ class Thermostat(ABC):
         return ()
 
     @abstractmethod
-    def bind(self, environment: Any) -> Exchange:
+    def bind(self, environment: Environment) -> Exchange:
         """Return what it does to momenta.
 
         Parameters
         ----------
-        environment : openmm_exactrb.engines.host.propagator.ContextEnvironment
+        environment : openmm_exactrb.environment.Environment
         """
 
-    def flow(self, environment: Any, number: int) -> Flow[State]:
+    def flow(self, environment: Environment, number: int) -> Flow[State]:
         """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from textwrap import indent
 
 import numpy as np
 import openmm
@@ -15,11 +14,13 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import three_masses
+from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.multiple_time_steps import inner_drift
 from orders import slope
+from peptides import peptide
 from starts import context_of
 
 ROOT = Path(__file__).parent.parent
@@ -62,8 +63,6 @@ def checkout(tmp_path_factory):
     registry = root / named(page, "ROTORS")
     put_after(registry, "from openmm_exactrb.rotors import ", f"{Path(file).stem}, ")
     put_after(registry, "        for entry in (\n", f"{entry.rstrip()},\n")
-    page, (field, _) = recipe("A device stage")
-    put_after(root / named(page, "Row"), "    after: float = 0.0\n", indent(field, "    "))
     page, (option,) = recipe("A command option")
     put_after(
         root / named(page, "OPTIONS"), "OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (\n", f"{option.rstrip()},\n"
@@ -196,16 +195,31 @@ def pushed(scheme):
 
 
 @pytest.mark.parametrize("scheme", ["V2", "Chin4A"])
-def test_a_constraint_type_is_a_free_motion(monkeypatch, scheme):
+def test_a_constraint_type_is_one_entry(monkeypatch, scheme):
     """With forces at displaced positions too."""
     _, space = pushed(scheme)
-    (page, _), names = recipe("A constraint type"), typed("A constraint type")
-    assert named(page, "of_bodies").removesuffix(".py").replace("/", ".") == inner_drift.of_bodies.__module__
-    monkeypatch.setattr(inner_drift, "of_bodies", names["of_bodies_on_a_plane"])
+    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
+    typed("A constraint type")
     begin, plane = pushed(scheme)
     np.testing.assert_array_equal(plane.R[:, :2], space.R[:, :2])
     np.testing.assert_array_equal(plane.R[:, 2], begin.R[:, 2])
     assert abs(space.R[0, 2] - begin.R[0, 2]) > 1e-3
+
+
+def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
+    """Also where the compiled ones, which know distances alone, would be faster."""
+    monkeypatch.setattr(free_motion, "CONSTRAINTS", dict(free_motion.CONSTRAINTS))
+    typed("A constraint type")
+    _, system, x = peptide()
+    integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
+    _context = context_of(system, integrator, x, kelvin=300.0)
+    _, begin = integrator.fullState()
+    integrator.step(3)
+    bodies, end = integrator.fullState()
+    free = slice(bodies.clustered.stop, None)
+    np.testing.assert_array_equal(end.R[:, 2, free], begin.R[:, 2, free])
+    assert np.abs(end.R[0, :2, free] - begin.R[0, :2, free]).min() > 0.0
+    assert integrator.timings.fast_evaluations > 0
 
 
 FADING = """
@@ -214,12 +228,13 @@ import numpy as np, openmm, openmm_exactrb as rb
 names, method = {}, {}
 exec(sys.argv[1], names)
 exec(sys.argv[2], method)
-names["Friction"].device_rows = method["device_rows"]
+names["Friction"].device_moves = method["device_moves"]
 _, system, positions = rb.rigid_water(3)
 found = []
 for engine in ("host", "device"):
     integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
-    context = openmm.Context(copy.deepcopy(system), integrator, openmm.Platform.getPlatform("Reference"))
+    platform = openmm.Platform.getPlatform("OpenCL")
+    context = openmm.Context(copy.deepcopy(system), integrator, platform, {"Precision": "double"})
     context.setPositions(positions)
     integrator.setVelocitiesToTemperature(300.0, 1)
     integrator.step(20)
@@ -230,14 +245,16 @@ for host, device in zip(*found, strict=True):
 """
 
 
-def test_a_device_stage_is_one_field_and_moves_as_on_the_host(checkout):
-    (friction,), (_, method) = recipe("A substep")[1], recipe("A device stage")[1]
-    carried_out(checkout, "-c", FADING, friction, method)
+@pytest.mark.opencl
+def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
+    device_platform(["OpenCL"])
+    (friction,), (method,) = recipe("A substep")[1], recipe("A device stage")[1]
+    carried_out(ROOT, "-c", FADING, friction, method)
 
 
 def test_a_substep_without_a_device_stage_is_left_to_the_host():
     damped = typed("A substep")["damped"]
-    with pytest.raises(ValueError, match="does not support the substep Friction"):
+    with pytest.raises(ValueError, match="has no part for a device"):
         rb.ExactRigidBodyIntegrator(0.001, damped, engine="device")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import openmm
 from openmm import unit
 
-from openmm_exactrb.context.forces import ContextForces, Positions
+from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.group_motion import of_groups
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
@@ -184,8 +184,7 @@ class BodyAccess:
                 ) from error
             sync.push()
             return
-        positions = Positions(sync.context, bodies, sync.particles)
-        landscape = ContextForces(positions, self.getIntegrationForceGroups(), self.timings).landscape
+        landscape = ContextForces(sync.positions, self.getIntegrationForceGroups(), self.timings).landscape
         found = minimised(bodies, sync.state.rounded, landscape, force, iterations, sync.box())
         sync.replace(sync.state.renewed(found))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-import weakref
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from typing import Any
@@ -11,74 +11,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.mechanics.bodies import Part, RigidBodies
-from openmm_exactrb.mechanics.state import BodyState, Flow, State
+from openmm_exactrb.environment import Force, Remembered
+from openmm_exactrb.mechanics.bodies import Part
+from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.substeps import Force, Remembered
 
 Array = NDArray[np.float64]
-#: Flows of substeps with their times (ps), and whether they may change positions.
-Bound = list[tuple[Flow[State], float, bool]]
 
 
-class Positions:
-    """Writes the positions of bodies into a Context, which is not kept alive, and counts their versions.
-
-    Who changes positions, box or parameters adds to `version`: what was computed for another one is computed again. Of
-    the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
-    """
-
-    def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
-        self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
-        self.version = 0
-        self._written = -1
-
-    @property
-    def context(self) -> Any:
-        """The Context."""
-        return self._context()
-
-    def write(self, state: State) -> None:
-        """Bring the Context to the present positions, which are those of the state."""
-        version = self.version
-        if self._written != version:
-            self.show(state)
-            self._written = version
-
-    def show(self, state: State) -> None:
-        """Bring the Context to the positions of any state."""
-        self._written = -1
-        context = self.context
-        context.setPositions(self.placed(state))
-        context.computeVirtualSites()
-
-    def placed(self, state: State) -> Array:
-        """Return the positions of all particles, with the bodies at those of any state; virtual sites are not moved."""
-        return self.bodies.positions(state.rounded, self.particles)
-
-    def through(self, substeps: Bound, state: State) -> State:
-        """Return a state after substeps, with a new version behind each that may have changed positions."""
-        for flow, tau, moves in substeps:
-            version = self.version
-            state = flow(state, tau)
-            if moves and self.version == version:
-                self.version += 1
-        return state
-
-    def moved(self) -> None:
-        """Notice that something else moved the particles of the Context."""
-        self.version += 1
-        self._written = -1
-
-
-class Memory:
+class ForceMemory:
     """The forces of the last kicks, the most recent ones first: what the output of a processed scheme is made of.
 
     Attributes
     ----------
     forces, differences : deque of (force, torque)
-        At the last versions of the positions, and what the forces of the last force-gradient kicks differed by.
+        At the last positions, and what the forces of the last force-gradient kicks differed by.
     closed : bool
         Whether nothing is added: while output is made.
     """
@@ -119,12 +68,12 @@ class Memory:
         self.differences.extend(copy[1][: self.differences.maxlen])
 
 
-class Forces:
+class EvaluatedForces(ABC):
     """Forces and torques on bodies, evaluated once for each version of the positions."""
 
     def __init__(self, positions: Positions) -> None:
         self.positions = positions
-        self.memory = Memory()
+        self.memory = ForceMemory()
         self._version, self._value = -1, (np.zeros(0), np.zeros(0))
 
     def __call__(self, state: State) -> Force:
@@ -140,19 +89,20 @@ class Forces:
         """Return the same at the positions of any state."""
         return self._evaluated(state, present=False)
 
+    @abstractmethod
     def energy(self, state: State) -> float:
         """Return the potential energy (kJ/mol) of all forces at the present positions, which are those of a state."""
-        raise NotImplementedError
 
+    @abstractmethod
     def with_energies(self) -> None:
         """Evaluate the potential energy with each force, because it will be needed."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _evaluated(self, state: State, present: bool) -> Force:
-        raise NotImplementedError
+        """Return the forces at the present positions, or those of any state."""
 
 
-class ContextForces(Forces):
+class ContextForces(EvaluatedForces):
     """The forces of some force groups (bits); `counter` names the number of the timings that counts evaluations."""
 
     def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
@@ -226,7 +176,7 @@ class SlowGroups(ContextForces):
         return super().energy(state) + self._fast.energy(state)
 
 
-class Remainder(Forces):
+class Remainder(EvaluatedForces):
     """All forces less the fast ones on the bodies of a part, in a Context of their own.
 
     Whatever the fast forces are, both together are all forces: nothing has to be changed in the System.

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.environment import Remembered
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import Shapes
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.substeps import Remembered
 
 Array = NDArray[np.float64]
 
@@ -30,6 +30,47 @@ _SAME, _SAME_PART = 1e-13, 3e-14
 _RIGID = 1e-9
 # A change of centres (nm), attitudes, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
 _SMALL = 1e-8
+
+
+class Positions:
+    """The only writer of the positions of bodies into a Context, which is not kept alive, and their version.
+
+    Who changes positions, box or parameters adds to `version`: what was computed for another one is computed again. Of
+    the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
+    """
+
+    def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
+        self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
+        self.version = 0
+        self._written = -1
+
+    @property
+    def context(self) -> Any:
+        """The Context."""
+        return self._context()
+
+    def write(self, state: State) -> None:
+        """Bring the Context to the present positions, which are those of the state."""
+        version = self.version
+        if self._written != version:
+            self.show(state)
+            self._written = version
+
+    def show(self, state: State) -> None:
+        """Bring the Context to the positions of any state."""
+        self._written = -1
+        context = self.context
+        context.setPositions(self.placed(state))
+        context.computeVirtualSites()
+
+    def placed(self, state: State) -> Array:
+        """Return the positions of all particles, with the bodies at those of any state; virtual sites are not moved."""
+        return self.bodies.positions(state.rounded, self.particles)
+
+    def moved(self) -> None:
+        """Notice that something else moved the particles of the Context."""
+        self.version += 1
+        self._written = -1
 
 
 class Synchronisation:
@@ -50,6 +91,8 @@ class Synchronisation:
         The forces of the last kicks in these coordinates.
     particles : (n_particles, 3) array
         Positions of all particles (nm), to be overwritten with those of the bodies.
+    positions : Positions
+        What writes them into the Context.
     """
 
     def __init__(
@@ -65,6 +108,7 @@ class Synchronisation:
         self.bodies = find_bodies(context.getSystem(), x, named, self.box(), pairs)
         self._shapes = Shapes(self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
+        self.positions = Positions(context, self.bodies, self.particles)
         self._seen: tuple[Array, Array] | None = None  # what the Context held when `state` was last in it
         self.state: State
         self.inner: State | None = None
@@ -122,6 +166,7 @@ class Synchronisation:
             state = self._refitted(self.state, self._joined(x), v, moved, pushed)
             self._follow(self.state, state)
         self.state = state
+        self.positions.moved()
         self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         self._seen = (x, v)
         if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles), _RIGID)):
@@ -173,11 +218,9 @@ class Synchronisation:
         self.inner = State(*map(add, self.inner, changes)) if small else None
 
     def push(self) -> None:
-        """Write the state into the Context."""
-        context = self.context
-        context.setPositions(self.bodies.positions(self.state.rounded, self.particles))
+        """Write the state into the Context; its positions only where others have been written since."""
+        self.positions.write(self.state)
         self.write_velocities(self.state)
-        context.computeVirtualSites()
         self._seen = self.held()
 
     def inner_in(self, coordinates: float) -> State | None:
@@ -240,6 +283,7 @@ class Synchronisation:
         """Give the bodies another state and push it."""
         self.state = state
         self.keep(None)
+        self.positions.moved()
         self.push()
 
 

@@ -31,6 +31,8 @@ class Selection:
         Provisional until the Context has decided.
     note : str
         The reason for it, a sentence.
+    marks : tuple of float
+        What the first variable of the integrator can be, with no state or one that this engine wrote.
     """
 
     def __init__(self, asked: str, settings: Settings) -> None:
@@ -40,18 +42,12 @@ class Selection:
         asked_for = in_order() if asked == AUTO else [ENGINES[asked]]
         self._candidates, self._reasons = _serving(asked_for, lambda engine: engine.unsupported(settings))
         self._choose(self._candidates[-1], (*self._reasons, f'engine="{asked}" was asked for')[0], settings)
-        self._installed: Engine | None = None
         self._warned = False  # of single precision
 
     @property
     def open(self) -> bool:
         """Whether the Context decides."""
         return len(self._candidates) > 1
-
-    def settled(self, integrator: openmm.CustomIntegrator) -> bool:
-        """Return whether the engine still is that of the last propagator, and wrote the integrator's variables."""
-        mark = integrator.getGlobalVariable(0)
-        return self._installed is self.engine and (mark == variables.NOTHING or mark in self._marks)
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
         """Choose the engine for a Context and these settings; ValueError if none serves them."""
@@ -71,7 +67,7 @@ class Selection:
             reasons.append(why)
 
     def _choose(self, engine: Engine, note: str, settings: Settings) -> None:
-        self.engine, self.note, self._marks = engine, note, engine.marks(settings)
+        self.engine, self.note, self.marks = engine, note, (variables.NOTHING, *engine.marks(settings))
 
     def propagator(
         self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
@@ -83,9 +79,7 @@ class Selection:
         for engine in ENGINES.values():
             if engine is not self.engine:
                 engine.release(context)
-        made = self.engine.propagator(context, integrator, settings, timings)
-        self._installed = self.engine
-        return made
+        return self.engine.propagator(context, integrator, settings, timings)
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:
         """Return the engine that wrote the state in an integrator's variables, None without a state.

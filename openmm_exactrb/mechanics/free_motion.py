@@ -14,6 +14,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Flow as Rotation
+from openmm_exactrb.rotors import Rotor, rotor_of_sums
 
 Array = NDArray[np.float64]
 
@@ -31,23 +32,20 @@ class Kinetic:
     tangent : callable
         tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
         before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
-    order : int or None
-        Order of the drift; None if it is exact.
-    partial : mapping of str to callable
+    split : mapping of str to callable
         Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
     """
 
     drift: Flow[State]
     displaced: Callable[[State, Array], State]
     tangent: Callable[[State], State]
-    order: int | None = None
-    partial: Mapping[str, Flow[State]] = field(default_factory=dict)
+    split: Mapping[str, Flow[State]] = field(default_factory=dict)
 
 
-def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
+def rigid(mass: Array, rotation: Rotation) -> Kinetic:
     """Return the kinetic flow of rigid bodies of masses (N,).
 
-    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it, and has an order.
+    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
     """
     advance = advancing()
 
@@ -61,15 +59,12 @@ def rigid(mass: Array, rotation: Rotation, order: int | None = None) -> Kinetic:
     def tangent(state: State) -> State:
         return state
 
-    return Kinetic(drift, displaced, tangent, order)
+    return Kinetic(drift, displaced, tangent)
 
 
-def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None) -> Kinetic:
-    """Return the kinetic flow of rigid bodies and constrained clusters, which move along geodesics.
-
-    Arguments are as of `rigid`.
-    """
-    free, clusters, columns = rigid(bodies.mass, rotation, order), bodies.clusters, bodies.clustered
+def geodesics(free: Kinetic, bodies: RigidBodies) -> Kinetic:
+    """Return a free motion in which the atoms of constrained clusters move along the geodesics of their distances."""
+    clusters, columns = bodies.clusters, bodies.clustered
     if not len(clusters):
         return free
 
@@ -90,7 +85,24 @@ def of_bodies(bodies: RigidBodies, rotation: Rotation, order: int | None = None)
     def tangent(state: State) -> State:
         return joined(state, clusters.tangent(part(state)))
 
-    return Kinetic(drift, displaced, tangent, order)
+    return Kinetic(drift, displaced, tangent)
+
+
+#: The types of constraints: constrain(free, bodies) -> the motion of the bodies that keeps them.
+CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances": geodesics}
+
+
+def only_distances() -> bool:
+    """Return whether constraints are those of distances alone, which compiled inner steps keep."""
+    return set(CONSTRAINTS.values()) == {geodesics}
+
+
+def free_motion(bodies: RigidBodies, rotor: str | Rotor) -> Kinetic:
+    """Return how bodies move without forces: rigid ones translate and rotate, as far as their constraints allow."""
+    kinetic = rigid(bodies.mass, rotor_of_sums(rotor, bodies.inertia, checked=False))
+    for constrain in CONSTRAINTS.values():
+        kinetic = constrain(kinetic, bodies)
+    return kinetic
 
 
 def advancing() -> Callable[[Array, Array, float], Array]:

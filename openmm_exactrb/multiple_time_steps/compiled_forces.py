@@ -13,12 +13,13 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-from openmm_exactrb.context.forces import ContextForces, Positions
+from openmm_exactrb.context.forces import ContextForces
+from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.environment import Force
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, PAIR
-from openmm_exactrb.substeps import Force
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -8,6 +8,7 @@ import reprlib
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import openmm
@@ -133,9 +134,9 @@ class FastForces:
         """Return a function of the time of a drift (ps): its inner steps, in steps of h (ps) of the outer scheme."""
         if self.settings.steps:
             rate = self.settings.steps / abs(h) if h else 0.0
-            return lambda tau: max(1, round(rate * abs(tau)))
+            return cache(lambda tau: max(1, round(rate * abs(tau))))
         rate = self.frequency / (2.0 * math.pi * _usual(outer)[1] * self.inner(outer).stages)
-        return lambda tau: max(1, math.ceil(rate * abs(tau)))
+        return cache(lambda tau: max(1, math.ceil(rate * abs(tau))))
 
     def acts(self, outer: Scheme, h: float) -> bool:
         """Return whether there are inner steps in steps of h (ps).

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
 import openmm
 
-from openmm_exactrb.context.forces import ContextForces, Forces, Positions, Remainder, SlowGroups
-from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, Remainder, SlowGroups
+from openmm_exactrb.context.synchronisation import Positions, Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
-from openmm_exactrb.mechanics.free_motion import Kinetic, of_bodies, rigid
+from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion, only_distances, rigid
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces, terms_of
 from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInnerSteps
@@ -28,8 +29,8 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import repeated
-from openmm_exactrb.substeps import KICK, kick
+from openmm_exactrb.schemes.sequence import Sequence, bound, repeated, through
+from openmm_exactrb.substeps import DRIFT, KICK, Substep, kick
 
 _COUNTER = "fast_evaluations"
 
@@ -37,11 +38,9 @@ _COUNTER = "fast_evaluations"
 class InnerDrift:
     """Drifts of the bodies of a Context with fast forces in them."""
 
-    def __init__(
-        self, fast: FastForces, sync: Synchronisation, positions: Positions, rotor: Rotor, timings: Timings
-    ) -> None:
+    def __init__(self, fast: FastForces, sync: Synchronisation, rotor: Rotor, timings: Timings) -> None:
         self.fast, self._bodies, self._timings = fast, sync.bodies, timings
-        self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync, positions)
+        self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync)
         self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
         self._rotor, self._free = rotor, free_motion(self._part, rotor)
         groups = [group for group in range(32) if fast.groups >> group & 1]
@@ -49,7 +48,7 @@ class InnerDrift:
             self._resonances = Resonances(sync.context.getSystem(), groups)
         else:
             self._resonances = Resonances(fast.excerpt.system, names=fast.excerpt.particles.tolist())
-        self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False), rotor.order)
+        self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
         """Warn once if in steps of h (ps) the slow forces drive what is integrated within the drifts."""
@@ -63,77 +62,90 @@ class InnerDrift:
         divergence: DivergenceCheck,
         scheme: Scheme,
         h: float,
-    ) -> tuple[Flow[State], Mapping[str, Flow[State]], Forces]:
+    ) -> tuple[Flow[State], Mapping[str, Flow[State]], EvaluatedForces]:
         """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
 
-        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.partial``.
+        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.split``.
         timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it passes; h
         (ps) is the step of the scheme.
         """
-        inner, check = self.fast.inner(scheme).sequence, divergence.of_inner_steps(self._part)
-        repetitions = self.fast.repetitions(scheme, h)
+        inner, repetitions = self.fast.inner(scheme).sequence, self.fast.repetitions(scheme, h)
         if self._own is None:
             fast = forces.of(self.fast.groups, _COUNTER)
-            drift = inner_steps(timed(kinetic.drift), kick(fast, check), inner, repetitions)
+            fast_kick = kick(fast, divergence.of_inner_steps(self._part))
+            drift = inner_steps(timed(kinetic.drift), fast_kick, inner, repetitions)
             return drift, {}, SlowGroups(forces, fast, self._timings)
         own, part = self._own, self._own.excerpt.part
-        terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
-        fast = BondedForces(terms, own.positions, *of_groups) if terms else ContextForces(own.positions, *of_groups)
-        alone: Flow[State]
-        if isinstance(fast, BondedForces) and self._rotor in COMPILED:
-            alone = CompiledInnerSteps(fast, inner, repetitions, divergence)
-        else:
-            alone = inner_steps(own.counting_moves(self._free.drift), kick(fast, check), inner, repetitions)
-        outside = len(part.bodies.clusters) < len(self._bodies.clusters)
-        others = kinetic.drift if outside else self._rigid.drift  # right for those that are not of the part
+        inner_bodies, fast = self._of_excerpt(own, forces, divergence, inner, repetitions)
+        others = self._of_others(kinetic)
 
-        def both(state: State, tau: float) -> State:
-            return part.into(others(state, tau), alone(part.of(state), tau))
+        def of_all(state: State, tau: float) -> State:
+            return part.into(others(state, tau), inner_bodies(part.of(state), tau))
 
-        def of_part(state: State, tau: float) -> State:
-            return part.into(state, alone(part.of(state), tau))
+        def of_inner(state: State, tau: float) -> State:
+            return part.into(state, inner_bodies(part.of(state), tau))
 
         def of_others(state: State, tau: float) -> State:
             return part.into(others(state, tau), part.of(state))
 
-        seen = own.taking_all_as_seen
-        partial = {"inner": seen(timed(of_part, passes=False)), "others": seen(timed(of_others))}
-        return seen(timed(both)), partial, Remainder(forces, fast, part)
+        split = {"inner": own.kept_up(timed(of_inner, passes=False)), "others": own.kept_up(timed(of_others))}
+        return own.kept_up(timed(of_all)), split, Remainder(forces, fast, part)
+
+    def _of_excerpt(
+        self,
+        own: ExcerptContext,
+        forces: ContextForces,
+        divergence: DivergenceCheck,
+        inner: Sequence,
+        repetitions: Callable[[float], int],
+    ) -> tuple[Flow[State], ContextForces]:
+        """Return the drift with inner steps of the bodies of the excerpt, and their fast forces."""
+        terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
+        if terms is None:
+            fast = ContextForces(own.positions, *of_groups)
+        else:
+            fast = BondedForces(terms, own.positions, *of_groups)
+            if self._rotor in COMPILED and only_distances():
+                return CompiledInnerSteps(fast, inner, repetitions, divergence), fast
+        fast_kick = kick(fast, divergence.of_inner_steps(self._part))
+        return inner_steps(own.counting_moves(self._free.drift), fast_kick, inner, repetitions), fast
+
+    def _of_others(self, kinetic: Kinetic) -> Flow[State]:
+        """Return a drift that is right for bodies outside of the excerpt: that of rigid ones is cheaper."""
+        clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
+        return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift
 
 
 def inner_steps(
-    drift: Flow[State], fast_kick: Flow[State], sequence: Any, repetitions: Callable[[float], int]
+    drift: Flow[State], fast_kick: Flow[State], sequence: Sequence, repetitions: Callable[[float], int]
 ) -> Flow[State]:
     """Return a drift made of inner steps, whose scheme is a sequence of drifts and kicks by the fast forces.
 
     repetitions(tau) is the number of inner steps in a drift of this time.
     """
-    known: dict[int, list[tuple[Flow[State], float]]] = {}
+    flows: dict[Substep, Flow[State]] = {DRIFT: drift, KICK: fast_kick}
 
-    def flow(state: State, tau: float) -> State:
+    @cache
+    def rows(tau: float) -> list[tuple[Flow[State], float]]:
         n = repetitions(tau)
-        if n not in known:
-            known[n] = [(fast_kick if s == KICK else drift, part) for s, part in repeated(sequence, n)]
-        for substep, part in known[n]:
-            state = substep(state, part * (tau / n))
-        return state
+        return bound(repeated(sequence, n), flows, tau / n)
 
-    return flow
+    return lambda state, tau: through(rows(tau), state)
 
 
 class ExcerptContext:
     """The Context of an excerpt, which follows box, parameters and particles without mass of another one."""
 
-    def __init__(self, excerpt: Excerpt, sync: Synchronisation, positions: Positions) -> None:
+    def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
         self.excerpt, self._sync = excerpt, sync
         platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
         self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
         self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
         self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
         self._x = sync.particles[excerpt.particles]
-        self._all = positions
+        self._all = sync.positions
         follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected
-        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, positions, follow)
+        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, sync.positions, follow)
 
     def counting_moves(self, drift: Flow[State]) -> Flow[State]:
         """Return a drift of the bodies of the excerpt that changes its positions."""
@@ -145,7 +157,7 @@ class ExcerptContext:
 
         return flow
 
-    def taking_all_as_seen(self, drift: Flow[State]) -> Flow[State]:
+    def kept_up(self, drift: Flow[State]) -> Flow[State]:
         """Return a drift of all bodies after which the positions of the excerpt are those of all."""
 
         def flow(state: State, tau: float) -> State:
@@ -192,8 +204,3 @@ class FollowingPositions(Positions):
     def keep_up(self) -> None:
         """Take the present positions for those of the whole."""
         self._seen = self._followed.version
-
-
-def free_motion(bodies: RigidBodies, rotor: Rotor) -> Kinetic:
-    """Return how bodies move without forces."""
-    return of_bodies(bodies, rotor_of_sums(rotor, bodies.inertia, checked=False), rotor.order)

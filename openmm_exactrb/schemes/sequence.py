@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TypeVar
 
 from openmm_exactrb.mechanics.state import Flow
+from openmm_exactrb.substeps import Sequence as Sequence
 from openmm_exactrb.substeps import Substep, of_symbol
 
-#: Pairs of a substep and its part of the step, in the order of their use.
-Sequence = tuple[tuple[Substep, float], ...]
+S = TypeVar("S")
 
 
 def inverse(sequence: Sequence) -> Sequence:
@@ -61,8 +61,18 @@ def spelled(text: str) -> Sequence:
     return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
 
 
-def run(sequence: Sequence, flows: Mapping[Substep, Flow[Any]], state: Any, h: float) -> Any:
-    """Return a state after a sequence with a step of size h, with these flows of its substeps."""
-    for substep, part in sequence:
-        state = flows[substep](state, part * h)
+def bound(sequence: Sequence, flows: Mapping[Substep, Flow[S]], h: float) -> list[tuple[Flow[S], float]]:
+    """Return the flows of a sequence with their times, in a step of size h."""
+    return [(flows[substep], part * h) for substep, part in sequence]
+
+
+def through(rows: Iterable[tuple[Flow[S], float]], state: S) -> S:
+    """Return a state after flows with their times, one after the other: the loop of every step."""
+    for flow, tau in rows:
+        state = flow(state, tau)
     return state
+
+
+def run(sequence: Sequence, flows: Mapping[Substep, Flow[S]], state: S, h: float) -> S:
+    """Return a state after a sequence with a step of size h, with these flows of its substeps."""
+    return through(bound(sequence, flows, h), state)

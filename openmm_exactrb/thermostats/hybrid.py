@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Unpack
+from typing import ClassVar, NamedTuple, Unpack
 
 from openmm import unit
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.environment import Environment
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.mechanics.state import Flow, State
@@ -63,10 +64,10 @@ class Metropolis(Substep):
 
     symbol: ClassVar[str] = "X"
 
-    def bind(self, environment: Any) -> Flow[State]:
+    def bind(self, environment: Environment) -> Flow[State]:
         """Return the flow that proposes and decides."""
         kT, numbers = gas_constant_times(self.temperature), environment.numbers
-        bodies, forces, clock = environment.bodies, environment.slow, environment.clock
+        bodies, forces, clock = environment.bodies, environment.forces(), environment.clock
         forces.with_energies()
         propose = environment.flow_of(self.proposal.sequence)
 
@@ -90,7 +91,7 @@ class Metropolis(Substep):
             numbers.present[variables.PROPOSED] += 1
             if accepted:
                 return new
-            environment.positions.version += 1
+            environment.moved()
             return state._replace(P=-state.P, m=-state.m)
 
         return flow

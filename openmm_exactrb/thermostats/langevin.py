@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.environment import Environment
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.rng import Instant, Purpose
@@ -85,7 +86,7 @@ class Langevin(Thermostat):
         rates = [rate for rate in (*self.frictions, *self.flexible_frictions) if rate > 0.0]
         return 1.0 / min(rates) if rates else None
 
-    def bind(self, environment: Any) -> Exchange:
+    def bind(self, environment: Environment) -> Exchange:
         """Return the Ornstein-Uhlenbeck flow."""
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)
         frictions: tuple[float | Array, float | Array] = self.frictions

@@ -13,13 +13,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Unpack
+from typing import ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.environment import Environment
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
@@ -116,7 +117,7 @@ class NoseHooverChain(Thermostat):
         """Return kT, the frequency, the degrees of freedom, and whether one chain is for all."""
         return self._kT, self.collisionFrequency, *map(float, freedom), float(self.together)
 
-    def bind(self, environment: Any) -> Exchange:
+    def bind(self, environment: Environment) -> Exchange:
         """Return the flow of the chains and of the momenta that they scale."""
         bodies, numbers = environment.bodies, environment.numbers
         of_P, of_m = environment.degrees_of_freedom

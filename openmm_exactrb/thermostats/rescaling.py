@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Unpack
+from typing import ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.environment import Environment
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
@@ -68,7 +69,7 @@ class StochasticRescaling(Thermostat):
             raise ValueError(_BACKWARD)
         return gas_constant_times(self.temperature), self.relaxationTime, *map(float, freedom), float(self.together)
 
-    def bind(self, environment: Any) -> Exchange:
+    def bind(self, environment: Environment) -> Exchange:
         """Return the rescaling of momenta."""
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)
         moments, freedom = bodies.principal_moments, environment.degrees_of_freedom

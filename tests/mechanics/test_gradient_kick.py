@@ -7,7 +7,7 @@ import pytest
 import charts
 import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate
-from openmm_exactrb.context.forces import Memory
+from openmm_exactrb.context.forces import ForceMemory
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import rigid
@@ -36,7 +36,7 @@ class Torques:
     """The torques of a problem on bodies that do not move from their place."""
 
     def __init__(self, problem):
-        self.problem, self.memory = problem, Memory()
+        self.problem, self.memory = problem, ForceMemory()
 
     def __call__(self, state):
         torque = self.problem.torque(state.q[0])

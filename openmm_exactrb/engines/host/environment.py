@@ -9,23 +9,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, ForceMemory
+from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
+from openmm_exactrb.environment import Clock, Forces
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.molecules import Named, in_flexible_molecules
-from openmm_exactrb.schemes.sequence import Sequence
-from openmm_exactrb.substeps import Substep
+from openmm_exactrb.schemes.sequence import Sequence, bound, through
+from openmm_exactrb.substeps import Drift, Substep
 
 Array = NDArray[np.float64]
+#: Flows of substeps with their times (ps).
+Bound = list[tuple[Flow[State], float]]
 
 
 @dataclass
-class ContextEnvironment:
+class HostEnvironment:
     """What substeps are bound to in a Context.
 
     Attributes
@@ -49,15 +53,15 @@ class ContextEnvironment:
     bodies: RigidBodies
     inertia: Array
     kinetic: Kinetic
-    slow: Forces
+    slow: EvaluatedForces
     all_forces: ContextForces
     divergence: DivergenceCheck
-    clock: Any
+    clock: Clock
     updates: ContextUpdates
     numbers: Numbers
     settings: Settings
     positions: Positions
-    memory: Memory
+    memory: ForceMemory
     named: Named
     key: int = 0
     around: tuple[State, State] | None = None
@@ -83,8 +87,11 @@ class ContextEnvironment:
                 f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
                 "thermostat="
             )
-        flow: Flow[State] = self.settings.thermostat.flow(self, number)
-        return flow
+        return self.settings.thermostat.flow(self, number)
+
+    def moved(self) -> None:
+        """Note that positions are others than those of the last substep."""
+        self.positions.version += 1
 
     def flexible(self) -> NDArray[np.bool_]:
         """Return which bodies (N,) are in molecules of more than one body."""
@@ -101,8 +108,23 @@ class ContextEnvironment:
         flows: dict[Substep, Flow[State]] = {}
         for substep, _ in sequence:
             if substep not in flows:
-                flows[substep] = substep.bind(self)
-        return [(flows[substep], part * h, substep.moves) for substep, part in sequence]
+                flows[substep] = self._flow_of(substep)
+        return bound(sequence, flows, h)
+
+    def _flow_of(self, substep: Substep) -> Flow[State]:
+        """Return the flow of a substep, behind which positions have a new version if it may have changed them."""
+        flow = substep.bind(self)
+        if not substep.moves or isinstance(substep, Drift):  # drifts of the propagator count versions
+            return flow
+
+        def moving(state: State, tau: float) -> State:
+            version = self.positions.version
+            state = flow(state, tau)
+            if self.positions.version == version:
+                self.moved()
+            return state
+
+        return moving
 
     def flow_of(self, sequence: Sequence) -> Flow[State]:
         """Return the flow of a sequence: flow(state, h) -> state."""
@@ -111,6 +133,6 @@ class ContextEnvironment:
         def flow(state: State, h: float) -> State:
             if h not in known:
                 known[h] = self.bound(sequence, h)
-            return self.positions.through(known[h], state)
+            return through(known[h], state)
 
         return flow

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from openmm_exactrb.context.forces import ContextForces, Positions
+from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.multiple_time_steps.inner_drift import free_motion
+from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.schemes.sequence import inverse
 from openmm_exactrb.schemes.thermostatted import behind_exchange
 
@@ -24,9 +24,8 @@ def energy_at_exchange(sync: Any, settings: Any, timings: Timings) -> float:
     drift, state = free_motion(sync.bodies, settings.rotor).drift, sync.state
     for _, part in inverse(behind_exchange(settings.scheme.sequence)):
         state = drift(state, part * settings.h)
-    positions = Positions(sync.context, sync.bodies, sync.particles)
     try:
-        potential = ContextForces(positions, settings.groups, timings).energy(state)
+        potential = ContextForces(sync.positions, settings.groups, timings).energy_at(state)
     finally:
         sync.push()
     return float(sum(sync.bodies.kinetic_energies(state.rounded)) + potential)

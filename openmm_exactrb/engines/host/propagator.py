@@ -19,23 +19,23 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.forces import Bound, ContextForces, Forces, Memory, Positions
+from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, ForceMemory
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.context.variables import Numbers
 from openmm_exactrb.engines.engine import Settings
-from openmm_exactrb.engines.host.environment import ContextEnvironment
+from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
-from openmm_exactrb.mechanics.free_motion import Kinetic
+from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.overheating import Overheating
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
-from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift, free_motion
+from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import inverse
+from openmm_exactrb.schemes.sequence import inverse, through
 from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
 
 Array = NDArray[np.float64]
@@ -101,16 +101,16 @@ class HostPropagator:
         self._updates_act = self.updates.act
         self._conserves = conserve_energy(context.getSystem())
         self._timings, self._integrator, self._named = timings, weakref.ref(integrator), named
-        self._positions = Positions(context, self.sync.bodies, self.sync.particles)
+        self._positions = self.sync.positions
         self._kinetic = free_motion(self.sync.bodies, rotor)
         found = fast_forces(context.getSystem(), self.sync.bodies, settings.fast)
-        self._inner_drift = None if found is None else InnerDrift(found, self.sync, self._positions, rotor, timings)
+        self._inner_drift = None if found is None else InnerDrift(found, self.sync, rotor, timings)
         self._clock = Clock(context)
         self._version: object = None
         self._processed, self._coordinates, self._h = False, 0.0, 0.0
         self._surroundings: object = None  # box and parameters at the end of the last call
-        self.environment: ContextEnvironment
-        self._memory: Memory
+        self.environment: HostEnvironment
+        self._memory: ForceMemory
         self._overheating: Overheating | None = None
         self._left: State | None = None  # what the last call of `advance` ended with
 
@@ -139,6 +139,9 @@ class HostPropagator:
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 self._make(n)
+        except BaseException:
+            self._positions.moved()  # to places within the step that failed
+            raise
         finally:
             self._clock.restore()
             environment.numbers.store(integrator)
@@ -158,11 +161,12 @@ class HostPropagator:
         self._settle(version, settings)
         try:
             with np.errstate(all="ignore"):
-                state = self._positions.through(self._back, self.sync.state)
+                state = through(self._back, self.sync.state)
             kinetic = sum(self.sync.bodies.kinetic_energies(state.rounded))
-            return kinetic + self.environment.all_forces.energy(state)
+            return kinetic + self.environment.all_forces.energy_at(state)
         finally:
             self._clock.restore()
+            self._positions.moved()
             self.sync.push()
 
     def _settle(self, version: object, settings: Callable[[], Settings]) -> None:
@@ -191,7 +195,7 @@ class HostPropagator:
         check.keep_from(state)
         for _ in range(n):
             check.enter(clock.number + 1, clock.time, state)
-            state = self._positions.through(self._step, state)
+            state = through(self._step, state)
             check.leave(state)
             clock.next(self._h)
             state = self._updated(state)
@@ -223,7 +227,7 @@ class HostPropagator:
         """Return the inner state of a true one, whose positions are the present ones."""
         check = self.environment.divergence
         check.keep_from(state)
-        inner = self._positions.through(self._processor, state)
+        inner = through(self._processor, state)
         check.leave(inner)  # its kicks are of the size of the steps, which may be far too long
         self._memory.clear()
         return inner
@@ -241,7 +245,7 @@ class HostPropagator:
         """Return a copy of the inner state behind substeps, whose forces are not remembered."""
         self._memory.closed = True
         try:
-            return self._positions.through(substeps, inner)
+            return through(substeps, inner)
         finally:
             self._memory.closed = False
 
@@ -286,9 +290,9 @@ class HostPropagator:
         kinetic, slow = self._split(settings, forces, divergence)
         scheme, bodies = settings.scheme, sync.bodies
         self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
-        slow.memory = self._memory = Memory(*scheme.memory)
+        slow.memory = self._memory = ForceMemory(*scheme.memory)
         self._overheating = self._watch(settings)
-        self.environment = environment = ContextEnvironment(
+        self.environment = environment = HostEnvironment(
             bodies,
             np.where(bodies.principal_moments > 0.0, bodies.principal_moments, np.inf),
             kinetic,
@@ -303,7 +307,7 @@ class HostPropagator:
             self._memory,
             self._named,
         )
-        step = canonical_momenta(scheme.sequence) if kinetic.partial else scheme.sequence
+        step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
         self._back = environment.bound(inverse(behind_exchange(step)), h)
         self._processor, self._postprocessor = (
@@ -325,21 +329,23 @@ class HostPropagator:
             self.sync.state = self._true(inner)
             self.sync.keep(None)
 
-    def _split(self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck) -> tuple[Kinetic, Forces]:
+    def _split(
+        self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
+    ) -> tuple[Kinetic, EvaluatedForces]:
         """Return free motion, with the fast forces within it where there are some, and the forces of kicks."""
         kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
         displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
         inner, scheme = self._inner_drift, settings.splitting
-        drift, slow = self._timed(kinetic.drift), cast(Forces, forces)
-        partial: Mapping[str, Flow[State]] = {}
+        drift, slow = self._timed(kinetic.drift), cast(EvaluatedForces, forces)
+        split: Mapping[str, Flow[State]] = {}
         if inner is not None and inner.fast.acts(scheme, settings.h):
             h = settings.h / settings.splits
-            drift, partial, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
+            drift, split, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
             if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
                 inner.warn_of_resonances(scheme, h)
         if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
-            drift, partial = _checked(drift, check), {name: _checked(some, check) for name, some in partial.items()}
-        return Kinetic(drift, displaced, kinetic.tangent, kinetic.order, partial), slow
+            drift, split = _checked(drift, check), {name: _checked(some, check) for name, some in split.items()}
+        return Kinetic(drift, displaced, kinetic.tangent, split), slow
 
     def _timed(self, drift: Flow[State], passes: bool = True) -> Flow[State]:
         """Return a drift that moves the positions of the Context, and its time where it `passes`."""
