@@ -99,7 +99,7 @@ class Thermostat(ABC):
             if heat is not None and not same:
                 numbers.present[heat] += _gain(bodies, along, after)
             outside(state, after)
-            environment.around = state, after
+            environment.last_exchange = state, after
             return after
 
         return flow

@@ -111,7 +111,7 @@ class DevicePropagator:
         return stale
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """Raise ValueError: the program shows no states within a step."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 

@@ -9,7 +9,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context.synchronisation import refuse_unset
+from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.custom_program import fast_group, gather, names
 from openmm_exactrb.engines.custom_program.program import Layout
@@ -83,7 +83,7 @@ def needs(context: Any, settings: Settings) -> Needs:
     system, scheme, outer = gather.without(context.getSystem()), settings.scheme, settings.outer
     h, groups, named = settings.h, settings.groups, settings.named
     x = arrays.positions(context.getState(positions=True))
-    refuse_unset(context)
+    require_positions(context)
     box = arrays.periodic_box(context)
     bodies = find_bodies(system, x, named, box)
     found = fast_forces(system, bodies, settings.fast)

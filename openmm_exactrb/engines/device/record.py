@@ -7,11 +7,11 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import refuse_unset
+from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.custom_program import record as flexible
-from openmm_exactrb.engines.device.library import MissingLibraryError, library
+from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.moves import of_substep
@@ -54,7 +54,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 def _is_flexible(context: Any, settings: Settings) -> bool:
     """Return whether molecules have inner steps or constraints that leave them a motion of their own."""
-    refuse_unset(context)
+    require_positions(context)
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     bodies = find_bodies(system, x, settings.named)
     found = fast_forces(system, bodies, settings.fast)
@@ -109,5 +109,6 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
+    information=describe,
     release=flexible.DEVICE.release,
 )
