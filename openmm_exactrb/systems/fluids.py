@@ -214,7 +214,7 @@ def dipole_fluid(
 
 
 def _correction(n: int, box: float | None, spheres: Mapping[str, Any]) -> openmm.CustomVolumeForce:
-    """Return the mean energy of spheres beyond their cutoff; a ValueError if there is none."""
+    """Return the mean energy of spheres beyond their cutoff; a ValueError without any."""
     if box is None or spheres["wca"]:
         raise ValueError("long_range_correction is for spheres in a periodic box that wca does not end: omit it")
     law = {name: float(spheres[name]) for name in ("sigma", "epsilon", "attraction")}

@@ -8,7 +8,7 @@ import openmm
 
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 
-#: Of ``ewaldErrorTolerance``: a looser one shows beside the best schemes.
+#: Of ``ewaldErrorTolerance``: a looser one shows with the best schemes.
 TIGHT = 1e-5
 _WATER = 18.015  # amu
 #: kJ/mol over the square root of the number of molecules: the standard deviation of the total energy of 216 TIP3P over

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 # Part of the budget that bringing a start to a temperature may take.
 _SHARE = 0.33
-# Accepted deviation of the kinetic energy: a fraction, since a large system takes up heat, and standard deviations.
+# Accepted deviation of the kinetic energy: a fraction, since a large system absorbs heat, and standard deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
 # Parts of Langevin dynamics between two starts.
 _APART = 4

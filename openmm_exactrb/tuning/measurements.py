@@ -15,7 +15,7 @@ from openmm_exactrb.tuning.error import expected_error
 Report = Callable[[str], None]
 
 # Another start is as if the step were longer by this: where the curve is steeper than the order of the method, its
-# error differs by more than the starts that were run tell.
+# error differs by more than the starts that were run show.
 _LONGER = 1.05
 #: Margin of what rests on fewer runs than a promise should.
 UNSURE = 1.5

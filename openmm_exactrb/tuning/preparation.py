@@ -39,7 +39,7 @@ _ITERATIONS, _TOLERANCE = 100, 10.0  # enough to remove overlaps; the minimiser 
 class Characteristics(NamedTuple):
     """Size and characteristic times of a system."""
 
-    #: Rigid bodies, and particles beside them.
+    #: Rigid bodies, and other particles.
     n_bodies: int
     #: Kinetic energy in kJ/mol per body.
     kinetic: float
