@@ -92,7 +92,7 @@ class Thermostat(ABC):
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
             outside(state, after)
-            environment.around = state, after
+            environment.last_exchange = state, after
             return after
 
         return flow
@@ -114,10 +114,6 @@ class Thermostat(ABC):
 
         `freedom` are the degrees of freedom of translation and of rotation.
         """
-        return None
-
-    def device_numbers(self) -> tuple[float, ...] | None:
-        """Return the numbers that kernels of a device need, None if they do not serve it."""
         return None
 
 

@@ -122,9 +122,6 @@ class HybridMonteCarlo(Langevin):
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
         """Return nothing: Metropolis's rule needs energies on the host."""
 
-    def device_numbers(self) -> None:
-        """Return None: no program decides on proposals."""
-
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""
         proposal = thermostatted.proposal(scheme, self.stepsPerProposal)
@@ -179,7 +176,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         frictions = frictionCoeff, rotationalFriction
         thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
-        thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
+        thermostatted.require_symmetric(None if self._fast is None else self._fast.scheme, "inner scheme")
 
     @property
     def forceEvaluationsPerStep(self) -> int:

@@ -101,10 +101,6 @@ class Langevin(Thermostat):
         pairs = ((math.expm1(-rate * tau), math.sqrt(kT) * _spread(rate, tau)) for rate in rates)
         return tuple(itertools.chain(*pairs))
 
-    def device_numbers(self) -> tuple[float, ...] | None:
-        """Return kT, the frictions of translation and of rotation, and the same in molecules of more than one body."""
-        return gas_constant_times(self.temperature), *self.frictions, *self.flexible_frictions
-
 
 def _rate(friction: Any) -> float:
     return not_negative_quantity(friction, _RATE, "a friction")
