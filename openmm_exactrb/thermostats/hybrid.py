@@ -119,6 +119,9 @@ class HybridMonteCarlo(Langevin):
         positive(self.temperature, "the temperature of Metropolis's rule", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
 
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
+        """Return nothing: Metropolis's rule needs energies on the host."""
+
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""
         proposal = thermostatted.proposal(scheme, self.stepsPerProposal)
