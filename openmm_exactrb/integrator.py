@@ -294,19 +294,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        return Settings(
-            scheme,
-            self._scheme,
-            splitting,
-            splits,
-            self._h,
-            self._groups,
-            self._rotor,
-            self._fast,
-            thermostat,
-            self._bodies,
-            self._check,
-        )
+        parts = scheme, self._scheme, splitting, splits, self._h, self._groups
+        return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
