@@ -55,7 +55,7 @@ STARTS = 3
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
 # Steps of a call of the integrator by Simulation.step.
 _CALL = 10
-# Step over the characteristic time of the run that measures how long a force evaluation takes.
+# Step over the characteristic time of the run that shows how long a force evaluation takes.
 _BRIEF = 0.05
 # A run is unstable once its total energy is off by this fraction of the kinetic energy.
 _LOST = 0.1
