@@ -17,8 +17,8 @@ COARSE, COARSE_NESTED = 1.6, 8.0
 #: From one step size to the next it falls by this.
 RATIO = 2.0**0.5
 # Scheme of the probe for the noise of the forces, its time per evaluation over the characteristic one, its length over
-# that of the survey, the part of an error that is left where it is the scheme's, and the part of the kinetic energy that
-# is a hundred times what the scheme leaves.
+# that of the survey, the part of an error that is left where it is the scheme's, and the part of the kinetic energy
+# that is a hundred times what the scheme leaves.
 _PROBE, _FINE, _PROBED, _FALLING, _LARGE = "W4_4", 0.05, 0.3, 0.35, 1e-4
 # The first step sizes at which a method need not be stable, and how far behind the best one it may then fall.
 _SEARCHED, _BEHIND = 16, 10.0
