@@ -11,7 +11,7 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.multiple_time_steps.bonded import BONDED, acts, groups_of
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acts, groups_of
 from openmm_exactrb.multiple_time_steps.excerpt import members
 
 # The name of a force that was moved ends with the group that it came from.
@@ -24,7 +24,7 @@ _GROUPS = 8
 def indices_of_fast(system: openmm.System, groups: Sequence[int] | None, active: int = -1) -> list[int]:
     """Return the indices of the forces of some groups, or without groups of bonded ones, in `active` groups (bits)."""
     named = _named(groups, active)
-    wanted = acts if groups is not None else lambda force: isinstance(force, BONDED)
+    wanted = acts if groups is not None else lambda force: isinstance(force, BONDED_FORCES)
     return [i for i, force in enumerate(system.getForces()) if wanted(force) and groups_of(force) & named]
 
 
@@ -130,7 +130,7 @@ def unsupported(system: openmm.System, bodies: RigidBodies, fast: Sequence[int])
     if not (rigid or sites):
         return None
     for force in map(system.getForce, fast):
-        if not isinstance(force, BONDED):
+        if not isinstance(force, BONDED_FORCES):
             return (
                 f"the fast forces include a {type(force).__name__}, which may act on rigid bodies: the device has "
                 "inner steps for bonds, angles and torsions between other particles only"
