@@ -78,7 +78,8 @@ class Synchronisation:
 
     Holds no strong reference to the Context and its integrator, which own this. The variables of the integrator take
     the full state along in checkpoints and States. ValueError if there are no positions, nothing can move, bodies
-    cannot be served, or positions do not fit them. `pairs` is an argument of `find_bodies`.
+    cannot be served, or positions do not fit them. `pairs` is an argument of `find_bodies`;
+    `bodies` are those that it found, if they are known.
 
     Attributes
     ----------
@@ -101,11 +102,12 @@ class Synchronisation:
         integrator: openmm.CustomIntegrator,
         named: Sequence[Sequence[int]] | None,
         pairs: bool = False,
+        bodies: RigidBodies | None = None,
     ) -> None:
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
         x, v = self.held()
         require_positions(context)
-        self.bodies = find_bodies(context.getSystem(), x, named, self.box(), pairs)
+        self.bodies = bodies or find_bodies(context.getSystem(), x, named, self.box(), pairs)
         self._shapes = Shapes(self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
         self.positions = Positions(context, self.bodies, self.particles)

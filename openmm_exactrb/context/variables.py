@@ -27,16 +27,14 @@ SHOWN, INNER = "", "inner_"
 # which says in which format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: What the program of a device has as its first number.
-FROM_DEVICE = 4.0
 #: The mark of the coordinates of the inner state, 0 without one, and how many forces and differences of displaced
 #: ones are remembered with it.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
 #: Of the noise: the seed, and which of its streams.
 SEED, STREAM = "seed", "stream"
 #: Of thermostats: the heat that they gave, and proposals of Metropolis's rule.
-HEAT, ACCEPTED, PROPOSED = "heat", "accepted", "proposed"
-_NUMBERS = (SEED, STREAM, HEAT, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
+HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
+_NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
 #: What is said of a checkpoint in the variables of another engine than its own.
 OTHER_ENGINE = (
     'the checkpoint that was loaded is of a run with engine="{0}": make the integrator with engine="{0}" or "auto"'

@@ -25,6 +25,9 @@ from openmm_exactrb.thermostat import Thermostat
 
 Array = NDArray[np.float64]
 
+#: What an engine says that does not add up the heat of its thermostat.
+NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -130,6 +133,12 @@ class Propagator(Protocol):
         ValueError if the engine does not know them.
         """
 
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+
+        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
+        """
+
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps; whatever happens, the Context is left at a valid state.
 
@@ -160,8 +169,6 @@ class Engine:
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
     information : callable
         information() -> what ``exactrb info`` shows of it here, a sentence.
-    release : callable
-        release(context) undoes what this engine has changed in a System, for another one.
     """
 
     name: str
@@ -172,4 +179,3 @@ class Engine:
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
     information: Callable[[], str] = lambda: "available"
-    release: Callable[[Any], None] = lambda context: None

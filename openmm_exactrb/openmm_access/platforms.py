@@ -81,6 +81,12 @@ def is_single(context: Any) -> bool:
     return platform.getName() in DEVICES and platform.getPropertyValue(context, _PRECISION) == "single"
 
 
+def is_double(context: Any) -> bool:
+    """Return whether a Context computes in double precision throughout."""
+    platform = context.getPlatform()
+    return platform.getName() not in DEVICES or platform.getPropertyValue(context, _PRECISION) == "double"
+
+
 def warn_of_single_precision(context: Any) -> None:
     """Warn where rounding hides what an integrator is chosen for."""
     if is_single(context):

@@ -6,12 +6,14 @@ import threading
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 from zoo import apart, context_of, held, pair, water
 
 import openmm_exactrb as rb
 from on_device import REFERENCE
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 
 pytestmark = pytest.mark.opencl
 H = 0.001
@@ -20,7 +22,7 @@ H = 0.001
 @pytest.fixture(scope="module")
 def box():
     """A System of 27 molecules of water, and positions."""
-    return water(27)
+    return water(27, method=app.CutoffPeriodic)
 
 
 def make(scheme="W2_1", h=H, **options):
@@ -43,7 +45,8 @@ def lengths(context):
 @pytest.mark.parametrize(("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), ("S6_10", 10)])
 def test_a_step_launches_one_kernel_a_force_and_a_call_a_few_more(box, scheme, forces):
     context = on_device(box, make(scheme))
-    context.getIntegrator().step(5)  # and the forces that a processed scheme remembers
+    for _ in range(6):  # till no call makes kinetic energy that would be compared, and forces are remembered
+        context.getIntegrator().step(20)
     device, steps = device_of(context), 20
     launches, evaluations = device.launches, device.evaluations
     context.getIntegrator().step(steps)
@@ -130,9 +133,7 @@ def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme)
 
 def test_an_andersen_thermostat_pushes_whole_bodies(box):
     system = copy.deepcopy(box[0])
-    force = openmm.AndersenThermostat(600.0, 1000.0)
-    force.setRandomNumberSeed(1)
-    system.addForce(force)
+    system.addForce(openmm.AndersenThermostat(600.0, 1000.0))
     context = on_device((system, box[1]), make("S2_2"))
     before = lengths(context)
     kinetic = context.getState(energy=True).getKineticEnergy()._value
@@ -167,6 +168,7 @@ def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
     else:
         state = one.getState(positions=True, velocities=True, integratorParameters=True)
         text = openmm.XmlSerializer.serialize(state)
+        one = fresh()  # a run in which a State is set gets noise of its own
         one.setState(openmm.XmlSerializer.deserialize(text))
     other = fresh()
     if how == "checkpoint":
@@ -175,7 +177,7 @@ def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
         other.setState(openmm.XmlSerializer.deserialize(text))
     for context in (one, other):
         context.getIntegrator().step(9)
-    assert apart(one, other) < 1e-13 if how == "State" else apart(one, other) == 0.0
+    assert apart(one, other) == 0.0 if how == "checkpoint" else apart(one, other) < 1e-12  # OpenMM sorts molecules anew
 
 
 def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box):
@@ -241,7 +243,7 @@ def test_what_is_not_served_is_refused_with_a_sentence(box):
     with pytest.raises(ValueError, match="the device supports the exact rotor only, not mclachlan_reich"):
         rb.ExactRigidBodyIntegrator(H, rotor="mclachlan_reich", engine="device")
     with pytest.raises(ValueError, match="the device does not support HybridMonteCarlo"):
-        rb.ExactRigidBodyHybridMonteCarloIntegrator(300.0, H, engine="device")
+        ExactRigidBodyHybridIntegrator(300.0, 1.0, H, engine="device")
     integrator = make()
     context = openmm.Context(copy.deepcopy(box[0]), integrator, REFERENCE)
     context.setPositions(box[1])

@@ -10,19 +10,8 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from orders import slope
-from peptides import (
-    FORCE_FIELD,
-    PEPTIDE,
-    R,
-    end_of,
-    in_water,
-    moving,
-    peptide,
-    positions_of,
-    velocities_of,
-    violations,
-)
-from starts import REFERENCE, context_of, simulation_of
+from peptides import FORCE_FIELD, PEPTIDE, R, end_of, in_water, moving, peptide, positions_of, violations
+from starts import REFERENCE, context_of, force_of, simulation_of, velocities_of
 
 # -- constraints ------------------------------------------------------------------------------------------------
 
@@ -214,7 +203,7 @@ def test_virtual_sites_on_flexible_parents_hand_their_forces_on():
     _, system, x = peptide()
     system.addParticle(0.0)
     system.setVirtualSite(22, openmm.TwoParticleAverageSite(0, 8, 0.5, 0.5))
-    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     nonbonded.addParticle(0.0, 0.3, 0.0)
     pull = openmm.CustomExternalForce("100*(x - 1)^2")
     pull.addParticle(22)
