@@ -1,8 +1,8 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S on the energy of pairs of nearest images ends it at the cutoff; that of spheres has its own (`spheres`). S is proportional to the integral of
-(s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`: forces have five continuous
-derivatives, as schemes of order 6 need them.
+A switch S on the energy of pairs of nearest images ends it at the cutoff; that of the spheres is another one, see
+`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1
+to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, as schemes of order 6 need them.
 """
 
 from __future__ import annotations
@@ -115,9 +115,9 @@ class Ewald(_Periodic):
 
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Parameters that are not given
     are chosen such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of
-    `dipole_fluid` have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is smooth
-    whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about
-    the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
+    `dipole_fluid` have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is
+    smooth whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to
+    about the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
