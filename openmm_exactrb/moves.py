@@ -21,6 +21,7 @@ class Op(IntEnum):
     REMEMBER = 4  # the forces here, as those of the most recent place
     DISPLACE = 5  # the particles by the forces here, the body stays; numbers are e
     DISPLACED_KICK = 6  # momenta by the forces at displaced particles; numbers are tau and e
+    FAST_KICK = 7  # momenta of bodies with inner steps by the fast forces here
     OWN = 16  # the first of those of users
 
 

@@ -66,10 +66,6 @@ class Substep:
         """Return its matrix for q'' = -q and times in units of 1/omega."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
-    def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
-        """Return its entries in the table of a device's program, or None if a device does not support it."""
-        return None
-
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
         """Return its moves over a part of the step, or None if a device does not support it."""
         return None
@@ -103,10 +99,6 @@ class Drift(Substep):
         """Return the matrix of q' = p."""
         return (1.0, tau), (0.0, 1.0)
 
-    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
-        """Return the drift of a row."""
-        return (({"all": "drift", "inner": "inner", "others": "long"}[self.bodies], part),)
-
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the drift."""
         return (Move(Op.DRIFT, part, bodies=self.bodies),)
@@ -138,10 +130,6 @@ class Kick(Substep):
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of p' = -q."""
         return (1.0, 0.0), (-tau, 1.0)
-
-    def device_rows(self, part: float) -> tuple[tuple[str, float], ...] | None:
-        """Return the kick of a row, which has all forces."""
-        return (("kick", part),) if self.group is None else None
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the kick by the forces of its groups."""
@@ -186,10 +174,6 @@ class GradientKick(Substep):
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of the exact gradient: f . M^-1 f is q²."""
         return (1.0, 0.0), (-tau * (1.0 - self.strength * tau * tau), 1.0)
-
-    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
-        """Return the displacement at the end of a row and the kick of the next one."""
-        return ("shift", self.strength * part * part), ("kick", part)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the displacement and the kick by the forces there."""
@@ -261,10 +245,6 @@ class HeatExchange(Substep):
     def oscillator(self, tau: Any) -> Matrix:
         """Return the identity: a thermostat is ignored."""
         return (1.0, 0.0), (0.0, 1.0)
-
-    def device_rows(self, part: float) -> tuple[tuple[str, float], ...]:
-        """Return the thermostat of a row."""
-        return (("thermostat", part),)
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the heat exchange, which has random numbers of its own."""

@@ -9,7 +9,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
-from starts import context_of
+from starts import context_of, positions_of
 
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
 FORCE_FIELD = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
@@ -80,14 +80,6 @@ def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):
     context = context_of(system, integrator, x)
     integrator.setVelocitiesToTemperature(temperature, 3)
     return integrator, context
-
-
-def positions_of(context):
-    return context.getState(positions=True).getPositions(asNumpy=True)._value.copy()
-
-
-def velocities_of(context):
-    return context.getState(velocities=True).getVelocities(asNumpy=True)._value.copy()
 
 
 def violations(system, x, v):

@@ -75,12 +75,6 @@ def masses_of(system):
     return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
 
 
-def constraints_of(system):
-    """Return the constraints as pairs (n, 2) of particles, and their lengths in nm."""
-    rows = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
-    return np.array([row[:2] for row in rows], dtype=int).reshape(-1, 2), np.array([row[2]._value for row in rows])
-
-
 def force_of(system, kind=openmm.NonbondedForce):
     """Return the force of a kind, of which there is one."""
     (force,) = (force for force in system.getForces() if isinstance(force, kind))

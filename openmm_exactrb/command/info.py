@@ -14,7 +14,8 @@ import openmm
 import openmm_exactrb
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
-from openmm_exactrb.openmm_access.platforms import platforms, refused_by_default
+from openmm_exactrb.engines import ENGINES
+from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
@@ -48,8 +49,7 @@ def carry_out(args: argparse.Namespace) -> int:
         system = read_xml(args.files[0], openmm.System)
         print("\n".join(described(system)))
         return 0
-    named = {name: value for name, value in vars(args).items() if value is not None}
-    box = inputs.load(argparse.Namespace(**vars(args) | {"seed": 1} | inputs.DEFAULTS | named))
+    box = inputs.load(inputs.with_defaults(args))
     print("\n".join(described(box.system, box.positions, box.topology)))
     return 0
 
@@ -58,9 +58,10 @@ def _lines() -> Iterator[str]:
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+    yield from (f"{name} engine: {engine.information()}" for name, engine in ENGINES.items())
     yield "platforms, fastest first:"
     for found in platforms():
-        why = refused_by_default(found)
+        why = why_not_by_default(found)
         yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"

@@ -22,7 +22,7 @@ from openmm_exactrb.systems.masses import heavy_hydrogens
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
-#: Constraints of ForceField.createSystem beside rigid water.
+#: Constraints of ForceField.createSystem in addition to rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
 #: What describes molecules, in words.
@@ -34,7 +34,7 @@ FILES = (
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
 
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
-_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, beside a topology
+_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, in addition to a topology
 _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
 
 
@@ -80,18 +80,39 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
 
 
-def refuse_missing(files: Iterable[Path]) -> None:
+def check_missing(files: Iterable[Path]) -> None:
     """Raise FileNotFoundError for the first file that is not there."""
     for file in files:
         if not file.exists():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
 
 
+def with_defaults(args: argparse.Namespace) -> argparse.Namespace:
+    """Return the options with the defaults of those that were not given."""
+    named = {name: value for name, value in vars(args).items() if value is not None}
+    return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | named)
+
+
+def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, str, str]] = ()) -> None:
+    """Raise ValueError if an option was given that has no effect: those of molecules, and others with the reason."""
+    unboxed = box.topology.getPeriodicBoxVectors() is None
+    idle = [
+        (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
+        (unboxed, "cutoff ewald_tolerance", "there is no cutoff without a periodic box"),
+        (not args.solvate, "water", "it is the water of --solvate"),
+        *others,
+    ]
+    for applies, names, reason in idle:
+        for name in names.split():
+            if applies and getattr(args, name) is not None:
+                raise ValueError(f"leave out --{name.replace('_', '-')}: {reason}")
+
+
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     if not args.files and not args.solvate:
         raise ValueError(f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for that much water")
-    refuse_missing(args.files)
+    check_missing(args.files)
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)

@@ -25,6 +25,9 @@ from openmm_exactrb.thermostat import Thermostat
 
 Array = NDArray[np.float64]
 
+#: What an engine says that does not add up the heat of its thermostat.
+NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -124,10 +127,16 @@ class Propagator(Protocol):
         """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is that at the end of its step.
 
         ValueError if the engine does not know them.
+        """
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+
+        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
@@ -158,6 +167,8 @@ class Engine:
         declare(integrator, settings) gives an integrator without a Context its variables and its program.
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
+    information : callable
+        information() -> what ``exactrb info`` shows of it here, a sentence.
     release : callable
         release(context) undoes what this engine has changed in a System, for another one.
     """
@@ -169,4 +180,5 @@ class Engine:
     marks: Callable[[Settings], tuple[float, ...]]
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
+    information: Callable[[], str] = lambda: "available"
     release: Callable[[Any], None] = lambda context: None

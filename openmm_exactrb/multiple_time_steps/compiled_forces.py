@@ -30,6 +30,17 @@ _HARMONIC = re.compile(r"k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-thet
 _PARAMETERS = {_LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
 
 
+#: No terms at all.
+NO_TERMS = Terms(
+    *(np.zeros((0, 2), np.int64), np.zeros((2, 0))),
+    *(np.zeros((0, 3), np.int64), np.zeros((3, 0))),
+    *(np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))),
+    *(np.zeros((0, 2), np.int64), np.zeros((3, 0))),
+    *(np.zeros((0, 4), np.int64), np.zeros((3, 0))),
+    *(np.zeros((0, 10), np.int64), np.zeros((0, 4, 4))),
+)
+
+
 class BondedForces(ContextForces):
     """The same as `ContextForces`, by a compiled kernel; energies are OpenMM's."""
 
@@ -78,6 +89,11 @@ def terms_of(system: openmm.System, groups: int) -> Terms | None:
         )
     )
     return Terms(*bonds, *angles, *_torsions(some), *pairs, *impropers, *_maps(some))
+
+
+def unknown(system: openmm.System) -> str | None:
+    """Return the name of a force of a System that has terms of other forms, or None."""
+    return next((force.getName() for force in system.getForces() if not _known(force)), None)
 
 
 def _known(force: Any) -> bool:

@@ -6,7 +6,7 @@ It is small compared with one with solvent, and the System of the user stays as 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
@@ -56,17 +56,20 @@ class _BetweenBodies:
         return len(owners) > 1 and not members & self._sites
 
 
-def bonded_excerpt(system: openmm.System, bodies: RigidBodies) -> Excerpt | None:
+def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
     """Return the bonded forces that move bodies against each other, and the exceptions of NonbondedForces that do.
 
-    Without what acts on virtual sites. None if there are no bonded ones.
+    With groups, of the bonded forces those in these, and no exceptions. Without what acts on virtual sites. None if
+    there are no bonded ones.
     """
     between_bodies = _BetweenBodies(system, bodies)
     forces = [force for force in system.getForces() if isinstance(force, BONDED)]
+    forces = [force for force in forces if groups is None or force.getForceGroup() in groups]
     terms = [tree for tree in map(_tree, forces) if _thinned(tree, between_bodies)]
     if not terms:
         return None
-    pairs = [(f, _interacting(f, between_bodies)) for f in system.getForces() if isinstance(f, openmm.NonbondedForce)]
+    nonbonded = [f for f in system.getForces() if groups is None and isinstance(f, openmm.NonbondedForce)]
+    pairs = [(force, _interacting(force, between_bodies)) for force in nonbonded]
     touched = {i for tree in terms for term in _terms(tree) for i in _particles(term).values()}
     touched |= {i for _, of_force in pairs for pair in of_force for i in pair[:2]}
     chosen = _with_clusters(bodies, sorted(touched))

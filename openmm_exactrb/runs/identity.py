@@ -8,7 +8,6 @@ from xml.etree import ElementTree
 import openmm
 from openmm import unit
 
-from openmm_exactrb.engines.custom_program.gather import without as without_sums
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.support.stable_text import digest, stable_text
 from openmm_exactrb.support.version import version
@@ -24,7 +23,7 @@ def identity_of(simulation: Any) -> dict[str, str]:
         "openmm": openmm.__version__,
         "openmm-exactrb": version("not installed"),
         "platform": simulation.context.getPlatform().getName(),
-        "System": _text_of_system(without_sums(simulation.system)),
+        "System": _text_of_system(simulation.system),
         "integrator": type(integrator).__name__,
     }
     if draws := [reporter.settings() for reporter in simulation.reporters if isinstance(reporter, CanonicalMomenta)]:

@@ -52,7 +52,7 @@ def _three_kicks(outer: float) -> Sequence:
 
 #: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
 #: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135 the momenta of W2_3m next to
-#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and its places are so in the fourth
+#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions are so in the fourth
 #: order where a step ends, `reading_point` behind the thermostat: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {
@@ -89,6 +89,22 @@ def canonical_momenta(sequence: Sequence) -> Sequence:
     return (Drift("inner"), late), *rows, (Drift("others"), late)
 
 
+def behind_exchange(sequence: Sequence) -> Sequence:
+    """Return the drifts with which a step ends behind its last heat exchange; none if it ends otherwise.
+
+    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
+    2. At the end of the step, places are ahead of momenta, and the errors of the sum of the energies are of order 1.
+    """
+    rows: list[tuple[Substep, float]] = []
+    for substep, part in reversed(sequence):
+        if isinstance(substep, HeatExchange):
+            return tuple(reversed(rows))
+        if not isinstance(substep, Drift):
+            break
+        rows.append((substep, part))
+    return ()
+
+
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
     """Return a scheme whose step is a proposal between two halves of a thermostat."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))
@@ -112,12 +128,12 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")
-    refuse_lopsided(scheme)
+    require_symmetric(scheme)
     rows = repeated(scheme.sequence, steps)
     return replace(scheme, sequence=tuple((substep, part / steps) for substep, part in rows))
 
 
-def refuse_lopsided(scheme: Scheme | None, role: str = "scheme") -> None:
+def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
     """Raise ValueError for a scheme, or an inner one, whose proposals are not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")

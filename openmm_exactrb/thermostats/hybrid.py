@@ -111,7 +111,7 @@ class HybridMonteCarlo(Langevin):
 
     stepsPerProposal: int = 1
 
-    numbers = (variables.ACCEPTED, variables.PROPOSED)
+    numbers = (variables.HEAT_OF_FRICTION, variables.ACCEPTED, variables.PROPOSED)
     scheme: ClassVar[str] = "S2_2"
 
     def __post_init__(self) -> None:
@@ -119,8 +119,8 @@ class HybridMonteCarlo(Langevin):
         positive(self.temperature, "the temperature of Metropolis's rule", "K")
         whole(self.stepsPerProposal, "stepsPerProposal")
 
-    def device_numbers(self) -> None:
-        """Return None: no program decides on proposals."""
+    def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
+        """Return nothing: Metropolis's rule needs energies on the host."""
 
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""
@@ -176,7 +176,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         frictions = frictionCoeff, rotationalFriction
         thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
-        thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
+        thermostatted.require_symmetric(None if self._fast is None else self._fast.scheme, "inner scheme")
 
     @property
     def forceEvaluationsPerStep(self) -> int:

@@ -7,6 +7,7 @@ import pytest
 import openmm_exactrb as rb
 from on_device import platform_for
 from peptides import moving, peptide, positions_of
+from starts import force_of
 
 SMALL = 1e-12  # nm, nm/ps
 BODY, ION = slice(3, 6), 6
@@ -16,7 +17,7 @@ BODY, ION = slice(3, 6), 6
 def system():
     """Two molecules of water and an ion, and positions."""
     _, system, positions = rb.rigid_water(2)
-    (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     nonbonded.addParticle(1.0, 0.25, 0.5)
     system.addParticle(23.0)
     return system, np.array([*positions._value, (0.3, 0.6, 0.3)])

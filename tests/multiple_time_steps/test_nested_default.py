@@ -13,7 +13,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from peptides import bonded_apart, end_of, moving, peptide, positions_of
-from starts import context_of
+from starts import context_of, force_of
 
 
 @dataclass(frozen=True)
@@ -154,13 +154,13 @@ def test_nested_forces_follow_parameters_and_the_box():
 def test_what_changes_unseen_is_kicked_by_the_outer_steps():
     """A bond that `updateParametersInContext` changes: the sum of all forces acts, whatever part of it is nested."""
     _, system, x = peptide()
-    bonds = next(force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    bonds = force_of(system, openmm.HarmonicBondForce)
     ends = []
     for fast in (None, "bonded"):
         own = openmm.XmlSerializer.clone(system)
         integrator, context = moving(own, x, 0.0002, "SRKN4_6b", fast=fast)
         integrator.step(5)
-        force = next(force for force in own.getForces() if isinstance(force, openmm.HarmonicBondForce))
+        force = force_of(own, openmm.HarmonicBondForce)
         i, j, length, k = force.getBondParameters(0)
         force.setBondParameters(0, i, j, 1.05 * length, k)
         force.updateParametersInContext(context)
@@ -175,7 +175,7 @@ def test_bonds_of_virtual_sites_stay_outside():
     _, system, x = peptide("None")
     site = system.addParticle(0.0)
     system.setVirtualSite(site, openmm.TwoParticleAverageSite(4, 5, 0.5, 0.5))
-    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     nonbonded.addParticle(0.0, 1.0, 0.0)
     force = openmm.HarmonicBondForce()
     force.addBond(site, 10, 0.4, 500.0)
@@ -190,7 +190,7 @@ def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies()
     _, system, positions = rb.rigid_water(2, nonbondedMethod=app.NoCutoff)
     x = np.array(positions.value_in_unit(unit.nanometer))
     anchor = system.addParticle(0.0)
-    (nonbonded,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     nonbonded.addParticle(0.0, 1.0, 0.0)
     force = openmm.HarmonicBondForce()
     force.addBond(1, anchor, 0.1, 5e4)

@@ -16,6 +16,7 @@ import openmm_exactrb as rb
 from force_laws import assert_lawful, context_of, energy_and_forces, evaluated, positions_of, slope
 from openmm_exactrb.potentials import SoftDipoles
 from soft_dipoles import FIELD, PARAMETERS, arrows, assert_same, fluid, truncated
+from starts import masses_of
 
 DATA = Path(__file__).parent.parent / "data"
 HEAD_TO_TAIL = [(0, 1), (2, 3)]
@@ -65,7 +66,7 @@ def energy_of(context, x):
 def forces_and_torques(context):
     """Return centres, total forces and space-frame torques of the bodies."""
     x, system = sites(context), context.getSystem()
-    mass = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())]).reshape(9, -1)
+    mass = masses_of(system).reshape(9, -1)
     F = evaluated(context)[1].reshape(x.shape) * (mass > 0)[..., None]
     centre = np.einsum("ns,nsi->ni", mass, x) / mass.sum(1, keepdims=True)
     return centre, F.sum(1), np.cross(x - centre[:, None], F).sum(1)

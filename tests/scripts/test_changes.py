@@ -21,7 +21,7 @@ from boxes import (
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from starts import context_of
+from starts import context_of, masses_of
 
 
 def heavier(simulation):
@@ -69,7 +69,7 @@ def test_parameters_act_from_the_next_step_on():
     system.addForce(field)
     simulation = simulation_of(topology, system, positions)
     quietly(simulation.step, 2)
-    masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    masses = masses_of(system)
 
     def momentum():
         v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value

@@ -7,11 +7,11 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from peptides import in_water, peptide
-from starts import context_of
+from starts import context_of, masses_of
 
 
 def masses(system):
-    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
+    return masses_of(system)
 
 
 def hydrogens(topology):

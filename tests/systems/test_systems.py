@@ -8,7 +8,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.systems.fluids import rigid_sites
-from starts import context_of, simulation_of
+from starts import context_of, force_of, simulation_of
 
 
 def inertia_tensor(sites, mass):
@@ -150,7 +150,7 @@ def test_quantities_are_taken_as_their_numbers():
 def test_tip4p_2005_has_the_charges_and_the_size_that_were_published():
     """Abascal and Vega 2005: a dipole of 2.305 D and a quadrupole of 2.297 D A, table II; epsilon/k = 93.2 K."""
     _, system, positions = rb.rigid_water(1, seed=3, model="tip4p2005")
-    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     parameters = [nonbonded.getParticleParameters(i) for i in range(4)]
     charges = np.array([q._value for q, _, _ in parameters])
     x = positions._value

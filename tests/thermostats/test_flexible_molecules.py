@@ -13,8 +13,8 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from forked import FORKED
-from peptides import R, moving, peptide, positions_of, velocities_of, violations
-from starts import REFERENCE, context_of
+from peptides import R, moving, peptide, positions_of, violations
+from starts import REFERENCE, context_of, velocities_of
 
 
 def test_strong_friction_makes_every_kinetic_energy_canonical():

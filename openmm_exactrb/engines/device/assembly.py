@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Launch, Program, Source
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
 from openmm_exactrb.engines.device.segments import Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
-# Numbers of a heat exchange beside its time: see kernels/rigid.cl.
+# Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
 
 
@@ -29,10 +31,18 @@ class Assembly:
     """
 
     def __init__(
-        self, bodies: RigidBodies, scheme: Scheme, updates: Any, sites: bool, factors: Factors | None = None
+        self,
+        bodies: RigidBodies,
+        scheme: Scheme,
+        updates: Any,
+        sites: bool,
+        factors: Factors | None = None,
+        flexible: Flexible | None = None,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
-        step = Step.of(scheme.sequence, splits_exchanges=factors is not None, remembers=any(scheme.memory))
+        late = flexible is not None and flexible.molecules.late
+        rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
+        step = Step.of(rows, splits_exchanges=factors is not None, remembers=any(scheme.memory))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
         self._demands = demands = Demands(
@@ -44,7 +54,9 @@ class Assembly:
             own,
         )
         self.table = Table(own)
-        self.parts: list[RigidPart] = parts_of(bodies, bodies.kinds, demands)
+        molecules = [] if flexible is None else [FlexiblePart(*flexible, demands)]
+        others = molecules[0].bodies if molecules else None
+        self.parts: list[RigidPart | FlexiblePart] = [*molecules, *parts_of(bodies, demands, others)]
         self.program = to = Program()
         to.scalars |= {"turn": 0.0, "key": 0.0}
         to.array("factors", 2)

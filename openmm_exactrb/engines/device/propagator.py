@@ -14,11 +14,15 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
+from openmm_exactrb.engines.device.flexible.molecules import bodies_of, molecules_of
+from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
+from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -48,11 +52,12 @@ class DevicePropagator:
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
         self.sync, self.updates = (
-            DeviceState(context, integrator, settings.named),
+            DeviceState(context, integrator, settings.named, bodies=bodies_of(context, settings)),
             ContextUpdates(context, settings.named or []),
         )
         self.device = Device(library(), integrator)
         self._integrator, self._timings, self._settings = weakref.ref(integrator), timings, settings
+        self._fast = fast_forces(system, self.sync.bodies, settings.fast)
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
@@ -69,16 +74,21 @@ class DevicePropagator:
         return self.sync.outdated
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, which the device does not keep."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange."""
+        self.sync.pull()
+        return energy_at_exchange(self.sync, settings(), self._timings)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
     def _load(self) -> None:
         """Give the integrator the program of the settings, and its tables."""
         self._assembly = assembly = Assembly(
-            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors
+            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors, self._flexible
         )
         self.device.load(assembly.program.text)
         context: Any = self.sync.context
@@ -89,14 +99,23 @@ class DevicePropagator:
         self.device["interval"], self.device["leaves"] = self.updates.periods
 
     @property
+    def _flexible(self) -> Flexible | None:
+        """The flexible molecules, with fast forces in double precision where all forces are."""
+        context: Any = self.sync.context
+        molecules = molecules_of(context.getSystem(), self.sync.bodies, self._fast, self._settings)
+        precision = np.float64 if platforms.is_double(context) else np.float32
+        return None if molecules is None else Flexible(molecules, self.sync.particles, precision)
+
+    @property
     def _processed(self) -> bool:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
         """Bring the program to new settings: its numbers, or all of it."""
         self._leave(settings)
-        self._settings = settings
-        if self._assembly.scheme != settings.scheme:
+        before, self._settings = (self._settings.h, self._settings.groups), settings
+        nested = self._fast is not None and before != (settings.h, settings.groups)
+        if self._assembly.scheme != settings.scheme or nested:
             self.sync.pull()
             self._load()
             self.sync.replace(self.sync.state)

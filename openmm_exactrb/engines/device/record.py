@@ -7,16 +7,14 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.synchronisation import refuse_unset
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.engines.custom_program import record as flexible
-from openmm_exactrb.engines.device.library import MissingLibraryError, library
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, bodies_of, molecules_of
+from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
-from openmm_exactrb.moves import of_substep
+from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
-from openmm_exactrb.openmm_access import arrays, platforms
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
 
@@ -41,31 +39,35 @@ def _unsupported(settings: Settings) -> str | None:
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
     """Return why a Context is not served."""
-    if _is_flexible(context, settings):
-        return flexible.DEVICE.unsupported(settings) or flexible.DEVICE.unsupported_in(context, settings)
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
         return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
     if "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
+    system, bodies = context.getSystem(), bodies_of(context, settings)
+    try:
+        molecules = molecules_of(system, bodies, fast_forces(system, bodies, settings.fast), settings)
+    except NotServedError as error:
+        return str(error)
+    if molecules is not None:
+        return _unsupported_beside_molecules(settings)
     return None
 
 
-def _is_flexible(context: Any, settings: Settings) -> bool:
-    """Return whether molecules have inner steps or constraints that leave them a motion of their own."""
-    refuse_unset(context)
-    system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
-    bodies = find_bodies(system, x, settings.named)
-    found = fast_forces(system, bodies, settings.fast)
-    return bool(len(bodies.clusters)) or (found is not None and found.acts(settings.outer, settings.h))
+def _unsupported_beside_molecules(settings: Settings) -> str | None:
+    """Return what the kernels of flexible molecules do not have."""
+    if settings.scheme.has_gradients:
+        return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
+    for substep, part in settings.scheme.sequence:
+        if any(move.op == Op.OWN for move in of_substep(substep, part)):
+            return f"the device has no kernel of {substep!r} for flexible molecules"
+    return None
 
 
 def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
     if why := platforms.no_gpu(context):
         return False, why
-    if _is_flexible(context, settings):
-        return flexible.DEVICE.advice(context, settings)
     try:
         library()
     except MissingLibraryError as error:
@@ -74,7 +76,7 @@ def _advice(context: Any, settings: Settings) -> tuple[bool, str]:
 
 
 def _marks(settings: Settings) -> tuple[float, ...]:
-    return variables.device(settings.own_numbers), *flexible.DEVICE.marks(settings)
+    return (variables.device(settings.own_numbers),)
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
@@ -91,9 +93,6 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
     """Return a propagator, with an integrator of the library behind the Python object."""
-    if _is_flexible(context, settings):
-        made: Propagator = flexible.DEVICE.propagator(context, integrator, settings, timings)
-        return made
     if not library().owns(integrator):
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)
@@ -109,5 +108,5 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
-    release=flexible.DEVICE.release,
+    information=describe,
 )

@@ -20,14 +20,15 @@ from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.rotors.exact import constants
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 Values = Mapping[str, NDArray[Any]]
 
 #: Bodies of more particles get a group of so many threads each.
 LARGE, LANES = 16, 64
 #: Threads of a block, and the most blocks whose sums of kinetic energies are added up.
 BLOCK, GROUPS = 64, 256
-# Bodies that a barostat moved by less than this (nm) it left alone.
-_STILL = 1e-9
+#: Bodies that a barostat moved by less than this (nm) it left alone.
+STILL = 1e-9
 _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
@@ -64,11 +65,13 @@ class Demands:
     own: tuple[str, ...] = ()
 
 
-def parts_of(bodies: RigidBodies, chosen: Sequence[Kind], demands: Demands) -> list[RigidPart]:
-    """Return the parts of a program for some kinds: bodies with a thread each, and those with a group of threads."""
-    small = [kind for kind in chosen if kind.particles.shape[1] <= LARGE]
-    large = [kind for kind in chosen if kind.particles.shape[1] > LARGE]
-    made = (RigidPart(bodies, small, demands, "", 1), RigidPart(bodies, large, demands, "large_", LANES))
+def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
+    """Return the parts of a program for all bodies but some others (k,): with a thread for each, and with a group."""
+    chosen = np.ones(len(bodies), dtype=bool)
+    chosen[[] if others is None else others] = False
+    small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
+    large = [kind for kind in bodies.kinds if kind.particles.shape[1] > LARGE]
+    made = (RigidPart(bodies, small, chosen, demands), RigidPart(bodies, large, chosen, demands, "large_", LANES))
     return [part for part in made if part.n]
 
 
@@ -76,10 +79,18 @@ class RigidPart:
     """Some kinds of rigid bodies; the names of their arrays begin with a prefix, and `lanes` threads share a body."""
 
     def __init__(
-        self, bodies: RigidBodies, kinds: Sequence[Kind], demands: Demands, prefix: str = "", lanes: int = 1
+        self,
+        bodies: RigidBodies,
+        kinds: Sequence[Kind],
+        chosen: NDArray[np.bool_],
+        demands: Demands,
+        prefix: str = "",
+        lanes: int = 1,
     ) -> None:
-        self._bodies, self._kinds, self._demands, self._prefix, self._lanes = bodies, kinds, demands, prefix, lanes
-        ranges = [np.arange(kind.bodies.start, kind.bodies.stop) for kind in kinds]
+        self._demands, self._prefix, self._lanes = demands, prefix, lanes
+        some = [kind for kind in kinds if chosen[kind.bodies].any()]
+        self._kinds = [_only(kind, chosen[kind.bodies]) for kind in some]
+        ranges = [np.arange(kind.bodies.start, kind.bodies.stop)[chosen[kind.bodies]] for kind in some]
         self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # of the bodies, among all
         self.n = len(self.columns)
         self._turning = self.columns < bodies.n_turning
@@ -104,14 +115,14 @@ class RigidPart:
             ("DIFFERENCES_PER_STEP", demands.differences[1]),
             ("GRADIENTS", int(demands.displaces)),
             *([("SCALES", 1)] if demands.scales else []),
-            ("STILL", _STILL),
+            ("STILL", STILL),
             ("LIGHT", LIGHT),
             ("BLOCK", BLOCK),
             ("GROUPS", GROUPS),
             ("OWN_MOVES", " ".join(_call(number, text) for number, text in enumerate(demands.own))),
         ]
         body = "rotation.cl", "random.cl", "context.cl", "body.cl"
-        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "kinetic.cl"), tuple(defines))
+        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines))
 
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)
@@ -235,6 +246,12 @@ class RigidPart:
         turning, columns = self._turning, self.columns
         out.R[:, columns], out.P[:, columns] = R, P
         out.q[:, columns[turning]], out.m[:, columns[turning]] = q[:, turning], L[:, turning]
+
+
+def _only(kind: Kind, chosen: NDArray[np.bool_]) -> Kind:
+    """Return some bodies of a kind (n,)."""
+    sites, inertia = (a if len(a) == 1 else a[chosen] for a in (kind.sites, kind.inertia))
+    return replace(kind, particles=kind.particles[chosen], sites=sites, inertia=inertia)
 
 
 def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:

@@ -46,6 +46,10 @@ class Segment:
         Whether the thermostat has to know the kinetic energy before it.
     shows : bool
         Whether the velocities are shown behind it, because a step ends that somebody may look at.
+    behind : float
+        The part of the drift of bodies with inner steps that ends here, and whose last inner kick is due, or 0.
+    leaves : bool
+        Whether that of its own last drift is due in the next segment.
     places : bool
         Whether positions are placed though nothing moves.
     copied : bool
@@ -57,6 +61,8 @@ class Segment:
     time: float = 0.0
     reduces: bool = False
     shows: bool = False
+    behind: float = 0.0
+    leaves: bool = False
     copied: bool = False
     places: bool = False
 
@@ -124,6 +130,22 @@ def known_after(segments: Sequence[Segment], known: int | None = None) -> int | 
     return known
 
 
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    """Return segments of a step where the last inner kick of a drift at the end of one is due in the next one."""
+    joined, behind = [], 0.0
+    for number, segment in enumerate(segments):
+        before = behind
+        for move in segment.moves:
+            if move.op != Op.DRIFT:
+                behind = 0.0
+            elif move.bodies != "others":
+                behind = move.part
+        if number == len(segments) - 1 or segments[number + 1].reduces:  # for the velocities have to be known
+            behind = 0.0
+        joined.append(replace(segment, behind=before, leaves=bool(behind)))
+    return joined
+
+
 @dataclass(frozen=True)
 class Step:
     """The segments of a step: the first needs forces that are known, the last ends it."""
@@ -142,14 +164,14 @@ class Step:
         before = itertools.takewhile(lambda segment: segment.groups is None, segments)
         needs = next((move.groups for segment in before for move in segment.moves if move.groups), None)
         segments[-1] = replace(segments[-1], shows=True)
-        return cls(tuple(segments), needs)
+        return cls(tuple(_joined(segments)), needs)
 
     @property
     def between(self) -> Segment:
         """The last segment of a step and the first one of the next in one."""
         first, last = self.segments[0], self.segments[-1]
         late = tuple(replace(move, late=True) for move in first.moves)
-        return replace(last, moves=last.moves + late, shows=False)
+        return replace(last, moves=last.moves + late, shows=False, leaves=first.leaves)
 
     @property
     def remembered(self) -> tuple[int, int]:

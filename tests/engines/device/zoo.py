@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import openmm
+from openmm import app
 
 import openmm_exactrb as rb
 from on_device import device_platform
@@ -63,10 +64,10 @@ def every_kind(seed=3):
     return system, np.array(positions), named
 
 
-def water(n=64, model="tip3p"):
-    """Return a System of rigid water, and positions."""
+def water(n=64, model="tip3p", method=app.PME):
+    """Return a periodic System of rigid water, and positions."""
     cutoff = 0.45 * 0.3104 * np.ceil(n ** (1 / 3))
-    _, system, positions = rb.rigid_water(n, model=model, nonbondedCutoff=cutoff)
+    _, system, positions = rb.rigid_water(n, model=model, nonbondedMethod=method, nonbondedCutoff=cutoff)
     return system, np.array(positions._value)
 
 

@@ -6,7 +6,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from starts import context_of, positions_of, simulation_of, total_energy, warm
+from starts import context_of, force_of, positions_of, simulation_of, total_energy, warm
 
 
 def energy_noise(simulation, n_samples=20, steps=5):
@@ -50,7 +50,7 @@ def test_the_wrong_water_is_refused():
 def salt_water():
     """Water with two ions beside it: free particles."""
     topology, system, positions = rb.rigid_water(16)
-    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
+    nonbonded = force_of(system)
     x = positions._value
     for k, (mass, charge, sigma, epsilon) in enumerate([(22.99, 1.0, 0.2439, 0.3658), (35.45, -1.0, 0.4478, 0.1489)]):
         system.addParticle(mass)

@@ -19,36 +19,5 @@ KERNEL void kinetic(GLOBAL const int* kind, GLOBAL const int* kinds, GLOBAL cons
         if (!(P*body.inverse_mass <= LIGHT*LIGHT && L < 1e300 && x < 1e300))
             mine[2] += 1.0;
     }
-    for (int k = 0; k < 3; k++)
-        shared[k*BLOCK+LOCAL_ID] = mine[k];
-    SYNC_THREADS
-    for (int width = BLOCK/2; width > 0; width /= 2) {
-        if (LOCAL_ID < width)
-            for (int k = 0; k < 3; k++)
-                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+width];
-        SYNC_THREADS
-    }
-    if (LOCAL_ID == 0)
-        for (int k = 0; k < 3; k++)
-            sums[3*GROUP_ID+k] = shared[k*BLOCK];
-}
-
-// The sums of all groups of threads of a part, in one block: added to those of other parts, or in their place.
-KERNEL void total(GLOBAL const double* sums, GLOBAL double* totals, int adds) {
-    LOCAL double shared[3*BLOCK];
-    for (int k = 0; k < 3; k++) {
-        double mine = 0.0;
-        for (int g = LOCAL_ID; g < GROUPS; g += LOCAL_SIZE)
-            mine += sums[3*g+k];
-        shared[k*BLOCK+LOCAL_ID] = mine;
-    }
-    SYNC_THREADS
-    for (int width = BLOCK/2; width > 0; width /= 2) {
-        if (LOCAL_ID < width)
-            for (int k = 0; k < 3; k++)
-                shared[k*BLOCK+LOCAL_ID] += shared[k*BLOCK+LOCAL_ID+width];
-        SYNC_THREADS
-    }
-    if (GROUP_ID == 0 && LOCAL_ID < 3)
-        totals[LOCAL_ID] = shared[LOCAL_ID*BLOCK]+(adds ? totals[LOCAL_ID] : 0.0);
+    write_sums(mine, shared, sums);
 }

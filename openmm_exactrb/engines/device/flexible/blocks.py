@@ -1,0 +1,152 @@
+"""Which atoms of flexible molecules a block of threads has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Costs of a block: places of terms, and of atoms so many. A protein has about 30 places of terms an atom.
+COST_OF_ATOM = 8
+#: Molecules up to the second one are left whole, larger ones are divided into blocks of about the first one.
+COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 3200
+
+
+class Group(NamedTuple):
+    """Clusters of one graph of constraints: single atoms have none.
+
+    Attributes
+    ----------
+    particles : (N, n) array
+    pairs : (m, 2) array
+        The members of each constraint.
+    lengths : (m,) array
+        In nm.
+    """
+
+    particles: Indices
+    pairs: Indices
+    lengths: Array
+
+    @property
+    def star(self) -> bool:
+        """Whether constraints hold all other members to the first one, in their order."""
+        n = self.particles.shape[1]
+        return bool(np.array_equal(self.pairs, [(0, i) for i in range(1, n)])) if n > 1 else True
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Atoms in the order of blocks, and within these of clusters.
+
+    Attributes
+    ----------
+    particles : (n,) array
+        Which particle each atom is.
+    atom_of : (n_particles,) array
+        Which atom each particle is; -1 for others.
+    block_of : (n,) array
+        The block of each atom.
+    starts, sizes : (c,) arrays
+        Where the atoms of each cluster begin, and how many they are.
+    groups : list of (Group, (N,) array)
+        Clusters of a graph, and which they are.
+    first_cluster, first_atom : (b + 1,) arrays
+        Where blocks begin.
+    """
+
+    particles: Indices
+    atom_of: Indices
+    block_of: Indices
+    starts: Indices
+    sizes: Indices
+    groups: list[tuple[Group, Indices]]
+    first_cluster: Indices
+    first_atom: Indices
+
+    def __len__(self) -> int:
+        """Return the number of blocks."""
+        return len(self.first_atom) - 1
+
+
+def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int) -> Blocks:
+    """Divide clusters into blocks of about equal cost, so that few terms (., k) of particles cross their borders."""
+    count = sum(len(group.particles) for group in groups)
+    cluster_of, sizes, smallest = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int)
+    number: list[Indices] = []
+    for group in groups:
+        first = sum(map(len, number))
+        number.append(np.arange(first, first + len(group.particles)))
+        cluster_of[group.particles] = number[-1][:, None]
+        sizes[number[-1]], smallest[number[-1]] = group.particles.shape[1], group.particles.min(axis=1)
+    members = [cluster_of[particles] for particles in terms if particles.size]
+    block = _divided(_costs(members, sizes), _molecules(members, count), smallest)
+    order = np.lexsort((smallest, sizes, block))
+    rank = np.argsort(order)
+    starts = np.cumsum([0, *sizes[order]])[:-1]
+    particles, atom_of = np.zeros(int(sizes.sum()), int), np.full(n_particles, -1)
+    ranked = [(group, rank[numbers]) for group, numbers in zip(groups, number, strict=True)]
+    for group, clusters in ranked:
+        particles[starts[clusters][:, None] + np.arange(group.particles.shape[1])] = group.particles
+    atom_of[particles] = np.arange(len(particles))
+    first_cluster = np.searchsorted(block[order], np.arange(block.max(initial=-1) + 2))
+    first_atom = np.append(starts, len(particles))[first_cluster]
+    return Blocks(
+        particles,
+        atom_of,
+        np.repeat(block[order], sizes[order]),
+        starts,
+        sizes[order],
+        ranked,
+        first_cluster,
+        first_atom,
+    )
+
+
+def _costs(members: Sequence[Indices], sizes: Indices) -> Indices:
+    """Return the cost of each cluster."""
+    places = np.concatenate([np.zeros(0, int), *(of_kind.ravel() for of_kind in members)])
+    return np.asarray(COST_OF_ATOM * sizes + np.bincount(places, minlength=len(sizes)))
+
+
+def _molecules(members: Sequence[Indices], count: int) -> Indices:
+    """Return the molecule of each of so many clusters, as far as terms connect them."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = [np.stack([of_kind[:, 0], of_kind[:, k]]) for of_kind in members for k in range(1, of_kind.shape[1])]
+    joined = np.concatenate([np.zeros((2, 0), int), *ends], axis=1)
+    graph = coo_array((np.ones(joined.shape[1]), tuple(joined)), shape=(count, count))
+    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+
+
+def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
+    """Return the block of each cluster: some whole molecules, or a part of a large one.
+
+    Clusters of a molecule are in the order of their particles, which follows the chain of a protein.
+    """
+    total = np.bincount(molecule, cost).astype(int)
+    large = total > COST_OF_MOLECULE
+    first = np.full(len(total), smallest.max(initial=0))
+    np.minimum.at(first, molecule, smallest)
+    before = np.zeros(len(total), int)  # cost of small molecules in front of each
+    by_place = np.argsort(first)
+    small = by_place[~large[by_place]]
+    before[small] = np.cumsum(total[small]) - total[small]
+    of_small = before // COST_OF_BLOCK
+    parts = np.ceil(total / COST_OF_BLOCK).astype(int)
+    order = np.lexsort((smallest, molecule))
+    running = np.empty(len(cost), int)
+    running[order] = np.cumsum(cost[order]) - cost[order]
+    start = np.full(len(total), np.iinfo(int).max)
+    np.minimum.at(start, molecule, running)
+    part = (running - start[molecule]) * parts[molecule] // np.maximum(total[molecule], 1)
+    key = np.where(large[molecule], part, of_small[molecule])
+    label = np.stack([np.where(large[molecule], first[molecule] + 1, 0), key], axis=1)
+    return np.asarray(np.unique(label, axis=0, return_inverse=True)[1], dtype=np.int64).reshape(-1)

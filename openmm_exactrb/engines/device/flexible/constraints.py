@@ -1,0 +1,67 @@
+"""The clusters of flexible molecules as tables of the kernel, and its text for the graphs that there are."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.engines.device.flexible.blocks import Blocks, Group
+
+#: Other atoms of a star that the kernel has in private memory; atoms of a cluster of any graph.
+RAYS, LARGEST = 4, 32
+#: Orders of the multipliers that a drift may take, and the part of it below which it is not halved, as on the host.
+ORDERS, SETTLED, SHORTEST = 20, 1e-16, 0.5**12
+# Numbers of a cluster of any graph with m constraints besides ORDERS: see graph.cl.
+_VECTORS = 4 * ORDERS + 6 + 10
+
+
+def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return the kernel's arrays of clusters, and its constants."""
+    n, graphs, constraints = len(blocks.particles), 0, 0
+    table = np.stack([blocks.starts, blocks.sizes, *np.full((3, len(blocks.starts)), -1)], axis=1)
+    of_stars, ends = np.zeros(n), [np.zeros((0, 2), int)]
+    lengths: list[NDArray[Any]] = []
+    most = 0
+    for group, clusters in blocks.groups:
+        m, count = len(group.pairs), len(clusters)
+        if is_star(group):
+            of_stars[blocks.starts[clusters][:, None] + np.arange(1, m + 1)] = group.lengths
+            continue
+        number = np.arange(count)
+        table[clusters, 2:] = np.stack([graphs + number, constraints + m * number, np.full(count, m)], axis=1)
+        lengths.append(np.tile(group.lengths, count))
+        ends.append(np.tile(group.pairs, (count, 1)))
+        graphs, constraints, most = graphs + count, constraints + m * count, max(most, m)
+    sizes = [group.particles.shape[1] for group, _ in blocks.groups if is_star(group)]
+    constants: dict[str, Any] = {
+        "GRAPHS": graphs,
+        "MOST_CONSTRAINTS": most,
+        "ALL_ATOMS": n,
+        "STAR": max(sizes, default=1),
+    }
+    room = graphs * (most * (_VECTORS + most) + 3 * LARGEST)
+    made = {
+        "clusters": table.astype(np.int32),
+        "lengths": np.concatenate([of_stars, *lengths]),
+        "ends": np.concatenate(ends).astype(np.int32),
+        "room": np.zeros(room),
+    }
+    constants |= {"ORDERS": ORDERS, "SETTLED": SETTLED, "SHORTEST": SHORTEST}
+    cases = (
+        f"case {size}: move_star_{size}(t, X, V, w, length); break;" for size in range(2, max(sizes, default=1) + 1)
+    )
+    return made, constants | {"MOVE_STARS": " ".join(cases)}
+
+
+def is_star(group: Group) -> bool:
+    """Return whether the kernel has a cluster in private memory."""
+    return group.star and group.particles.shape[1] <= RAYS + 1
+
+
+def files(blocks: Blocks) -> tuple[str, ...]:
+    """Return the files of the functions by which clusters move."""
+    stars = max((group.particles.shape[1] for group, _ in blocks.groups if is_star(group)), default=1)
+    any_graph = not all(is_star(group) for group, _ in blocks.groups)
+    return ("star.cl", "constraints.cl") * (stars - 1) + ("graph.cl", "constraints.cl") * any_graph

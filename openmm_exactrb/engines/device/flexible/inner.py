@@ -1,0 +1,64 @@
+"""The moves of bodies with inner steps: the drifts of a scheme with the fast forces in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from openmm_exactrb.engines.device.segments import Segment
+from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.schemes.sequence import Sequence, repeated
+from openmm_exactrb.substeps import KICK
+
+Moves = tuple[Move, ...]
+
+
+@dataclass(frozen=True)
+class InnerSteps:
+    """An inner scheme, and how many of its steps a drift over a part of a step has."""
+
+    sequence: Sequence
+    repetitions: Callable[[float], int]
+
+    def within(self, drift: Move) -> Moves:
+        """Return the moves of a drift."""
+        n = self.repetitions(drift.part)
+        ops = ((Op.FAST_KICK if substep == KICK else Op.DRIFT, part) for substep, part in repeated(self.sequence, n))
+        return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
+
+
+def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
+    """Return the moves of a segment for flexible molecules.
+
+    The kick at the end of a drift needs fast forces that are known in the segment behind it too, if that begins with a
+    kick: one that a segment `leaves` is due there.
+    """
+    moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
+    if inner is None:
+        return _merged(moves)
+    due = inner.within(Move(Op.DRIFT, segment.behind))[-1:] if segment.behind else ()
+    found = [move for move in due if move.op == Op.FAST_KICK]
+    for move in moves:
+        found += inner.within(move) if move.op == Op.DRIFT else (move,)
+    if segment.leaves and found[-1].op == Op.FAST_KICK:
+        found.pop()
+    return _merged(found)
+
+
+def up_to_drifts(moves: Moves) -> list[Moves]:
+    """Return moves in parts, of which all but the last one end with a drift."""
+    ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
+    parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
+    return [part for part in parts if part]
+
+
+def _merged(moves: list[Move]) -> Moves:
+    """Return moves where neighbours that add up are one."""
+    merged: list[Move] = []
+    for move in moves:
+        last = merged[-1] if merged else None
+        if last is not None and last.op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
+            merged[-1] = replace(last, part=last.part + move.part)
+        else:
+            merged.append(move)
+    return tuple(merged)

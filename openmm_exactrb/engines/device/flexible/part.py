@@ -1,0 +1,212 @@
+"""Flexible molecules in a program: their tables, their state on the device, and the launches of a segment."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.engines.device.flexible import constraints, tables
+from openmm_exactrb.engines.device.flexible.blocks import blocks_of
+from openmm_exactrb.engines.device.flexible.inner import Moves, moves_of, up_to_drifts
+from openmm_exactrb.engines.device.flexible.molecules import Molecules
+from openmm_exactrb.engines.device.library import Device
+from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
+from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
+from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.kernels.records import Terms
+from openmm_exactrb.mechanics.divergence import LIGHT
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.moves import Op
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+#: Threads of a block of atoms.
+THREADS = 64
+# Bits of what a launch does besides its moves, as in kernels/layout.cl.
+_MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
+_CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
+_ATOMS = ("atoms", "bodies", "inverse")
+_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "patches")
+
+
+class Flexible(NamedTuple):
+    """The flexible molecules of a Context.
+
+    Attributes
+    ----------
+    molecules : Molecules
+    particles : (n_particles, 3) array
+        The positions of all particles, kept up to date, for those without mass.
+    precision : type
+        Of fast forces: np.float32 or np.float64.
+    """
+
+    molecules: Molecules
+    particles: Array
+    precision: type[np.floating[Any]]
+
+
+class FlexiblePart:
+    """The part of flexible molecules in a program; arguments but the last one are those of `Flexible`."""
+
+    def __init__(
+        self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
+    ) -> None:
+        self._particles = particles
+        self._inner, self._demands = molecules.inner, demands
+        self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
+        self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
+        self._of_clusters, of_clusters = constraints.arrays(self.blocks)
+        self._of_terms, of_terms = self._terms(molecules.terms)
+        self.n = len(self.blocks.particles)
+        self.columns = self._body_of[self.blocks.particles]
+        self._open = of_terms["PLACES_IN_ALL"] > self.n
+        self._source = self._text(of_clusters | of_terms)
+        self._mass = self._masses[self.blocks.particles]
+
+    def _terms(self, terms: Terms) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        return tables.arrays(terms, self.blocks, self._precision)
+
+    def _text(self, constants: dict[str, Any]) -> Source:
+        demands = self._demands
+        constants |= {"FINE": "float" if self._precision is np.float32 else "double", "STILL": STILL}
+        constants |= {"BLOCK": BLOCK, "GROUPS": GROUPS, "LIGHT": LIGHT}
+        constants |= {"MEMORY": demands.memory[0], "PER_STEP": demands.memory[1]}
+        constants |= {"SCALES": 1} if demands.scales else {}
+        files = ("random.cl", "context.cl", "layout.cl", *constraints.files(self.blocks), "bonded.cl", "inner.cl")
+        return Source((*files, "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
+
+    def _state(self, copied: bool) -> tuple[str, str]:
+        inner = "inner_" if self._demands.copied and not copied else ""
+        return f"flexible_{inner}x", f"flexible_{inner}v"
+
+    # -- declarations and launches ---------------------------------------------------------------------------------
+
+    def declare(self, to: Program) -> None:
+        """Declare tables, the state, and what is remembered."""
+        for name, values in self.tables().items():
+            to.array(name, values.size, element=values.itemsize)
+        for copied in (False, True)[: 1 + self._demands.copied]:
+            for name in self._state(copied):
+                to.array(name, 3 * self.n, saved=True)
+        for name in ("y", "z"):
+            to.array(f"flexible_{name}", 3 * self.n * self._open)
+        to.array("flexible_memory", 3 * self.n * self._demands.memory[0], saved=True)
+        to.array("flexible_kinetic", 3 * GROUPS)
+
+    def launches(self, segment: Segment, table: Table) -> list[Operation]:
+        """Return the launches of a segment: one, or one for each drift if blocks have terms in common."""
+        moves = moves_of(segment, self._inner)
+        x, v = self._state(segment.copied)
+        parts = (self._open and up_to_drifts(moves)) or [moves]
+        last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
+        made: list[Operation] = []
+        here = x
+        for k, part in enumerate(parts):
+            last = k == len(parts) - 1
+            there = self._next(here, x, k == last_drift) if self._open and _drifts(part) else here
+            what = _MOVES * _drifts(part) | _PLACES * (k == last_drift or (segment.places and last))
+            what |= (_PROJECTS | _SHOWS) * (segment.shows and last)
+            made.append(self._launch(table.rows(part), what, (here, there, v)))
+            here = there
+        if here != x:
+            made.append(copy(here, x))
+        return made
+
+    @staticmethod
+    def _next(here: str, x: str, last: bool) -> str:
+        """Return the array for positions behind a drift from those in another one: in the end, x if that is not it."""
+        if last and here != x:
+            return x
+        return "flexible_z" if here == "flexible_y" else "flexible_y"
+
+    def _launch(self, rows: tuple[int, int], what: int, state: tuple[str, ...]) -> Launch:
+        arguments: tuple[str | int, ...] = (
+            *_CONTEXT,
+            *state,
+            *(f"flexible_{name}" for name in ("memory", *_ATOMS, *_TABLES)),
+            *(Table.MOVES, Table.NUMBERS, "factors", *rows, what, "#step", "$key", "$turn"),
+        )
+        return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
+
+    def copies(self) -> list[Operation]:
+        """Return what makes the shown molecules copies of those of the inner coordinates."""
+        return [copy(*names) for names in zip(self._state(False), self._state(True), strict=True)]
+
+    def returns(self) -> list[Operation]:
+        """Return what makes the molecules in inner coordinates copies of those that are shown."""
+        return [copy(*names) for names in zip(self._state(True), self._state(False), strict=True)]
+
+    def reductions(self, copied: bool, adds: bool) -> list[Operation]:
+        """Return what writes the kinetic energy along the constraints to "totals", or adds it."""
+        x, v = self._state(copied)
+        threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
+        kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
+        total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
+        return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
+
+    def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
+        """Return what adds the changes of velocities that show one state to those of it, or of the other one."""
+        states = self._state(copied)[1], self._state(to_copy)[1]
+        return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
+
+    def moved(self, copied: bool) -> list[Operation]:
+        """Return what reads positions that were changed."""
+        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self._state(copied)[0]
+        return [Launch(self._source, "flexible_moved", self.n, arguments)]
+
+    # -- values ------------------------------------------------------------------------------------------------------
+
+    def tables(self) -> dict[str, NDArray[Any]]:
+        """Return what does not change, by the names of arrays."""
+        of_atoms = {
+            "atoms": self.blocks.particles.astype(np.int32),
+            "bodies": self.columns.astype(np.int32),
+            "inverse": np.divide(1.0, self._mass, out=np.zeros(self.n), where=self._mass > 0.0),
+        }
+        every = of_atoms | self._of_clusters | self._of_terms
+        return {
+            f"flexible_{name}": values if values.size else np.zeros(1, values.dtype) for name, values in every.items()
+        }
+
+    def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
+        """Write the state of all bodies, and the positions of particles without mass, to the device."""
+        massive = self._mass > 0.0
+        x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
+        x[massive] = state.R[:, self.columns[massive]].T
+        v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
+        for name, values in zip(self._state(copied), (x, v), strict=True):
+            device.upload(name, values)
+
+    def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
+        """Read the state of these bodies into that of all."""
+        massive = self._mass > 0.0
+        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self._state(copied))
+        out.R[:, self.columns[massive]] = x.T
+        out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
+
+    def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
+        """Do nothing: all are in flexible molecules."""
+
+    @property
+    def bodies(self) -> Indices:
+        """Which of all bodies these are."""
+        return np.sort(self.columns[self.columns >= 0])
+
+    @property
+    def has_fixed(self) -> bool:
+        """Whether there are atoms without mass, which others may move."""
+        return bool((self._mass == 0.0).any())
+
+    def change(self, device: Device, terms: Terms) -> None:
+        """Write other numbers of the same terms."""
+        arrays, _ = self._terms(terms)
+        for name in ("constants", "patches"):
+            device.upload(f"flexible_{name}", arrays[name])
+
+
+def _drifts(part: Moves) -> bool:
+    return any(move.op == Op.DRIFT for move in part)

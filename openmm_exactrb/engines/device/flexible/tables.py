@@ -1,0 +1,137 @@
+"""The tables of the kernel: blocks, the atoms that each has, clusters, and the terms that touch them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from openmm_exactrb.engines.device.flexible.blocks import Blocks
+from openmm_exactrb.kernels.records import Terms
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Kinds of terms in the order of the kernel's tables.
+KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
+
+
+class Kind(NamedTuple):
+    """Terms of a kind: `particles` (T, k), what else the kernel reads of them as whole numbers (j, T), and numbers."""
+
+    particles: Indices
+    others: Indices
+    numbers: Array
+
+
+class Copies(NamedTuple):
+    """Terms of a kind, once for each block that they touch: which (C,), of which block (C,), of which atoms (C, k)."""
+
+    terms: Indices
+    block: Indices
+    atoms: Indices
+
+
+class Local(NamedTuple):
+    """The atoms that blocks have places for (p,), its own ones first, and where those of each begin (b + 1,)."""
+
+    atoms: Indices
+    first: Indices
+
+
+def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]:
+    """Return the terms of the host's kernel, with the numbers of the device's."""
+    length, strength = terms.of_bonds
+    square = length * length
+    near = square.astype(precision).astype(np.float64)
+    numbers = (
+        np.stack([length, near, square - near, strength]),
+        terms.of_angles,
+        terms.of_torsions.reshape(2 * terms.of_torsions.shape[1], len(terms.torsions)),
+        terms.of_pairs,
+        terms.of_impropers,
+        np.zeros((0, len(terms.maps))),
+    )
+    kinds = {
+        name: Kind(of_kind, np.zeros((0, len(of_kind)), dtype=np.int64), values)
+        for name, of_kind, values in zip(KINDS, particles(terms), numbers, strict=True)
+    }
+    return kinds | {"maps": kinds["maps"]._replace(others=terms.maps[:, 8:].T)}
+
+
+def particles(terms: Terms) -> list[Indices]:
+    """Return the particles of terms of each kind."""
+    return [terms.bonds, terms.angles, terms.torsions, terms.pairs, terms.impropers, terms.maps[:, :8]]
+
+
+def copies(particles: Indices, blocks: Blocks) -> Copies:
+    """Return terms of particles (T, k) by blocks, each once in every block that it touches."""
+    atoms = blocks.atom_of[particles]
+    block, number, count = blocks.block_of[atoms], np.arange(len(atoms)), max(len(atoms), 1)
+    crosses = (block != block[:, :1]).any(axis=1)
+    of_several = np.unique(block[crosses] * count + number[crosses, None])
+    keys = np.sort(np.concatenate([block[~crosses, 0] * count + number[~crosses], of_several]))
+    return Copies(keys % count, keys // count, atoms[keys % count])
+
+
+def local(blocks: Blocks, found: list[Copies]) -> Local:
+    """Return the atoms that each block reads: its own ones, and those of its terms that are of others."""
+    n = len(blocks.particles)
+    keys = [np.zeros(0, int)]
+    for of_kind in found:
+        foreign = blocks.block_of[of_kind.atoms] != of_kind.block[:, None]
+        keys.append((of_kind.block[:, None] * n + of_kind.atoms)[foreign])
+    partners = np.unique(np.concatenate(keys))
+    block = np.concatenate([blocks.block_of, partners // n])
+    order = np.argsort(block, kind="stable")  # own atoms stay in front
+    atoms = np.concatenate([np.arange(n), partners % n])[order]
+    return Local(atoms, np.searchsorted(block[order], np.arange(len(blocks) + 1)))
+
+
+def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
+    """Return where the atoms of terms are in their blocks (C, k)."""
+    n, own = len(blocks.particles), np.diff(blocks.first_atom)
+    block = np.repeat(np.arange(len(blocks)), np.diff(room.first))
+    within = np.arange(len(room.atoms)) - room.first[block]
+    partner = within >= own[block]
+    keys, of_keys = (block * n + room.atoms)[partner], within[partner]
+    wanted = found.block[:, None] * n + found.atoms
+    there = np.searchsorted(keys, wanted)
+    by_key = np.append(of_keys, 0)[np.minimum(there, len(of_keys))]
+    inside = blocks.block_of[found.atoms] == found.block[:, None]
+    return np.where(inside, found.atoms - blocks.first_atom[found.block][:, None], by_key)
+
+
+def arrays(
+    terms: Terms, blocks: Blocks, precision: type[np.floating]
+) -> tuple[dict[str, NDArray[Any]], dict[str, int]]:
+    """Return the kernel's arrays of terms and blocks, and its constants."""
+    kinds = kinds_of(terms, precision)
+    found = {name: copies(kind.particles, blocks) for name, kind in kinds.items()}
+    room = local(blocks, list(found.values()))
+    constants = {"BLOCKS": len(blocks), "PLACES_IN_ALL": len(room.atoms), "HARMONICS": terms.of_torsions.shape[1]}
+    constants["PLACES_OF_BLOCK"] = int(np.diff(room.first).max(initial=1))
+    constants["OWN_OF_BLOCK"] = int(np.diff(blocks.first_atom).max(initial=1))
+    members, numbers = [np.zeros(0, int)], [np.zeros(0)]
+    table = [blocks.first_cluster[:-1], np.diff(blocks.first_cluster), room.first[:-1], np.diff(room.first)]
+    table.append(np.diff(blocks.first_atom))
+    for name, kind in kinds.items():
+        which = found[name]
+        constants |= {
+            name.upper(): len(which.terms),
+            f"MEMBERS_OF_{name.upper()}": sum(map(len, members)),
+            f"NUMBERS_OF_{name.upper()}": sum(map(len, numbers)),
+        }
+        members += [places(which, blocks, room).T.ravel(), kind.others[:, which.terms].ravel()]
+        numbers.append(kind.numbers[:, which.terms].ravel())
+        first = np.searchsorted(which.block, np.arange(len(blocks) + 1))
+        table += [first[:-1], first[1:]]
+    made = {
+        "blocks": np.stack(table, axis=1).astype(np.int32),
+        "block_atoms": room.atoms.astype(np.int32),
+        "members": np.concatenate(members).astype(np.int32),
+        "constants": np.concatenate(numbers).astype(precision),
+        "patches": terms.patches.astype(precision),
+    }
+    return made, constants

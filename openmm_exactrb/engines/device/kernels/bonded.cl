@@ -1,0 +1,162 @@
+// Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
+// formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are taken in double precision; what
+// follows from them is `fine`, float or double.
+//
+// Columns of a table stand behind each other: number k of term t is numbers[k*count+t]. Terms are found by their places
+// in the block, of which the first `own` are moved by it: others have the same term among their own.
+
+typedef struct { int first, last, count; } Terms; // of the block, and how many all blocks have
+
+#define ATOM(k) terms_of[(k)*terms.count+t]
+#define NUMBER(k) numbers[(k)*terms.count+t]
+#define EACH_TERM for (int t = terms.first+LOCAL_ID; t < terms.last; t += LOCAL_SIZE)
+#define IN_BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
+    GLOBAL const fine* numbers
+
+#define DIFFERENCE(u, a, b) const fine u##0 = (fine) (xs[3*(a)]-xs[3*(b)]), u##1 = (fine) (xs[3*(a)+1]-xs[3*(b)+1]), \
+    u##2 = (fine) (xs[3*(a)+2]-xs[3*(b)+2])
+#define DOT(u, v) (u##0*v##0+u##1*v##1+u##2*v##2)
+#define CROSS(w, u, v) const fine w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
+#define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own)
+
+// Sums are in fixed point, as OpenMM's: their order does not matter. A force that has no place there breaks the block.
+DEVICE inline void add(fine f0, fine f1, fine f2, int a, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own) {
+    if (a >= own)
+        return;
+    if (!(fabs(f0) < LARGEST_FORCE && fabs(f1) < LARGEST_FORCE && fabs(f2) < LARGEST_FORCE)) {
+        *broken = 1;
+        return;
+    }
+    ATOMIC_ADD(&sums[3*a], (mm_ulong) ((mm_long) (f0*(fine) FIXED_POINT)));
+    ATOMIC_ADD(&sums[3*a+1], (mm_ulong) ((mm_long) (f1*(fine) FIXED_POINT)));
+    ATOMIC_ADD(&sums[3*a+2], (mm_ulong) ((mm_long) (f2*(fine) FIXED_POINT)));
+}
+
+// Numbers: length, its square less `fine` digits of it, strength.
+DEVICE inline void add_bonds(IN_BLOCK) {
+    EACH_TERM {
+        const int a = ATOM(0), b = ATOM(1);
+        const double d0 = xs[3*a]-xs[3*b], d1 = xs[3*a+1]-xs[3*b+1], d2 = xs[3*a+2]-xs[3*b+2], square = d0*d0+d1*d1+d2*d2;
+        const fine u0 = (fine) d0, u1 = (fine) d1, u2 = (fine) d2, r = sqrt((fine) square), length = NUMBER(0);
+        if (r == 0) // it has no direction
+            continue;
+        const fine stretch = (fine) (square-(double) NUMBER(1)-(double) NUMBER(2))/(r+length), f = -NUMBER(3)*stretch/r;
+        ADD(a, f, u);
+        ADD(b, -f, u);
+    }
+}
+
+// Numbers: product of charges times Coulomb's constant, sigma, epsilon.
+DEVICE inline void add_pairs(IN_BLOCK) {
+    EACH_TERM {
+        const int a = ATOM(0), b = ATOM(1);
+        DIFFERENCE(u, a, b);
+        const fine square = DOT(u, u), ratio = NUMBER(1)*NUMBER(1)/square, s = ratio*ratio*ratio;
+        const fine f = (NUMBER(0)/sqrt(square)+NUMBER(2)*(48*s-24)*s)/square;
+        ADD(a, f, u);
+        ADD(b, -f, u);
+    }
+}
+
+// Numbers: cosine and sine of the angle, strength.
+DEVICE inline void add_angles(IN_BLOCK) {
+    EACH_TERM {
+        const int a = ATOM(0), b = ATOM(1), c = ATOM(2);
+        DIFFERENCE(u, a, b);
+        DIFFERENCE(v, c, b);
+        CROSS(n, u, v);
+        const fine sine = fmax(sqrt(DOT(n, n)), (fine) 1e-12f), cosine = DOT(u, v);
+        const fine f = NUMBER(2)*atan2(NUMBER(1)*cosine-NUMBER(0)*sine, NUMBER(0)*cosine+NUMBER(1)*sine);
+        CROSS(p, u, n);
+        CROSS(q, n, v);
+        const fine g = f/(sine*DOT(u, u)), h = f/(sine*DOT(v, v));
+        const fine m0 = g*p0+h*q0, m1 = g*p1+h*q1, m2 = g*p2+h*q2;
+        ADD(a, g, p);
+        ADD(c, h, q);
+        ADD(b, (fine) -1, m);
+    }
+}
+
+// Of a torsion: its cosine and sine, and the forces of -dV/dphi = 1 on the first and last atom, and through the axis.
+#define TORSION(i, j, k, l) \
+    DIFFERENCE(d, i, j); \
+    DIFFERENCE(e, j, k); \
+    DIFFERENCE(z, l, k); \
+    CROSS(a, d, e); \
+    CROSS(b, z, e); \
+    CROSS(ba, b, a); \
+    const fine aa = DOT(a, a), bb = DOT(b, b), g = sqrt(DOT(e, e)), scale = 1/sqrt(aa*bb); \
+    const fine cosine = scale*DOT(a, b), sine = scale/g*DOT(ba, e); \
+    const fine first = -g/aa, last = g/bb, p = DOT(d, e)/(aa*g), q = -DOT(z, e)/(bb*g); \
+    const fine h0 = p*a0+q*b0, h1 = p*a1+q*b1, h2 = p*a2+q*b2; \
+    const fine m0 = h0-first*a0, m1 = h1-first*a1, m2 = h2-first*a2, o0 = h0+last*b0, o1 = h1+last*b1, o2 = h2+last*b2;
+#define ADD_TORSION(i, j, k, l, f) \
+    ADD(i, (f)*first, a); \
+    ADD(j, (f), m); \
+    ADD(k, -(f), o); \
+    ADD(l, (f)*last, b);
+
+// Numbers: coefficients of cosines, then of sines.
+DEVICE inline void add_torsions(IN_BLOCK) {
+    EACH_TERM {
+        const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
+        TORSION(i, j, k, l)
+        fine cn = cosine, sn = sine, f = 0;
+        for (int n = 0; n < HARMONICS; n++) {
+            f += (n+1)*(NUMBER(n)*sn-NUMBER(HARMONICS+n)*cn);
+            const fine next = cn*cosine-sn*sine;
+            sn = sn*cosine+cn*sine;
+            cn = next;
+        }
+        ADD_TORSION(i, j, k, l, f)
+    }
+}
+
+// Numbers: angle, strength, and the circle as OpenMM's formula has it.
+DEVICE inline void add_impropers(IN_BLOCK) {
+    EACH_TERM {
+        const int i = ATOM(0), j = ATOM(1), k = ATOM(2), l = ATOM(3);
+        TORSION(i, j, k, l)
+        const fine away = atan2(sine, cosine)-NUMBER(0), f = -2*NUMBER(1)*(away-NUMBER(2)*rint(away/NUMBER(2)));
+        ADD_TORSION(i, j, k, l, f)
+    }
+}
+
+// Write into which of so many parts of the circle an angle falls, and how far; the first part if it is no number.
+DEVICE inline void find_patch(fine cosine, fine sine, int size, int* part, fine* within) {
+    fine angle = atan2(sine, cosine);
+    angle = angle < 0 ? angle+CIRCLE : angle;
+    *part = max(0, min((int) (angle*(size/CIRCLE)), size-1));
+    *within = angle-*part*(CIRCLE/size);
+}
+
+// Atoms of both torsions, first patch and patches per direction; numbers are none, but coefficients of patches.
+DEVICE inline void add_maps(IN_BLOCK, GLOBAL const fine* patches) {
+    EACH_TERM {
+        const int size = ATOM(9);
+        fine cosines[2], sines[2], u, v, energy = 0, of_u = 0, of_v = 0;
+        int s, other;
+        for (int n = 0; n < 2; n++) {
+            TORSION(ATOM(4*n), ATOM(4*n+1), ATOM(4*n+2), ATOM(4*n+3))
+            cosines[n] = cosine;
+            sines[n] = sine;
+        }
+        find_patch(cosines[0], sines[0], size, &s, &u);
+        find_patch(cosines[1], sines[1], size, &other, &v);
+        GLOBAL const fine* patch = patches+16*(ATOM(8)+s*size+other);
+        for (int k = 0; k < 4; k++) {
+            fine row = 0, slope = 0;
+            for (int l = 0; l < 4; l++) {
+                slope = slope*v+row;
+                row = row*v+patch[4*k+l];
+            }
+            of_u = of_u*u+energy;
+            energy = energy*u+row;
+            of_v = of_v*u+slope;
+        }
+        for (int n = 0; n < 2; n++) {
+            TORSION(ATOM(4*n), ATOM(4*n+1), ATOM(4*n+2), ATOM(4*n+3))
+            ADD_TORSION(ATOM(4*n), ATOM(4*n+1), ATOM(4*n+2), ATOM(4*n+3), n ? -of_v : -of_u)
+        }
+    }
+}

@@ -1,0 +1,39 @@
+// Behind what OpenMM does between steps: its changes of velocities and of positions are those of flexible molecules too.
+// What it left alone stays as it was, to the last bit. Then what the host is told.
+
+// Changes of velocities (CMMotionRemover, AndersenThermostat) are those of these atoms, or of another state of them.
+KERNEL void flexible_pushed(GLOBAL const mixed4* velm, GLOBAL const int4* places, GLOBAL const int* atoms, GLOBAL const double* v,
+        GLOBAL double* v_to) {
+    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+        const mixed4 now = velm[places[atoms[i]].x];
+        const double change[3] = {now.x-(mixed) v[3*i], now.y-(mixed) v[3*i+1], now.z-(mixed) v[3*i+2]};
+        for (int e = 0; e < 3; e++)
+            v_to[3*i+e] += change[e];
+    }
+}
+
+// Changes of positions (barostats); atoms without mass may be moved by the user too.
+KERNEL void flexible_moved(GLOBAL const real4* posq, GLOBAL const real4* posqCorrection, GLOBAL const int4* places, GLOBAL const double* box,
+        GLOBAL const int* atoms, GLOBAL double* x) {
+    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+        double now[3];
+        read_position(posq, posqCorrection, places[atoms[i]], box, now);
+        for (int e = 0; e < 3; e++)
+            if (fabs(now[e]-x[3*i+e]) > STILL)
+                x[3*i+e] = now[e];
+    }
+}
+
+// Kinetic energy, which has no part of rotation, and how many atoms have no finite state or are faster than light.
+KERNEL void flexible_kinetic(GLOBAL const double* inverse, GLOBAL const double* x, GLOBAL const double* v, GLOBAL double* sums) {
+    LOCAL double shared[3*BLOCK];
+    double mine[3] = {0.0, 0.0, 0.0};
+    for (int i = GLOBAL_ID; i < ALL_ATOMS; i += GLOBAL_SIZE) {
+        const double square = v[3*i]*v[3*i]+v[3*i+1]*v[3*i+1]+v[3*i+2]*v[3*i+2];
+        if (inverse[i] != 0.0)
+            mine[0] += 0.5*square/inverse[i];
+        if (!(square <= LIGHT*LIGHT && x[3*i]*x[3*i]+x[3*i+1]*x[3*i+1]+x[3*i+2]*x[3*i+2] < 1e300))
+            mine[2] += 1.0;
+    }
+    write_sums(mine, shared, sums);
+}

@@ -1,0 +1,166 @@
+// What flexible molecules do between two evaluations of the slow forces. A block of threads has the atoms of some
+// clusters, and beside them those with which they have terms in common. It evaluates all terms that touch its own atoms,
+// so that terms across a border are evaluated in both blocks; kicks its atoms, exchanges heat, and lets its clusters
+// move along their constraints.
+//
+// What happens is in rows of the table of moves: kicks by the fast forces and by the slow ones, which are all forces, as
+// OpenMM has them, less the fast ones, heat exchanges, and drifts. A launch makes all moves of a segment if no block has
+// terms with atoms of another one. Else it ends with the first drift, and positions go to another array, so that no
+// block reads what a neighbour has written.
+
+#define OF_MOVE(k, column) moves[MOVE_ROW*(k)+column]
+#define TAU(k) numbers[OF_MOVE(k, FIRST_NUMBER)]
+#define OF_KIND(kind, all) {row[FIRST_TERMS+2*kind], row[FIRST_TERMS+2*kind+1], all}
+#define OF_BLOCK xs, sums, &broken, own
+
+// Kick an atom and exchange its heat: the moves from `first` to `last`.
+DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const mm_ulong* sum,
+        GLOBAL const mm_long* force, int slot, int body, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
+        GLOBAL double* memory, GLOBAL double* v) {
+    double V[3], fast[3], slow[3], n[4];
+    read_force(force, slot, slow);
+    for (int e = 0; e < 3; e++) {
+        V[e] = v[3*atom+e];
+        fast[e] = inverse*((double) (mm_long) sum[e]*(1.0/FIXED_POINT));
+        slow[e] = inverse*slow[e]-fast[e];
+    }
+    for (int k = first; k < last; k++) {
+        GLOBAL const double* number = &TAU(k);
+        const int which = OF_MOVE(k, NUMBER_OF_MOVE) & 0xffff, late = OF_MOVE(k, NUMBER_OF_MOVE)>>16;
+        switch (OF_MOVE(k, OP)) {
+        case FAST_KICK:
+            for (int e = 0; e < 3; e++)
+                V[e] += number[0]*fast[e];
+            break;
+        case KICK:
+            for (int e = 0; e < 3; e++)
+                V[e] += number[0]*slow[e];
+            break;
+        case EXCHANGE:
+#ifdef SCALES
+            for (int e = 0; e < 3; e++)
+                V[e] *= factors[0];
+#else
+            normals(key, step+late, 16*which, body, n);
+            for (int e = 0; e < 3; e++)
+                V[e] += number[FADE]*V[e]+number[SPREAD]*sqrt(inverse)*n[e];
+#endif
+            break;
+#if MEMORY > 0
+        case REMEMBER:
+            for (int e = 0; e < 3; e++)
+                memory[3*((int) ((turns*PER_STEP+which)%MEMORY)*ALL_ATOMS+atom)+e] = slow[e];
+            break;
+        case LAST_KICK:
+            for (int w = 0; w < OF_MOVE(k, NUMBERS_OF_MOVE); w++)
+                for (int e = 0; e < 3; e++)
+                    V[e] += number[w]*memory[3*((int) ((turns*PER_STEP-1-w+MEMORY)%MEMORY)*ALL_ATOMS+atom)+e];
+            break;
+#endif
+        }
+    }
+    for (int e = 0; e < 3; e++)
+        v[3*atom+e] = V[e];
+}
+
+// Let a cluster of a block move for a time t; its first atom has the place `at` in the block.
+DEVICE inline void move_cluster(GLOBAL const int* cluster, int at, double t, GLOBAL const double* inverse, GLOBAL const double* lengths,
+        GLOBAL const int* ends, GLOBAL double* room, LOCAL_ARG double* xs, GLOBAL double* v) {
+    const int first = cluster[FIRST_ATOM], atoms = cluster[ATOMS_OF_CLUSTER];
+#if GRAPHS > 0
+    if (cluster[GRAPH] >= 0) {
+        move_graph(t, cluster, at, inverse, lengths, ends, room, xs, v);
+        return;
+    }
+#endif
+    double X[STAR][3], V[STAR][3], w[STAR], length[STAR];
+    for (int i = 0; i < atoms; i++) {
+        w[i] = inverse[first+i];
+        length[i] = lengths[first+i];
+        for (int e = 0; e < 3; e++) {
+            X[i][e] = xs[3*(at+i)+e];
+            V[i][e] = v[3*(first+i)+e];
+        }
+    }
+    switch (atoms) {
+    case 1:
+        for (int e = 0; e < 3; e++)
+            X[0][e] += t*V[0][e];
+        break;
+    MOVE_STARS
+    }
+    for (int i = 0; i < atoms; i++)
+        for (int e = 0; e < 3; e++) {
+            xs[3*(at+i)+e] = X[i][e];
+            v[3*(first+i)+e] = V[i][e];
+        }
+}
+
+KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL mixed4* velm, GLOBAL const mm_long* force,
+        GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const double* x, GLOBAL double* y, GLOBAL double* v, GLOBAL double* memory,
+        GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
+        GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* ends, GLOBAL double* room, GLOBAL const int* members,
+        GLOBAL const fine* constants, GLOBAL const fine* patches, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
+        int first_move, int count, int what, mm_long step, double key, double turns) {
+    LOCAL double xs[3*PLACES_OF_BLOCK];
+    LOCAL mm_ulong sums[3*OWN_OF_BLOCK];
+    LOCAL int broken;
+    for (int block = GROUP_ID; block < BLOCKS; block += GLOBAL_SIZE/LOCAL_SIZE) {
+        GLOBAL const int* row = blocks+BLOCK_ROW*block;
+        const int own = row[OWN], first_atom = block_atoms[row[FIRST_PLACE]], end = first_move+count;
+        for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)
+            xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
+        for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
+            bool kicks = false;
+            for (stop = begin; stop < end && OF_MOVE(stop, OP) != DRIFT; stop++)
+                kicks = kicks || OF_MOVE(stop, OP) == FAST_KICK || OF_MOVE(stop, OP) == KICK || OF_MOVE(stop, OP) == REMEMBER;
+            for (int i = LOCAL_ID; i < 3*own; i += LOCAL_SIZE)
+                sums[i] = 0;
+            if (LOCAL_ID == 0)
+                broken = 0;
+            SYNC_THREADS
+            if (kicks) {
+                const Terms bonds = OF_KIND(0, BONDS), angles = OF_KIND(1, ANGLES), torsions = OF_KIND(2, TORSIONS), pairs = OF_KIND(3, PAIRS);
+                const Terms impropers = OF_KIND(4, IMPROPERS), maps = OF_KIND(5, MAPS);
+                add_bonds(OF_BLOCK, bonds, members+MEMBERS_OF_BONDS, constants+NUMBERS_OF_BONDS);
+                add_angles(OF_BLOCK, angles, members+MEMBERS_OF_ANGLES, constants+NUMBERS_OF_ANGLES);
+                add_torsions(OF_BLOCK, torsions, members+MEMBERS_OF_TORSIONS, constants+NUMBERS_OF_TORSIONS);
+                add_pairs(OF_BLOCK, pairs, members+MEMBERS_OF_PAIRS, constants+NUMBERS_OF_PAIRS);
+                add_impropers(OF_BLOCK, impropers, members+MEMBERS_OF_IMPROPERS, constants+NUMBERS_OF_IMPROPERS);
+                add_maps(OF_BLOCK, maps, members+MEMBERS_OF_MAPS, constants, patches);
+                SYNC_THREADS
+            }
+            for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
+                const int atom = first_atom+i;
+                move_atom(atom, begin, stop, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], inverse[atom], factors, (mm_long) key,
+                    step, (mm_long) turns, memory, v);
+            }
+            SYNC_THREADS
+            // Behind the last drift velocities have to be along the constraints only where somebody wants to know them.
+            if (stop < end || what & PROJECTS) {
+                const double t = stop < end ? TAU(stop) : 0.0;
+                for (int c = LOCAL_ID; c < row[CLUSTERS]; c += LOCAL_SIZE) {
+                    GLOBAL const int* cluster = clusters+CLUSTER_ROW*(row[FIRST_CLUSTER]+c);
+                    move_cluster(cluster, cluster[FIRST_ATOM]-first_atom, t, inverse, lengths, ends, room, xs, v);
+                }
+            }
+            SYNC_THREADS
+            if (broken)
+                for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE)
+                    v[3*(first_atom+i)] = xs[3*i] = NOT_A_NUMBER;
+            SYNC_THREADS
+        }
+        for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
+            const int atom = first_atom+i;
+            const int4 place = places[atoms[atom]];
+            if (what & PLACES_ATOMS)
+                write_position(posq, posqCorrection, place, box, xs[3*i], xs[3*i+1], xs[3*i+2]);
+            if (what & SHOWS_VELOCITIES)
+                velm[place.x] = make_mixed4((mixed) v[3*atom], (mixed) v[3*atom+1], (mixed) v[3*atom+2], velm[place.x].w);
+            if (what & MOVES_ATOMS)
+                for (int e = 0; e < 3; e++)
+                    y[3*atom+e] = xs[3*i+e];
+        }
+        SYNC_THREADS
+    }
+}

@@ -1,0 +1,152 @@
+"""Flexible molecules on the device move as on the host: constraints, inner steps, thermostats, and what is refused."""
+
+import copy
+
+import numpy as np
+import openmm
+import pytest
+from zoo import apart, held, pair
+
+import openmm_exactrb as rb
+from on_device import device_platform
+from openmm_exactrb.engines.device.flexible import blocks
+from peptides import in_water, peptide, violations
+
+pytestmark = pytest.mark.opencl
+# Of the order of summation in the forces, in double precision; of fast forces in single precision and constraints.
+DOUBLE, MIXED = 1e-12, 1e-6
+
+
+def moved(start, make, n=5, **options):
+    """Return how far positions (nm) of host and device are apart behind n steps, and the Context of the device."""
+    _, system, x = start
+    host, device = pair(system, x, make, **options)
+    for context in (host, device):
+        context.getIntegrator().step(2)
+        context.getIntegrator().step(n - 2)
+    assert device.getIntegrator().getEngine() == "device"
+    return apart(host, device), device
+
+
+def nested(scheme, h, friction=None, **options):
+    """Return what makes integrators with inner steps."""
+
+    def make(engine):
+        settings = {"fast": "bonded", "engine": engine} | options
+        if friction is None:
+            return rb.ExactRigidBodyIntegrator(h, scheme, **settings)
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, friction, h, scheme, **settings)
+        integrator.setRandomNumberSeed(5)
+        return integrator
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("scheme", "h", "constraints"),
+    [
+        ("S2_2", 0.004, "HBonds"),
+        ("S2_2", 0.002, "None"),
+        ("W2_1", 0.002, "AllBonds"),
+        ("SRKN4_6b", 0.006, "HAngles"),
+        ("SRKN4_6b", 0.006, "HBonds"),
+    ],
+)
+def test_a_peptide_in_water_moves_as_on_the_host(scheme, h, constraints):
+    distance, device = moved(in_water(constraints, 30), nested(scheme, h))
+    assert distance < DOUBLE
+    length, slip = violations(device.getSystem(), *held(device))
+    assert length < 1e-13
+    assert slip < 1e-11
+
+
+@pytest.mark.parametrize(("scheme", "constraints"), [("BAOA", "None"), ("W2_3m", "AllBonds")])
+def test_noise_is_that_of_the_host(scheme, constraints):
+    make = nested(scheme, 0.002, friction=3.0, flexibleFriction=20.0)
+    assert moved(in_water(constraints, 30), make)[0] < DOUBLE
+
+
+@pytest.mark.parametrize(("scheme", "friction"), [("S2_2", None), ("W2_3m", 0.0)])
+def test_blocks_with_terms_in_common_move_as_one(scheme, friction, monkeypatch):
+    monkeypatch.setattr(blocks, "COST_OF_BLOCK", 150)
+    monkeypatch.setattr(blocks, "COST_OF_MOLECULE", 150)
+    distance, device = moved(in_water(waters=30), nested(scheme, 0.006, friction))
+    assert distance < DOUBLE
+    (flexible,) = (part for part in device.getIntegrator()._propagator._assembly.parts if hasattr(part, "blocks"))  # noqa: SLF001
+    assert len(flexible.blocks) > 3
+
+
+def test_mixed_precision_keeps_lengths_to_roundoff():
+    distance, device = moved(in_water(waters=30), nested("S2_2", 0.004), precision="mixed")
+    assert distance < MIXED
+    assert violations(device.getSystem(), *held(device))[0] < 1e-13
+
+
+def test_constraints_without_inner_steps():
+    assert moved(in_water(waters=30), nested("S2_2", 0.0005, fast=None))[0] < DOUBLE
+
+
+def test_a_new_step_size_has_its_own_inner_steps():
+    _, system, x = in_water(waters=30)
+    contexts = pair(system, x, nested("S2_2", 0.001))
+    for h in (0.001, 0.006):
+        for context in contexts:
+            context.getIntegrator().setStepSize(h)
+            context.getIntegrator().step(3)
+        assert apart(*contexts) < DOUBLE
+
+
+def test_atoms_without_mass_stay_where_they_are_put():
+    _, system, x = in_water("None", 30)
+    system.setParticleMass(4, 0.0)
+    contexts = pair(system, x, nested("S2_2", 0.002))
+    for shift in (0.0, 0.01):
+        x = x.copy()
+        x[4] += shift
+        for context in contexts:
+            now = held(context)[0]
+            now[4] = x[4]
+            context.setPositions(now)
+            context.getIntegrator().step(3)
+            np.testing.assert_allclose(held(context)[0][4], x[4], atol=1e-14)
+        assert apart(*contexts) < DOUBLE
+
+
+def test_a_checkpoint_continues_to_the_bit():
+    _, system, x = in_water(waters=30)
+    _, device = pair(system, x, nested("W2_3m", 0.006, friction=2.0))
+    device.getIntegrator().step(3)
+    checkpoint = device.createCheckpoint()
+    device.getIntegrator().step(3)
+    end = held(device)
+    device.loadCheckpoint(checkpoint)
+    device.getIntegrator().step(3)
+    np.testing.assert_array_equal(held(device), end)
+
+
+def refusal(system, x, **options):
+    """Return what the integrator says when the device is asked for."""
+    integrator = rb.ExactRigidBodyIntegrator(0.002, engine="device", **({"scheme": "S2_2"} | options))
+    context = openmm.Context(copy.deepcopy(system), integrator, device_platform())
+    context.setPositions(x)
+    with pytest.raises(ValueError) as error:  # noqa: PT011  # the sentence is what is tested
+        integrator.step(1)
+    return str(error.value)
+
+
+def test_what_is_not_served_is_named():
+    _, system, x = peptide()
+    assert "no force-gradient kicks of flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
+    own = openmm.CustomBondForce("k*(r-0.3)^4")
+    own.addPerBondParameter("k")
+    own.addBond(0, 9, [10.0])
+    own.setName("tether")
+    system.addForce(own)
+    assert "no kernel for the fast force tether" in refusal(system, x, fast="bonded")
+    chain, places = openmm.System(), np.zeros((40, 3))
+    places[:, 0], places[:, 1] = 0.1 * np.arange(40), 0.05 * (np.arange(40) % 2)
+    for i in range(40):
+        chain.addParticle(12.0)
+        if i:
+            chain.addConstraint(i - 1, i, float(np.linalg.norm(places[i] - places[i - 1])))
+    assert "constraints hold 40 atoms together" in refusal(chain, places)
