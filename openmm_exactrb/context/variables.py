@@ -27,8 +27,6 @@ SHOWN, INNER = "", "inner_"
 # which says in which format; see `written`.
 _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
-#: What the program of a device has as its first number.
-FROM_DEVICE = 4.0
 #: The mark of the coordinates of the inner state, 0 without one, and how many forces and differences of displaced
 #: ones are remembered with it.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"

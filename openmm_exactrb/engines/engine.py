@@ -169,8 +169,6 @@ class Engine:
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
     information : callable
         information() -> what ``exactrb info`` shows of it here, a sentence.
-    release : callable
-        release(context) undoes what this engine has changed in a System, for another one.
     """
 
     name: str
@@ -181,4 +179,3 @@ class Engine:
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
     information: Callable[[], str] = lambda: "available"
-    release: Callable[[Any], None] = lambda context: None

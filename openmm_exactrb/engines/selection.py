@@ -76,9 +76,6 @@ class Selection:
         if not self._warned:
             platforms.warn_of_single_precision(context)
             self._warned = True
-        for engine in ENGINES.values():
-            if engine is not self.engine:
-                engine.release(context)
         return self.engine.propagator(context, integrator, settings, timings)
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:

@@ -9,7 +9,7 @@ from typing import Any
 import openmm
 
 #: What the bonded forces of a System are.
-BONDED = (
+BONDED_FORCES = (
     openmm.HarmonicBondForce,
     openmm.HarmonicAngleForce,
     openmm.PeriodicTorsionForce,
@@ -54,12 +54,14 @@ def separate_bonded(system: openmm.System) -> int:
         raise ValueError(
             f"separate_bonded() takes an openmm.System, before a Simulation is made of it, not {type(system).__name__}"
         )
-    others = {group for force in system.getForces() if not isinstance(force, BONDED) for group in groups_of(force)}
+    others = {
+        group for force in system.getForces() if not isinstance(force, BONDED_FORCES) for group in groups_of(force)
+    }
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
         raise ValueError("the System has forces in all 32 force groups: give two of them the same one")
     for force in system.getForces():
-        if isinstance(force, BONDED):
+        if isinstance(force, BONDED_FORCES):
             force.setForceGroup(free[0])
     return free[0]
 
@@ -99,7 +101,7 @@ def acts(force: Any) -> bool:
 
 def others(system: openmm.System) -> bool:
     """Return whether a System has forces on particles that are not bonded ones."""
-    return any(not isinstance(force, BONDED) for force in acting(system))
+    return any(not isinstance(force, BONDED_FORCES) for force in acting(system))
 
 
 def groups_of(force: Any) -> set[int]:

@@ -16,7 +16,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
-from openmm_exactrb.multiple_time_steps.bonded import BONDED, interacting_exceptions, pairs_by_formula
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, interacting_exceptions, pairs_by_formula
 
 Indices = NDArray[np.intp]
 
@@ -63,7 +63,7 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
     there are no bonded ones.
     """
     between_bodies = _BetweenBodies(system, bodies)
-    forces = [force for force in system.getForces() if isinstance(force, BONDED)]
+    forces = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
     forces = [force for force in forces if groups is None or force.getForceGroup() in groups]
     terms = [tree for tree in map(_tree, forces) if _thinned(tree, between_bodies)]
     if not terms:

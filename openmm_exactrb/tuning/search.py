@@ -17,8 +17,9 @@ COARSE, COARSE_NESTED = 1.6, 8.0
 #: From one step size to the next it falls by this.
 RATIO = 2.0**0.5
 # Scheme of the probe for the noise of the forces, its time per evaluation over the characteristic one, its length over
-# that of the survey, and the part of an error that is left where it is the scheme's.
-_PROBE, _FINE, _PROBED, _FALLING = "W4_4", 0.05, 0.3, 0.35
+# that of the survey, the part of an error that is left where it is the scheme's, and the part of the kinetic energy
+# that is a hundred times what the scheme leaves.
+_PROBE, _FINE, _PROBED, _FALLING, _LARGE = "W4_4", 0.05, 0.3, 0.35, 1e-4
 # The first step sizes at which a method need not be stable, and how far behind the best one it may then fall.
 _SEARCHED, _BEHIND = 16, 10.0
 # Methods that are run for the production length at a time, the settings of one that are run, the least rise of the cost
@@ -62,9 +63,10 @@ def probed(measured: Measurements) -> float | None:
             step = method.stages * part * benchmark.characteristics.time
             run = benchmark.run(method, step, duration, benchmark.state)
             errors.append(math.inf if run is None else expected_error(run.values, run.interval, measured.horizon))
-    if len(errors) < 2 or not errors[1] > _FALLING * errors[0]:
+    if len(errors) < 2 or not math.isfinite(max(errors)):
         return None
-    return min(errors) if math.isfinite(min(errors)) else None
+    noise = errors[1] > min(_FALLING * errors[0], _LARGE * benchmark.characteristics.kinetic)
+    return min(errors) if noise else None
 
 
 def _descend(measured: Measurements, target: float | None, levels: int, outcome: Outcome) -> None:

@@ -74,7 +74,7 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
 def test_a_step_is_found_for_them(name, form, tmp_path, capsys):
     files = files_of(name, form, tmp_path)
     options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
-    options += ["--horizon", "0.1ps", "--budget", "20", "--platform", "CPU", "--quiet"]
+    options += ["--horizon", "0.1ps", "--budget", "60", "--platform", "CPU", "--quiet"]
     assert main(["tune", *files, *options]) == 0
     assert "target 0.05: W2_1 with a step of" in capsys.readouterr().out
 

@@ -6,11 +6,10 @@ import pytest
 import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mechanics.bodies import Part
-from openmm_exactrb.mechanics.free_motion import of_bodies
+from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.excerpt import bonded_excerpt
 from openmm_exactrb.multiple_time_steps.inner_drift import inner_steps
-from openmm_exactrb.rotors import look_up, rotor_of_sums
 from openmm_exactrb.substeps import kick
 from peptides import in_water, moving
 
@@ -27,7 +26,7 @@ def droplet():
 
 
 def kinetic_of(bodies):
-    return of_bodies(bodies, rotor_of_sums(look_up("exact"), bodies.inertia))
+    return free_motion(bodies, "exact")
 
 
 def test_the_part_of_the_bonded_forces_is_the_peptide(droplet):

@@ -17,7 +17,7 @@ from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.multiple_time_steps.bonded import BONDED
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
@@ -122,7 +122,7 @@ def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Ex
     if excerpt is None:
         named = [group for group in range(32) if fast.groups >> group & 1]
         for force in system.getForces():
-            if force.getForceGroup() in named and not isinstance(force, BONDED):
+            if force.getForceGroup() in named and not isinstance(force, BONDED_FORCES):
                 raise NotServedError(f"the device has no kernel for a fast {type(force).__name__}")
         excerpt = bonded_excerpt(system, bodies, named)
     if excerpt is None:
