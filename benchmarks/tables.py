@@ -2,36 +2,20 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterable, Sequence
 from itertools import product
 
 import numpy as np
 
-from benchmarks.common.records import DOCS
+from benchmarks.common.markdown import distinct, rows, table, with_error
+from benchmarks.common.records import Row
 from benchmarks.common.starts import R
+from benchmarks.dipoles.tables import dipole_costs, dipole_energies, dipole_errors, dipole_memory
 from benchmarks.water.averages import averages
-from benchmarks.water.equipartition_record import LFM, markdown, with_error
+from benchmarks.water.equipartition_record import LFM
 from openmm_exactrb import SCHEMES
 
 THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
-Row = dict[str, str]
-
-
-def rows(name: str) -> list[Row]:
-    """Return the lines of a table that a benchmark has written; none if it has not run."""
-    file = DOCS / f"{name}.csv"
-    return list(csv.DictReader(file.read_text().splitlines())) if file.exists() else []
-
-
-def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
-    return markdown([[*head], ["---"] * len(head), *map(list, body)])
-
-
-def distinct(found: Iterable[Row], *names: str) -> list[tuple[str, ...]]:
-    """Return the values of columns, in the order in which they come."""
-    return list(dict.fromkeys(tuple(row[name] for name in names) for row in found))
 
 
 def angular_momentum() -> dict[str, str]:
@@ -287,73 +271,6 @@ def earlier_schemes() -> str:
         errors = (found.get((name, rate), math.nan) for rate in rates)
         body.append((*label, *(f"{error:.1e}" if error < 1.0 else "unstable" for error in errors)))
     return table(("", "order", *(f"{rate} per ps" for rate in rates)), body)
-
-
-# -- Ewald sums of dipoles: benchmarks/dipoles/dipole_scale.py and dipole_energy.py ----------------------------------
-
-
-def dipole_costs() -> str:
-    """Return the time of an evaluation at equal measured errors, on one core."""
-    found, body = rows("dipole_scale"), []
-    for (n,) in distinct(found, "n"):
-        for level in ("0.001", "0.0001", "1e-05"):
-            best: dict[str, Row] = {}
-            for row in found:
-                reached = row["n"] == n and row["cores"] == "1" and row["level"] and float(row["level"]) <= float(level)
-                if reached and float(row["ms"]) < float(best.get(row["who"], {"ms": "inf"})["ms"]):
-                    best[row["who"]] = row
-            if level != "0.0001" and "LAMMPS" not in best:
-                continue
-            ours = best["rb.Ewald"]
-            others = [f"{float(best[who]['ms']):.3g}" if who in best else "" for who in ("direct sum", "LAMMPS")]
-            others[0] = others[0] if level == "0.0001" else ""  # timed with one tolerance
-            setting = best["LAMMPS"]["settings"] if "LAMMPS" in best else ""
-            errors = f"{float(level):.0e}".replace("e-0", "e-")
-            ms = f"{float(ours['ms']):.3g}"
-            body.append((n, errors, ms, ours["settings"], *others, setting.replace("/dipole", "")))
-    return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "with", "direct sum, ms", "LAMMPS, ms", "with"), body)
-
-
-def dipole_memory() -> str:
-    """Return the memory of a process with the fewest and with the most dipoles."""
-    found = [row for row in rows("dipole_scale") if row["process_MB"]]
-    few, many = (
-        f"{row['process_MB']} MB with {int(row['n']):,} dipoles".replace(",", " ") for row in found[:: len(found) - 1]
-    )
-    return f"{few}, {many}"
-
-
-def dipole_errors() -> str:
-    """Return the errors of forces and torques by the tolerance."""
-    found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
-    errors = {(row["tolerance"], row["n"]): f"{row['force_error']}, {row['torque_error']}" for row in found}
-    numbers = ("125", "1000", "8000", "27000")
-    body = [
-        (name, *(errors.get((tolerance, n), "") for n in numbers))
-        for name, tolerance in (("1e-3", "0.001"), ("1e-4", "0.0001"), ("1e-5", "1e-05"), ("1e-6", "1e-06"))
-    ]
-    return table(("tolerance", *(f"{n} dipoles" for n in numbers)), body)
-
-
-def dipole_energies() -> str:
-    """Return standard deviations of the energy of a dipole, on a mesh and with the direct sum, and its drift."""
-    found, body = rows("dipole_energy"), []
-    for scheme, step in distinct(found, "scheme", "step_ps"):
-        of = {(row["sum"], row["start"]): row for row in found if row["scheme"] == scheme}
-        starts = [start for method, start in of if method == "direct" and ("mesh", start) in of]
-        stds = [
-            ", ".join(f"{float(of[method, start][name]):.{digits}e}".replace("e-0", "e-") for start in starts)
-            for name, digits in (("std_early", 3), ("std", 1))
-            for method in ("mesh", "direct")
-        ]
-        longest = max((row for row in of.values() if row["sum"] == "mesh"), key=lambda row: int(row["ps"]))
-        drifts = (
-            f"{row['drift_a_ps']} ± {row['drift_error']} ({row['ps']} ps)".replace("e-0", "e-")
-            for row in (longest, of["direct", longest["start"]])
-        )
-        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, *drifts))
-    head = ("mesh, 1.2 ps", "direct, 1.2 ps", "mesh, 20 ps", "direct, 20 ps", "drift a ps, mesh", "drift a ps, direct")
-    return table(("scheme", "step", *head), body)
 
 
 # -- single figures of the pages -------------------------------------------------------------------------------------

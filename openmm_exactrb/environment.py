@@ -78,12 +78,12 @@ class Environment(Protocol):
     ----------
     key : int
         Of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` makes noise of it and the clock.
-    around : (State, State) or None
+    last_exchange : (State, State) or None
         The states before and after the last heat exchange, which a thermostat sets.
     """
 
     key: int
-    around: tuple[State, State] | None
+    last_exchange: tuple[State, State] | None
 
     @property
     def bodies(self) -> RigidBodies:

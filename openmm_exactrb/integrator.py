@@ -23,7 +23,7 @@ from openmm_exactrb.engines.selection import Selection
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.openmm_access.closed_program import OwnProgram
 from openmm_exactrb.openmm_access.find_context import find_context
-from openmm_exactrb.openmm_access.units import picoseconds, refuse_temperature
+from openmm_exactrb.openmm_access.units import check_first_arguments, picoseconds
 from openmm_exactrb.rotors import ROTORS, Rotor
 from openmm_exactrb.rotors import look_up as look_up_rotor
 from openmm_exactrb.schemes import Scheme, splitting
@@ -106,7 +106,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         forceInterval: float | unit.Quantity | None = None,
         checkDivergence: bool = True,
     ) -> None:
-        refuse_temperature(stepSize, scheme)
+        check_first_arguments(stepSize, scheme)
         if thermostat is not None and not isinstance(thermostat, Thermostat):
             raise ValueError(f"thermostat= takes one of openmm_exactrb.thermostats, not a {type(thermostat).__name__}")
         self._fast = MultipleTimeSteps.of(fast, inner, innerSteps)
@@ -276,7 +276,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             propagator = self._present()
             thermostat = self._thermostat
             if thermostat is not None and propagator.updates.temperatures:
-                propagator.updates.refuse_other_temperatures(propagator.sync.context, thermostat.temperature)
+                propagator.updates.check_temperatures(propagator.sync.context, thermostat.temperature)
             key = 0 if thermostat is None else self._noise.key(self, count)
             propagator.advance(self._version, self._settings, key, count)
         finally:
@@ -392,10 +392,10 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 minimise_by_integrators(ExactRigidBodyIntegrator)
 draw_by_integrators(ExactRigidBodyIntegrator)
 
-#: The scheme at constant energy, if none is named.
+#: The default scheme at constant energy.
 DEFAULT = "W2_1"
 
-# What OpenMM's integrators are told by methods: getX and setX.
+# Settings of OpenMM's integrators with methods getX and setX.
 _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 

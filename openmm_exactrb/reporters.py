@@ -166,7 +166,7 @@ class MomentReporter(_Lines):
                 f"{len(self._charges)}: give 0 for those without a charge"
             )
         if self._links is None:
-            _refuse_ions(self._charges, _molecules(simulation))
+            _check_ions(self._charges, _molecules(simulation))
             self._links = molecular_links(simulation.system, molecule_of(simulation.context, None))
         return self._links
 
@@ -185,7 +185,7 @@ def _elementary(charges: Any) -> Array:
     return values
 
 
-def _refuse_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
+def _check_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
     """Raise a ValueError if a molecule is not neutral: the moment would depend on where its images lie."""
     total = np.bincount(molecule, charges)
     worst = int(np.abs(total).argmax())

@@ -92,7 +92,7 @@ class Thermostat(ABC):
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
             outside(state, after)
-            environment.around = state, after
+            environment.last_exchange = state, after
             return after
 
         return flow

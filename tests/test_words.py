@@ -9,9 +9,10 @@ import words
     [
         ("page.md", "A run goes\non with `anew`.\n```python\nanew = 1\n```\n[a](anew.md) begins anew.\n", [1, 6]),
         ("module.py", '"""Begin anew."""\nanew = 1\nraise ValueError(f"the bath {anew} is none")\n', [1, 3, 3]),
+        ("comments.py", "# Begin\n# anew, with `anew`.\nx = 1  #: of a bath\ny = '#'\n# go\n# on\n", [2, 3, 5]),
     ],
 )
-def test_words_are_found_in_prose_docstrings_and_messages(name, text, lines, tmp_path, monkeypatch):
+def test_words_are_found_in_prose_docstrings_messages_and_comments(name, text, lines, tmp_path, monkeypatch):
     monkeypatch.setattr(words, "ROOT", tmp_path)
     file = tmp_path / name
     file.write_text(text, encoding="utf-8")

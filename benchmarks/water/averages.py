@@ -25,9 +25,9 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.markdown import markdown, with_error
 from benchmarks.common.records import DOCS, OUT, Record, Row
 from benchmarks.common.starts import REPEATED
-from benchmarks.water.equipartition_record import markdown, with_error
 
 TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
 FRAME, BURN, PART = 0.2, 20.0, 20.0  # ps: between two frames, not counted, and between two savings

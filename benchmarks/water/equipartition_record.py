@@ -12,6 +12,7 @@ from typing import NamedTuple, get_type_hints
 import numpy as np
 
 from benchmarks.common import records
+from benchmarks.common.markdown import markdown, with_error
 
 RECORD = records.DOCS / "equipartition.csv"
 LFM = "LangevinMiddle"
@@ -225,13 +226,3 @@ def shown(found: Means, name: str) -> str:
     if name not in found:
         return ""
     return with_error(*found[name], DIGITS[name])
-
-
-def with_error(mean: float, error: float, digits: int) -> str:
-    """Return a mean and its error with so many digits after the point."""
-    mean, error = (round(value, digits) + 0.0 for value in (mean, error))  # + 0.0: no minus before a zero
-    return f"{mean:.{digits}f} ± {error:.{digits}f}".replace("-", "−")
-
-
-def markdown(lines: list[list[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

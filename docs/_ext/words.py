@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import io
 import re
 import sys
+import tokenize
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,7 +31,7 @@ def files() -> list[Path]:
 
 
 def prose(file: Path) -> Iterator[tuple[int, str]]:
-    """Yield prose with the line where it begins: a page without its code, or each docstring and message."""
+    """Yield prose with the line where it begins: a page without its code, or each docstring, message and comment."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".md":
         yield 1, CODE.sub(lambda found: "\n" * found[0].count("\n"), text)
@@ -37,6 +39,22 @@ def prose(file: Path) -> Iterator[tuple[int, str]]:
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
             yield node.lineno, CODE.sub(lambda found: "\n" * found[0].count("\n"), node.value)
+    yield from comments(text)
+
+
+def comments(text: str) -> Iterator[tuple[int, str]]:
+    """Yield blocks of comments without their signs, and the line where each begins."""
+    first, lines, last = 0, [], -2
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type != tokenize.COMMENT:
+            continue
+        line = token.start[0]
+        if line != last + 1:
+            yield first, "\n".join(lines)
+            first, lines = line, []
+        lines.append(CODE.sub("", token.string.lstrip("#: ")))
+        last = line
+    yield first, "\n".join(lines)
 
 
 def faults(file: Path) -> Iterator[str]:

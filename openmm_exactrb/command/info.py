@@ -14,7 +14,8 @@ import openmm
 import openmm_exactrb
 from openmm_exactrb.command import inputs
 from openmm_exactrb.command.description import described
-from openmm_exactrb.openmm_access.platforms import platforms, refused_by_default
+from openmm_exactrb.engines import ENGINES
+from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
@@ -58,9 +59,10 @@ def _lines() -> Iterator[str]:
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
     yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+    yield from (f"{name} engine: {engine.information()}" for name, engine in ENGINES.items())
     yield "platforms, fastest first:"
     for found in platforms():
-        why = refused_by_default(found)
+        why = why_not_by_default(found)
         yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"

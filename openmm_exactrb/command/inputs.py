@@ -22,7 +22,7 @@ from openmm_exactrb.systems.masses import heavy_hydrogens
 
 #: Water models of `openmm.app.Modeller.addSolvent` and `openmm_exactrb.rigid_water`.
 WATERS = ("tip3p", "spce", "tip4pew", "tip5p")
-#: Constraints of ForceField.createSystem beside rigid water.
+#: Constraints of ForceField.createSystem in addition to rigid water.
 CONSTRAINTS = {"none": None, "HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles}
 
 #: What describes molecules, in words.
@@ -34,7 +34,7 @@ FILES = (
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
 
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
-_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, beside a topology
+_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, in addition to a topology
 _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
 
 
@@ -80,7 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
 
 
-def refuse_missing(files: Iterable[Path]) -> None:
+def check_missing(files: Iterable[Path]) -> None:
     """Raise FileNotFoundError for the first file that is not there."""
     for file in files:
         if not file.exists():
@@ -91,7 +91,7 @@ def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     if not args.files and not args.solvate:
         raise ValueError(f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for that much water")
-    refuse_missing(args.files)
+    check_missing(args.files)
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)

@@ -29,7 +29,7 @@ PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --r
 _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
 # Options that may differ when a run is resumed: files and force field are identified by the System that they make.
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
-# Options that have no effect on some runs, which refuse them.
+# Options that have no effect on some runs, where they are an error.
 _DEFAULTS: dict[str, Any] = {
     **inputs.DEFAULTS,
     "temperature": 300.0,
@@ -101,7 +101,7 @@ def carry_out(args: argparse.Namespace) -> int:
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
     box = inputs.load(settled)
-    _refuse_idle(args, box)
+    _check_idle(args, box)
     setup.couple(box.system, settled)
     with job.lock():
         equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
@@ -120,7 +120,7 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
     return scheme
 
 
-def _refuse_idle(args: argparse.Namespace, box: inputs.Box) -> None:
+def _check_idle(args: argparse.Namespace, box: inputs.Box) -> None:
     """Raise ValueError if an option was given that has no effect."""
     unboxed = box.topology.getPeriodicBoxVectors() is None
     idle = [

@@ -49,17 +49,17 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
     chosen = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
         some = within[kind.particles].any(axis=1)
-        _refuse_parts(bodies, name, np.asarray(some & ~within[kind.particles].all(axis=1)), kind.bodies.start)
+        _check_parts(bodies, name, np.asarray(some & ~within[kind.particles].all(axis=1)), kind.bodies.start)
         chosen[kind.bodies] = some
     for _, columns in bodies.clusters.columns():
         atoms = columns + bodies.n_turning
         torn = chosen[atoms].any(axis=1) & ~chosen[atoms].all(axis=1)
         if torn.any():
-            _refuse_parts(bodies, name, np.array([True]), int(atoms[np.argmax(torn), 0]))
+            _check_parts(bodies, name, np.array([True]), int(atoms[np.argmax(torn), 0]))
     return chosen
 
 
-def _refuse_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
+def _check_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
     if torn.any():
         raise ValueError(
             f"group {name!r} has some particles of {bodies.name(first + int(np.argmax(torn)))} and not all: name all "

@@ -26,9 +26,9 @@ Array = NDArray[np.float64]
 # Positions (nm) and velocities (nm/ps) of a state that was saved are its own if they differ by less than this, and by
 # less than this part of them: it continues in full precision, though mixed precision has rounded them.
 _SAME, _SAME_PART = 1e-13, 3e-14
-# Particles (nm) that are farther from the places that rigid bodies give them are put there in the Context too.
+# Particles (nm) that are farther from where rigid bodies have them are put there in the Context too.
 _RIGID = 1e-9
-# A change of centres (nm), attitudes, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
+# A change of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
 _SMALL = 1e-8
 
 
@@ -106,7 +106,7 @@ class Synchronisation:
     ) -> None:
         self._context, self._integrator = weakref.ref(context), weakref.ref(integrator)
         x, v = self.held()
-        refuse_unset(context)
+        require_positions(context)
         self.bodies = bodies or find_bodies(context.getSystem(), x, named, self.box(), pairs)
         self._shapes = Shapes(self.bodies)
         self.particles, self._v = x.copy(), v.copy()  # what is written to OpenMM
@@ -289,7 +289,7 @@ class Synchronisation:
         self.push()
 
 
-def refuse_unset(context: openmm.Context) -> None:
+def require_positions(context: openmm.Context) -> None:
     """Raise ValueError if positions were never set: OpenMM checks when it is asked for forces, here of no group."""
     try:
         context.getState(forces=True, groups=0)

@@ -49,8 +49,8 @@ class ContextUpdates:
         removers = [force for force in context.getSystem().getForces() if type(force).__name__ == _REMOVER]
         acting = acting_updates(context)
         thermostats, barostats = ([f for f in acting if (type(f).__name__ == _THERMOSTAT) is t] for t in (True, False))
-        _refuse_torn_bodies(context, barostats, named)
-        _refuse_dipoles_of_one_box(context, barostats)
+        _check_torn_bodies(context, barostats, named)
+        _check_dipoles_of_one_box(context, barostats)
         self._removals = tuple(force.getFrequency() for force in removers)
         self._barostats = barostats
         self._advance = advancing()
@@ -63,7 +63,7 @@ class ContextUpdates:
         """Return RT (kJ/mol) of the hottest thermostat or barostat, as the parameters of the Context have it now."""
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
-    def refuse_other_temperatures(self, context: openmm.Context, temperature: float) -> None:
+    def check_temperatures(self, context: openmm.Context, temperature: float) -> None:
         """Raise ValueError for what would bring bodies to another temperature (K) than the integrator's thermostat."""
         if self.pushes:
             raise ValueError(
@@ -159,7 +159,7 @@ def acting_updates(context: openmm.Context) -> list[Any]:
     return [force for force in found if force.Temperature() in known]
 
 
-def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
+def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
     """Raise ValueError for bodies that a barostat would tear: it moves particles or OpenMM's molecules individually."""
     for barostat in barostats:
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
@@ -176,7 +176,7 @@ def _refuse_torn_bodies(context: openmm.Context, barostats: list[Any], named: Se
             )
 
 
-def _refuse_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
+def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
     """Raise ValueError for dipole forces by formulas: in a box that changes their numbers may become wrong silently."""
     for force in context.getSystem().getForces() if barostats else ():
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)

@@ -29,7 +29,7 @@ _STORED = "stored"
 NOTHING, _WRITTEN, _STEPPING, _DEVICE = 0.0, 1.0, 2.0, 4.0
 #: What the program of a device has as its first number.
 FROM_DEVICE = 4.0
-#: The mark of the coordinates of the inner state, 0 if there is none, and how many forces and differences of displaced
+#: The mark of the coordinates of the inner state, 0 without one, and how many forces and differences of displaced
 #: ones are remembered with it.
 COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences"
 #: Of the noise: the seed, and which of its streams.
@@ -66,7 +66,7 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
     integrator.addGlobalVariable(stored, NOTHING)
     integrator.beginIfBlock(f"{stored} < {_STEPPING}")
     integrator.addComputePerDof("x", f"x + log({stored} - 3)")
-    # Forces at such positions are an error where the platform looks at them: Reference does not.
+    # Forces at such positions are an error where the platform checks them: Reference does not.
     integrator.addComputePerDof("v", f"v + f + log({stored} - 3)")
     integrator.endBlock()
     integrator.addUpdateContextState()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -23,6 +22,7 @@ from openmm_exactrb.detection.whole import Constraints, constraints, whole_posit
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
+from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -58,7 +58,7 @@ def find_bodies(
         System has Drude particles.
     """
     masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
-    _refuse_drude_particles(system)
+    _check_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
     held = constraints(system)
     whole = whole_positions(system, positions, masses, given, box, held)
@@ -126,7 +126,7 @@ def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
         yield Kind(particles[:, None], slice(0), np.array([mass]), np.zeros((1, 1, 3)), float(mass), np.zeros((1, 3)))
 
 
-def _refuse_drude_particles(system: openmm.System) -> None:
+def _check_drude_particles(system: openmm.System) -> None:
     for force in system.getForces():
         if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
             names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
@@ -154,12 +154,11 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
         if not len(massive):
             raise ValueError(f"body {number} has no particle with mass")
         if len(particles) > 2 * len(massive):
-            warnings.warn(
+            warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, for the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
                 "them, name the body in the System as it was before",
                 ShapeWarning,
-                stacklevel=2,
             )
         named.append(massive)
     return named

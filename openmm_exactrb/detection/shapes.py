@@ -160,11 +160,11 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if distances.max() <= _POINT:
         return Kind(particles, slice(0), masses, np.zeros((1, k, 3)), mass, np.zeros((1, 3)))
     # Classical scaling about the centre of mass: the weighted Gram matrix has the moments of second order as its
-    # eigenvalues and the places as its eigenvectors.
+    # eigenvalues and the positions as its eigenvectors.
     root = np.sqrt(masses)
     spread, axes = _scaled(distances, masses / mass, root)
     sites = axes * np.sqrt(spread) / root[:, None]
-    if not spread.all():  # flat, unless it is only the masses that are: then the places come first, and the axes next
+    if not spread.all():  # flat, unless the masses alone are: then the positions come first, and the axes next
         extent, directions = _scaled(distances, np.full(k, 1.0 / k), np.ones(k))
         if np.count_nonzero(extent) > np.count_nonzero(spread):
             places = directions * np.sqrt(extent)

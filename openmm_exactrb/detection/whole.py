@@ -6,7 +6,6 @@ are; ValueError where something shows that the box has split them.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,13 +17,14 @@ from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, best_attitudes
 from openmm_exactrb.mechanics.images import Decided, decided, image_gaps, joined
 from openmm_exactrb.mechanics.links import Links, shortest_tree
+from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 # Gaps differ if one is shorter than this part of the other.
 _SHORTER = 1.0 - 1e-6
-# A body looks split if its parts fit together with a gap of at most this many times the longest within them.
+# A body counts as split if its parts fit together with a gap of at most this many times the longest within them.
 _FITTING = 2.0
 
 
@@ -105,18 +105,18 @@ def whole_positions(
     within = (owner[pairs] >= 0).all(axis=1) & (owner[pairs[:, 0]] == owner[pairs[:, 1]])
     links = Links(pairs, lengths, len(x), last=~within)
     found = decided(x, links, box)
-    _refuse_doubtful_bonds(x, links, found, owner, box)
+    _check_doubtful_bonds(x, links, found, owner, box)
     y = joined(x, links, box, found)
     loose = [number for number, body in enumerate(named) if len(np.unique(links.component[body])) > 1]
     if not loose:
         return y
     split = y is not x
     if split:
-        _refuse_split_parts(links, np.asarray((np.abs(y - x) > 0.0).any(axis=1)), named, loose)
+        _check_split_parts(links, np.asarray((np.abs(y - x) > 0.0).any(axis=1)), named, loose)
     return _loose_whole(y, masses, [named[number] for number in loose], loose, box, split)
 
 
-def _refuse_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices, box: Array) -> None:
+def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices, box: Array) -> None:
     """Raise ValueError for a bond within a named body of which no image has the length."""
     i, j = links.pairs.T
     (bad,) = np.nonzero(found.doubtful & (owner[i] >= 0) & (owner[i] == owner[j]))
@@ -132,7 +132,7 @@ def _refuse_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indice
     )
 
 
-def _refuse_split_parts(links: Links, moved: NDArray[np.bool_], named: list[Indices], loose: list[int]) -> None:
+def _check_split_parts(links: Links, moved: NDArray[np.bool_], named: list[Indices], loose: list[int]) -> None:
     """Raise ValueError for a body of several parts, one of which was split."""
     for number in loose:
         body = named[number]
@@ -200,11 +200,10 @@ def _say(number: int, X: Array, gaps: Array, split: bool) -> None:
     steps = _steps(X)
     inner = steps[steps <= across * (1.0 + 1e-6)]
     if len(inner) and across <= _FITTING * inner.max():
-        warnings.warn(
+        warn(
             f"body {number} has a gap of {given:.3g} nm, is taken as it is given, and would be one without a gap if "
             f"the periodic box had split it: if so, {_REMEDY}",
             ShapeWarning,
-            stacklevel=2,
         )
 
 

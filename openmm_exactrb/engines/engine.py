@@ -124,7 +124,7 @@ class Propagator(Protocol):
         """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is that at the end of its step.
 
         ValueError if the engine does not know them.
@@ -158,6 +158,8 @@ class Engine:
         declare(integrator, settings) gives an integrator without a Context its variables and its program.
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
+    information : callable
+        information() -> what ``exactrb info`` shows of it here, a sentence.
     release : callable
         release(context) undoes what this engine has changed in a System, for another one.
     """
@@ -169,4 +171,5 @@ class Engine:
     marks: Callable[[Settings], tuple[float, ...]]
     declare: Callable[[openmm.CustomIntegrator, Settings], None]
     propagator: Callable[[Any, openmm.CustomIntegrator, Settings, Timings], Propagator]
+    information: Callable[[], str] = lambda: "available"
     release: Callable[[Any], None] = lambda context: None

@@ -23,7 +23,7 @@ from openmm_exactrb.ensemble.jobs import Job, Result, versions
 TIMEOUT = 20.0
 
 _LOCAL = {
-    # A worker holds one job at a time, so that none is blamed for the death of a worker that another one killed.
+    # A worker holds one job at a time, so that no job is blamed for the death of a worker that another one killed.
     "distributed.scheduler.worker-saturation": 1.0,
     # LocalCluster gives up a worker that dies twice within this time, and waits forever if it was the last one.
     "distributed.deploy.lost-worker-timeout": "7 days",

@@ -25,7 +25,7 @@ Indices = NDArray[np.int64]
 
 #: Constraints that a cluster may have.
 LARGEST = 3000
-# Constraints less independent than this, as `ClusterKind.most_dependent` measures, are refused.
+# Constraints less independent than this, as `ClusterKind.most_dependent` measures, are an error.
 _INDEPENDENT = 1e-9
 
 
@@ -147,7 +147,7 @@ class ClusterKind:
                 found = np.vstack([found, rest / np.linalg.norm(rest)])
         return kept
 
-    def refuse_unkept(self) -> None:
+    def check_kept(self) -> None:
         """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
 
         Or if one follows from the others wherever members are, as three random configurations show.
@@ -178,7 +178,7 @@ class ClusterKind:
                 f"the constraint of particles {i} and {j} follows from the others of {self.name(0)}: remove it"
             )
 
-    def refuse_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
+    def check_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
         """Raise ValueError for positions (N, n, 3), of the chosen (N,), where a constraint follows from the others."""
         independence, constraint = self.most_dependent(x)
         independence = np.where(chosen, independence, 1.0)
@@ -274,7 +274,7 @@ def _anywhere(n: int) -> Array:
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
     """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
 
-    ValueError if constraints cannot be kept: see `ClusterKind.refuse_unkept`.
+    ValueError if constraints cannot be kept: see `ClusterKind.check_kept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):
@@ -284,7 +284,7 @@ def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
         kinds.setdefault(key, []).append(group)
     joined = [replace(same[0], particles=_by_number([kind.particles for kind in same])) for same in kinds.values()]
     for kind in joined:
-        kind.refuse_unkept()
+        kind.check_kept()
     return Clusters(joined)
 
 

@@ -80,17 +80,17 @@ class DivergenceCheck:
     def finite(self, state: State) -> tuple[float, float]:
         """Return the squares of linear and angular momenta; NonFiniteError if OpenMM cannot be asked for forces."""
         if not _square(state.R) + _square(state.q) < np.inf:  # so that nan is not
-            self._refuse(state)
+            self._raise_if_lost(state)
         return self.finite_momenta(state)
 
     def finite_momenta(self, state: State) -> tuple[float, float]:
         """Return the squares of linear and angular momenta; NonFiniteError if bodies cannot move with them."""
         P, m = _square(state.P), _square(state.m)
         if not (self._fastest >= P and m < np.inf):
-            self._refuse(state)
+            self._raise_if_lost(state)
         return P, m
 
-    def _refuse(self, state: State) -> None:
+    def _raise_if_lost(self, state: State) -> None:
         """Raise NonFiniteError if there is a body of which squares are not finite, or that is faster than light."""
         bad = np.flatnonzero(lost(self._bodies, state.rounded))
         if len(bad):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,11 +12,12 @@ from openmm_exactrb.mathematics.quaternions import from_matrix, matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-#: Positions further than this from a rigid body, in nm, are refused: they are of another molecule, or of two halves.
+#: Positions further than this from a rigid body, in nm, are an error: they are of another molecule, or of two halves.
 REFUSED = 0.02
 #: Up to this distance, in nm, positions are corrected without a warning.
 RIGIDITY = 1e-4
@@ -142,11 +142,10 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
             "positions that a body named by hand had first"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
-    warnings.warn(
+    warn(
         f"positions of {(distance > RIGIDITY).sum()} bodies deviated from their shapes and were corrected: "
         f"the largest distance is {distance[worst]:.2g} nm, in {name}",
         ShapeWarning,
-        stacklevel=2,
     )
 
 
@@ -207,7 +206,7 @@ def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices
     if not any(touched.any() for _, _, touched in clusters):
         return
     for kind, atoms, touched in clusters:
-        kind.refuse_singular(R.T[atoms], touched)
+        kind.check_singular(R.T[atoms], touched)
     state = ClusterState(*(exactly(np.ascontiguousarray(a[:, bodies.clustered])) for a in (R, P)))
     for _ in range(_NEWTON):
         state = bodies.clusters.drift(state, 0.0)

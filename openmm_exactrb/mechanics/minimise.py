@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import NonFiniteError
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 
@@ -71,11 +71,10 @@ def minimised(
             if reach < 10.0 * _LEAST:
                 break
             reach *= 0.1
-    warnings.warn(
+    warn(
         f"the minimisation ended with a force of {force:.3g} kJ/mol/nm, above the tolerance of {tolerance:.3g}, "
         "because the energy stopped falling: use a larger tolerance, or forces in double precision",
         MinimisationWarning,
-        stacklevel=2,
     )
     return search.state
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 import numpy as np
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.support.warn import warn
 
 # A mean over so many samples, each a relaxation time of the thermostat or more after the last one, and the times at the
 # begin that are left out: heat of the start is gone after a few of them.
 _SAMPLES, _LEFT_OUT = 100, 20
-# Part by which the mean has to be too high, and standard errors beside it.
+# Part by which the mean has to be too high, and by how many standard errors.
 _TOO_HOT, _ERRORS = 0.05, 4.0
 
 
@@ -76,11 +76,10 @@ class Overheating:
             excess = 2.0 * total / (freedom * self._kT) - 1.0
             if excess > _TOO_HOT + _ERRORS * math.sqrt(2.0 / (freedom * _SAMPLES)):
                 self._told = True
-                warnings.warn(
+                warn(
                     f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, in the "
                     f"mean over {duration:.3g} ps, which its friction does not explain: use a "
                     "smaller step size, or more friction",
                     StepSizeWarning,
-                    stacklevel=5,  # the call of the integrator's step
                 )
                 return

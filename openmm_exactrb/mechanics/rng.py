@@ -149,5 +149,5 @@ class _Local(threading.local):
 
 
 _local = _Local()
-# Beside the address, the state of a generator that has drawn nothing.
+# Apart from the address, the state of a generator that has drawn nothing.
 _EMPTY = {"buffer": np.zeros(4, np.uint64), "buffer_pos": 4, "has_uint32": 0, "uinteger": 0}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import operator
 import reprlib
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -21,6 +20,7 @@ from openmm_exactrb.schemes.catalogue import scheme as look_up
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT, KICK, Drift, GradientKick, HeatExchange, Kick
 from openmm_exactrb.support.checks import whole
+from openmm_exactrb.support.warn import warn
 
 # Inner schemes, and the longest time between two kicks of the fast forces over the period of the fastest bond or angle:
 # for outer schemes of order 2, and for those of higher order or with force gradients. High-order outer schemes need a
@@ -37,7 +37,7 @@ _NO_PERIOD = (
     "period follows: set the number of inner steps per step with innerSteps="
 )
 _NO_INNER_STEPS = "there are no inner steps: "
-#: What `fast` may be beside force groups: bonded forces where that helps; wherever there are some.
+#: What `fast` may be instead of force groups: bonded forces where that helps; wherever there are some.
 AUTO, BONDED = "auto", "bonded"
 
 
@@ -212,16 +212,15 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     present = {group for force in acting(system) for group in groups_of(force)}
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
-        warnings.warn(
+        warn(
             f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}), the "
-            f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}",
-            stacklevel=2,
+            f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}"
         )
         return None
     if present <= set(groups):
         raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:
-        warnings.warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}", stacklevel=2)
+        warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}")
         return None
     return FastForces(settings, frequency)

@@ -6,7 +6,6 @@ J. J. Biesiadecki and R. D. Skeel, J. Comput. Phys. 109, 318 (1993), doi:10.1006
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import NamedTuple
@@ -19,13 +18,14 @@ from openmm_exactrb.mechanics.overheating import StepSizeWarning
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
+from openmm_exactrb.support.warn import warn
 
 # Stiffness of slow forces in kJ/mol/nm²: that of a hydrogen in water, whose librations have 112/ps.
 _SLOW = 112.0**2
 # Growth of amplitudes in 1/ps that matters: friction of 5/ps takes as much away.
 _GROWTH = 2.5
-# Fastest normal modes of alanine dipeptide over the fastest bond or angle by itself, in periods; a bond to an atom as
-# light as hydrogen, or hydrogen made heavier, is a mode by itself.
+# Fastest normal modes of alanine dipeptide over the fastest bond or angle alone, in periods; a bond to an atom as
+# light as hydrogen, or hydrogen made heavier, is a mode alone.
 _COUPLED, _LIGHT = 0.8, 4.0
 _HEAVY = 2.5  # amu: hydrogen, or deuterium, that could be heavier
 _HARMONICS = 6
@@ -104,14 +104,13 @@ class Resonances:
         self._told = True
         what = "bond" if len(found.particles) == 2 else "angle"
         particles = ", ".join(str(self._names[i]) for i in found.particles)
-        warnings.warn(
+        warn(
             f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
             f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "
             "temperature of the solute",
             StepSizeWarning,
-            stacklevel=7,  # the call of the integrator's step
         )
 
     def _lightest(self, particles: tuple[int, ...]) -> float:

@@ -8,12 +8,12 @@ from typing import Any
 import openmm
 
 
-def _refused(name: str) -> Any:
+def _closed(name: str) -> Any:
     """Return a method of CustomIntegrator that raises ValueError once the integrator is made."""
     method = getattr(openmm.CustomIntegrator, name)
 
     @functools.wraps(method)
-    def refuse(self: Any, *arguments: Any, **options: Any) -> Any:
+    def raising(self: Any, *arguments: Any, **options: Any) -> Any:
         if self._made:
             raise ValueError(
                 f"{type(self).__name__} has no {name}(): its steps are made by a Scheme and not by a program, so put a "
@@ -21,7 +21,7 @@ def _refused(name: str) -> Any:
             )
         return method(self, *arguments, **options)
 
-    return refuse
+    return raising
 
 
 class OwnProgram:
@@ -29,15 +29,15 @@ class OwnProgram:
 
     _made = False
 
-    addComputeGlobal = _refused("addComputeGlobal")
-    addComputePerDof = _refused("addComputePerDof")
-    addComputeSum = _refused("addComputeSum")
-    addConstrainPositions = _refused("addConstrainPositions")
-    addConstrainVelocities = _refused("addConstrainVelocities")
-    addGlobalVariable = _refused("addGlobalVariable")
-    addPerDofVariable = _refused("addPerDofVariable")
-    addTabulatedFunction = _refused("addTabulatedFunction")
-    addUpdateContextState = _refused("addUpdateContextState")
-    beginIfBlock = _refused("beginIfBlock")
-    beginWhileBlock = _refused("beginWhileBlock")
-    endBlock = _refused("endBlock")
+    addComputeGlobal = _closed("addComputeGlobal")
+    addComputePerDof = _closed("addComputePerDof")
+    addComputeSum = _closed("addComputeSum")
+    addConstrainPositions = _closed("addConstrainPositions")
+    addConstrainVelocities = _closed("addConstrainVelocities")
+    addGlobalVariable = _closed("addGlobalVariable")
+    addPerDofVariable = _closed("addPerDofVariable")
+    addTabulatedFunction = _closed("addTabulatedFunction")
+    addUpdateContextState = _closed("addUpdateContextState")
+    beginIfBlock = _closed("beginIfBlock")
+    beginWhileBlock = _closed("beginWhileBlock")
+    endBlock = _closed("endBlock")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from typing import Any
 
 import openmm
+
+from openmm_exactrb.support.warn import warn
 
 _PRECISION = "Precision"
 #: Platforms that keep positions and forces on a device.
@@ -25,7 +26,7 @@ def platforms() -> list[openmm.Platform]:
 def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     """Return a platform: the named one, else that of OPENMM_DEFAULT_PLATFORM, which OpenMM obeys too, else the fastest.
 
-    The fastest of those that `refused_by_default` has nothing against.
+    The fastest of those that `why_not_by_default` has nothing against.
 
     Raises
     ------
@@ -38,13 +39,13 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     by_case = {known.lower(): known for known in found}
     wanted = name if name is not None else os.environ.get("OPENMM_DEFAULT_PLATFORM")
     if not wanted:
-        return next(platform for platform in found.values() if not refused_by_default(platform))
+        return next(platform for platform in found.values() if not why_not_by_default(platform))
     if str(wanted).lower() not in by_case:
         raise ValueError(f"there is no platform {wanted!r} here: choose one of {', '.join(found)}")
     return found[by_case[str(wanted).lower()]]
 
 
-def refused_by_default(platform: openmm.Platform) -> str | None:
+def why_not_by_default(platform: openmm.Platform) -> str | None:
     """Return why a platform is taken only where the user names it, or None."""
     if platform.getName() != "OpenCL":
         return None
@@ -89,8 +90,7 @@ def is_double(context: Any) -> bool:
 def warn_of_single_precision(context: Any) -> None:
     """Warn where rounding hides what an integrator is chosen for."""
     if is_single(context):
-        warnings.warn(
+        warn(
             "the Context is in single precision, whose rounding hides the errors and the drift of the energy that "
-            'schemes differ in: make it with the platform properties {"Precision": "mixed"}',
-            stacklevel=5,
+            'schemes differ in: make it with the platform properties {"Precision": "mixed"}'
         )

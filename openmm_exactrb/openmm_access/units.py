@@ -57,7 +57,7 @@ def gas_constant_times(temperature: float | unit.Quantity) -> float:
     return float((kelvin(temperature) * unit.kelvin * unit.MOLAR_GAS_CONSTANT_R).value_in_unit(unit.kilojoule_per_mole))
 
 
-def refuse_temperature(step: Any, scheme: Any) -> None:
+def check_first_arguments(step: Any, scheme: Any) -> None:
     """Raise ValueError for the arguments of an integrator with a thermostat: temperature, friction, step size."""
     warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):

@@ -42,7 +42,7 @@ def splitting(
     ValueError
         If more than `MOST_WAVES` are needed.
     """
-    switch = max(switch, 1e-3 * cutoff)  # refused below, and not a division by zero
+    switch = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
     x = y = 3.0
     distance = (math.prod(box) / n) ** (1.0 / 3.0)
     for _ in range(60):

@@ -15,7 +15,6 @@ E. Hairer and G. Vilmart, J. Phys. A 39, 13225 (2006), doi:10.1088/0305-4470/39/
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.support.warn import warn
 
 #: Steps of the fixed point iteration after which a body counts as not converged.
 MOST_ITERATIONS = 200
@@ -124,11 +124,10 @@ def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
     if not failed.any():
         return
     q[:, failed] = m[:, failed] = np.nan
-    warnings.warn(
+    warn(
         f"dmv{order}: {np.count_nonzero(failed)} of {failed.size} bodies did not converge within {MOST_ITERATIONS} "
         "iterations and are nan: use a shorter step",
         NotConvergedWarning,
-        stacklevel=3,
     )
 
 

@@ -12,7 +12,7 @@ from openmm_exactrb.support.files import written_whole
 
 #: Name of the file.
 CHECKPOINT = "checkpoint"
-#: Version of the file format; others are refused.
+#: Version of the file format; files of others are an error.
 FORMAT = b"5"
 _MAGIC = b"openmm-exactrb checkpoint"
 
@@ -34,7 +34,7 @@ class Checkpoint(NamedTuple):
     #: OpenMM's checkpoint.
     state: bytes
 
-    def refuse_others(self, identity: Mapping[str, str], file: Path) -> None:
+    def check_same_run(self, identity: Mapping[str, str], file: Path) -> None:
         """Raise ValueError if the run has another identity."""
         for name in {**self.identity, **identity}:
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
@@ -44,7 +44,7 @@ class Checkpoint(NamedTuple):
                     "or overwrite"
                 )
 
-    def refuse_cut_files(self, folder: Path) -> None:
+    def check_cut_files(self, folder: Path) -> None:
         """Raise ValueError if an output file is shorter than it was."""
         for name, (length, _) in self.files.items():
             file = folder / name

@@ -13,7 +13,7 @@ from typing import Any
 from openmm import app
 
 from openmm_exactrb.runs.identity import setting_text
-from openmm_exactrb.runs.trajectories import begin_with_the_start, refuse_lost_frames
+from openmm_exactrb.runs.trajectories import begin_with_the_start, check_lost_frames
 from openmm_exactrb.support.files import sync, written_whole
 
 #: Name of the file with topology and start, which does not grow.
@@ -83,7 +83,7 @@ class Outputs:
         for name, reporter in self._reporters.items():
             for file in _files_of(reporter):
                 file.flush()
-            refuse_lost_frames(reporter, self._folder / name)
+            check_lost_frames(reporter, self._folder / name)
             sync(self._folder / name)
         return {name: _extent(self._folder / name) for name in self._reporters}
 

@@ -91,7 +91,7 @@ class Run:
         self._locked = False
         self.resuming = self._last is not None
         self.wall = self._last.wall if self._last else 0.0
-        self._refuse_files()
+        self._check_files()
 
     @staticmethod
     def add_options(parser: argparse.ArgumentParser, folder: str = "out") -> None:
@@ -264,11 +264,11 @@ class Run:
             self._last = checkpoint.read(self._file)
             self.wall = self._last.wall
         elif self._last is None:
-            self._refuse_files()
+            self._check_files()
         elif checkpoint.read(self._file).state != self._last.state:
             raise ValueError(f"another process has continued the run in {self.folder}: {_RESUME}")
 
-    def _refuse_files(self) -> None:
+    def _check_files(self) -> None:
         for name in (CHECKPOINT, TOPOLOGY, *self._outputs.names):
             self.path(name)
 
@@ -279,9 +279,9 @@ class Run:
             self._save(simulation)  # before any other file, which are then known to be of this run
             self._outputs.open(simulation, {}, simulation.currentStep)
             return
-        self._last.refuse_others(self._identity, self._file)
+        self._last.check_same_run(self._identity, self._file)
         if self.resuming:
-            self._last.refuse_cut_files(self.folder)
+            self._last.check_cut_files(self.folder)
             _load(simulation, self._last)
         self.resuming = False
         self._outputs.open(simulation, self._last.files, self._last.first)

@@ -32,7 +32,7 @@ def _topology(reporter: Any, simulation: Any) -> app.Topology:
     return topology
 
 
-def refuse_lost_frames(reporter: Any, file: Path) -> None:
+def check_lost_frames(reporter: Any, file: Path) -> None:
     """Raise OSError if an XTC file lacks frames: OpenMM ignores errors of writing them."""
     if not isinstance(reporter, app.XTCReporter) or reporter._xtc._modelCount == 0:
         return

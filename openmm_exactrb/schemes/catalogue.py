@@ -299,7 +299,7 @@ _SCHEMES = (
     corrected(TAKAHASHI_IMADA, 8, "V2_gradient_C17", (18, 4)),
 )
 
-#: All schemes by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 beside them.
+#: All schemes by name; `scheme` knows SABA_n and SBAB_n for every n up to 99 too.
 CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for scheme in _SCHEMES})
 
 

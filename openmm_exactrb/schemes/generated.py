@@ -44,7 +44,7 @@ def saba(n: int) -> Scheme:
 
     ValueError if n < 1.
     """
-    _refuse_none(n, "SABA_n")
+    _check_none(n, "SABA_n")
     nodes, weights = np.polynomial.legendre.leggauss(n)
     return _quadrature("SABA", n, "drift", np.diff(nodes, prepend=-1.0)[: n // 2], weights[: (n - 1) // 2])
 
@@ -54,14 +54,14 @@ def sbab(n: int) -> Scheme:
 
     ValueError if n < 1.
     """
-    _refuse_none(n, "SBAB_n")
+    _check_none(n, "SBAB_n")
     last = np.polynomial.legendre.Legendre.basis(n)
     nodes = np.concatenate([[-1.0], np.sort(last.deriv().roots().real), [1.0]])
     weights = 2.0 / (n * (n + 1) * last(nodes) ** 2)
     return _quadrature("SBAB", n, "kick", np.diff(nodes)[: (n - 1) // 2], weights[: n // 2])
 
 
-def _refuse_none(n: int, name: str) -> None:
+def _check_none(n: int, name: str) -> None:
     if n < 1:
         raise ValueError(f"{name} needs n of 1 or more, not {n}")
 

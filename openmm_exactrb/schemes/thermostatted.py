@@ -52,7 +52,7 @@ def _three_kicks(outer: float) -> Sequence:
 
 #: Splittings with a thermostat within them, by name. Those of Leimkuhler and Matthews need one force per step, as does
 #: BAOA, the splitting of OpenMM's LangevinMiddleIntegrator. With an outer drift of 0.135 the momenta of W2_3m next to
-#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and its places are so in the fourth
+#: the thermostat are canonical within half a percent up to 160/ps at 6 fs a force, and positions are so in the fourth
 #: order where a step ends, `reading_point` behind the thermostat: tests/schemes/test_thermostatted.py.
 WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
     {
@@ -112,12 +112,12 @@ def proposal(scheme: Scheme, steps: int) -> Scheme:
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")
-    refuse_lopsided(scheme)
+    require_symmetric(scheme)
     rows = repeated(scheme.sequence, steps)
     return replace(scheme, sequence=tuple((substep, part / steps) for substep, part in rows))
 
 
-def refuse_lopsided(scheme: Scheme | None, role: str = "scheme") -> None:
+def require_symmetric(scheme: Scheme | None, role: str = "scheme") -> None:
     """Raise ValueError for a scheme, or an inner one, whose proposals are not symmetric in time."""
     if scheme is not None and not palindromic(scheme.sequence):
         raise ValueError(f"the {role} {scheme.name} is not symmetric in time, as proposals must be: choose one that is")

@@ -78,9 +78,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
             If the state of the bodies is not that after a step of this integrator.
         """
         propagator = self._up_to_date()
-        if (around := propagator.around) is None:
+        if (exchange := propagator.last_exchange) is None:
             raise ValueError("there are no temperatures around a heat exchange yet: make a step first")
-        energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in around]
+        energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in exchange]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
         translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)

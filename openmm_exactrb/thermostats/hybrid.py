@@ -173,7 +173,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         frictions = frictionCoeff, rotationalFriction
         thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
         super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
-        thermostatted.refuse_lopsided(None if self._fast is None else self._fast.scheme, "inner scheme")
+        thermostatted.require_symmetric(None if self._fast is None else self._fast.scheme, "inner scheme")
 
     @property
     def forceEvaluationsPerStep(self) -> int:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _WINDOWS = (8, 4, 2, 1)
-# A drift is the slope of the means of this many parts of a run. Their differences tell how they scatter about a line:
+# A drift is the slope of the means of this many parts of a run. Their differences show how they scatter about a line:
 # the squared differences of independent means are twice their squared residuals, those of a random walk far less.
 _PARTS, _SCATTER = 16, 1.5
 # A slope is a drift above this many standard errors of its own. One random walk in 25 is mistaken for a drift, and few

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 
 import openmm
 
-#: Of ``ewaldErrorTolerance``: a looser one shows beside the best schemes.
+#: Of ``ewaldErrorTolerance``: a looser one shows with the best schemes.
 TIGHT = 1e-5
 #: kJ/mol over the square root of the number of molecules: the standard deviation of the total energy of 216 TIP3P over
-#: 30 ps with OpenMM's defaults, no switch and a tolerance of 5e-4, by W4_4 with a force every 2 fs on the CPU platform.
+#: 30 ps with OpenMM's defaults, no switch and a tolerance of 5e-4, by W4_4 with 2 fs per force evaluation on the CPU
+#: platform.
 WATER_BY_DEFAULT = 0.064
 
 

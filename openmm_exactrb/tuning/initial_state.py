@@ -35,7 +35,7 @@ _EXTENT = 0.1
 # in a part of it, parts, and the last parts over which the temperature is a mean.
 _STEP, _FRICTION, _STEPS, _PARTS, _LAST = 0.05, 0.2, 150, 20, 10
 _MINIMISER_ITERATIONS = 1000  # enough to remove overlaps; it need not converge
-# Accepted deviation of the kinetic energy: a fraction, since a large system takes up heat, and standard deviations.
+# Accepted deviation of the kinetic energy: a fraction, since a large system absorbs heat, and standard deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
 
 
@@ -173,7 +173,7 @@ def diverging() -> Iterator[None]:
 class Characteristics(NamedTuple):
     """Size and characteristic times of a system."""
 
-    #: Rigid bodies, and particles beside them.
+    #: Rigid bodies, and other particles.
     n_bodies: int
     #: Kinetic energy in kJ/mol per body.
     kinetic: float

@@ -70,5 +70,5 @@ def test_a_triangle_on_a_line_is_a_singular_place():
     triangle = kind([12.0, 16.0, 16.0], [(0, 1), (0, 2), (1, 2)], [0.12, 0.12, 0.24])
     x = np.array([[0.0, 0.0, 0.0], [0.12, 0.0, 0.0], [-0.12, 0.0, 0.0]])
     with pytest.raises(ValueError, match="particles 0, 1, 2 is in a singular configuration"):
-        triangle.refuse_singular(x[None], np.array([True]))
-    triangle.refuse_singular(x[None], np.array([False]))
+        triangle.check_singular(x[None], np.array([True]))
+    triangle.check_singular(x[None], np.array([False]))

@@ -325,7 +325,7 @@ def test_atoms_at_rest_stay(name, kernel):
     clusters, state = many(name, kernel, kT=0.0)
     moved = clusters.drift(state, 0.02)
     assert not moved.p.any()
-    np.testing.assert_allclose((moved.x - state.x).sum(axis=0), 0.0, atol=1e-19)
+    np.testing.assert_allclose((moved.x - state.x).sum(axis=0), 0.0, atol=1e-24)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])

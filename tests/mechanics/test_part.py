@@ -85,5 +85,5 @@ def test_a_drift_of_inner_steps_without_forces_is_the_drift(droplet):
     assert len(calls) == 7
     whole = inner_steps(free.drift, kick(nothing), sequence, lambda tau: 1)
     for a, b in zip(whole(state, 0.002), free.drift(state, 0.002), strict=True):
-        np.testing.assert_allclose(a[0], b[0], rtol=0.0, atol=1e-13)
+        np.testing.assert_allclose(a[0], b[0], rtol=0.0, atol=3e-15)
     assert len(calls) == 7 + 3

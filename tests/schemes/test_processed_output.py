@@ -58,5 +58,5 @@ def test_an_output_ends_where_the_step_does(name):
             kicks += part * sum(substep.weights)
         elif substep != DRIFT:
             kicks += part
-    assert sum(part for substep, part in scheme.output if substep == DRIFT) == pytest.approx(0.0, abs=1e-12)
-    assert kicks == pytest.approx(0.0, abs=1e-12)
+    assert sum(part for substep, part in scheme.output if substep == DRIFT) == pytest.approx(0.0, abs=1e-15)
+    assert kicks == pytest.approx(0.0, abs=1e-15)

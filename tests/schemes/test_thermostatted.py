@@ -63,7 +63,7 @@ def test_places_are_canonical_with_friction_too():
                 added = np.diag([0.0, 1.0 - matrix[1, 1] ** 2])
             step, noise = matrix @ step, matrix @ noise @ matrix.T + added
         covariance = np.linalg.solve(np.eye(4) - np.kron(step, step), noise.ravel()).reshape(2, 2)
-        assert np.diag(covariance) - 1.0 == pytest.approx([canonical(scheme, w * h), 0.0], abs=1e-9)
+        assert np.diag(covariance) - 1.0 == pytest.approx([canonical(scheme, w * h), 0.0], abs=2e-14)
 
 
 def test_the_reading_point_of_one_kick_is_the_kick():

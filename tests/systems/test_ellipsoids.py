@@ -9,6 +9,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.potentials import GayBerne
+from orders import exponent
 from starts import REFERENCE, context_of
 
 KB = 0.00831446261815324
@@ -230,7 +231,7 @@ def test_the_energy_is_kept_with_the_order_of_the_scheme(liquid, scheme, order, 
             integrator.step(1)
             energies.append(integrator.totalEnergy()._value - first)
         errors.append(np.abs(energies).max())
-    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    slope = exponent(steps, errors)
     assert abs(slope - order) < 0.35, errors
 
 

@@ -14,6 +14,7 @@ from chains import FREQUENCY, H, nose_hoover
 from openmm_exactrb.context import variables
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.thermostats import NoseHooverChain
+from orders import exponent
 from thermostatted import (
     KT,
     R,
@@ -56,9 +57,10 @@ def wander(h, time=0.64, **options):
 )
 def test_the_conserved_energy_has_the_smaller_order_of_scheme_and_chain(options, order):
     """Each of them keeps its part by itself, so that the splitting between them does not show."""
-    coarse, fine = (wander(h, **options) for h in (0.01, 0.005))
-    assert abs(np.log2(coarse / fine) - order) < 0.35
-    assert fine < 2e-3
+    steps = 0.01, 0.04 / 6, 0.005
+    errors = [wander(h, **options) for h in steps]
+    assert abs(exponent(steps, errors) - order) < 0.35
+    assert errors[-1] < 2e-3
 
 
 def flipped(integrator):
@@ -256,6 +258,14 @@ def test_a_setting_that_is_refused_leaves_the_one_there_was():
         with pytest.raises(ValueError, match="above zero"):
             change(0.0)
     assert integrator.getThermostat() == NoseHooverChain(300.0, FREQUENCY)
+
+
+def test_the_device_refuses_it_and_auto_leaves_it_to_the_host():
+    with pytest.raises(ValueError, match="the device supports the Langevin thermostat only, not NoseHooverChain"):
+        nose_hoover(engine="device")
+    integrator = nose_hoover(engine="auto")
+    assert integrator.getEngine() == "host"
+    assert "not NoseHooverChain" in integrator.engineNote()
 
 
 def test_a_chain_that_is_too_stiff_for_the_step_gets_a_sentence():

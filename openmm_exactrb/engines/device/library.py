@@ -158,7 +158,7 @@ class Device:
 @cache
 def library() -> Library:
     """Return the library; MissingLibraryError if it cannot be had."""
-    return Library(_found() or _compiled())
+    return Library(_found() or compiled())
 
 
 def _found() -> Path | None:
@@ -173,16 +173,31 @@ def _minor(version: str) -> list[str]:
     return version.split(".")[:2]
 
 
-def _compiled() -> Path:
-    """Return the library in the user's cache, compiled if it is not there."""
+def describe() -> str:
+    """Say which library serves the device engine here, or what is missing; nothing is compiled."""
+    try:
+        path = _found() or cached()
+        if not path.exists():
+            openmm_folder()  # with its headers
+    except MissingLibraryError as error:
+        return f"not available: {error}"
+    return str(path) if path.exists() else f"to be compiled by {compiler()} at first use, in some seconds"
+
+
+def cached() -> Path:
+    """Return where the library is in the user's cache."""
     found = compiler()
-    folder = private_folder()
     what = (SOURCE.read_bytes(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
     digest = hashlib.sha256(b"\0".join(what)).hexdigest()[:16]
-    path = folder / f"program_integrator-openmm{openmm.__version__}-{digest}.so"
+    return private_folder() / f"program_integrator-openmm{openmm.__version__}-{digest}.so"
+
+
+def compiled() -> Path:
+    """Return the library in the user's cache, compiled if it is not there."""
+    path = cached()
     if not path.exists():
         _log.warning("compiling the device engine for OpenMM %s, once: some seconds", openmm.__version__)
-        build(path, found)
+        build(path)
     _refuse_others(path)
     return path
 

@@ -73,7 +73,7 @@ class DevicePropagator:
         return self.sync.outdated
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, which the device does not keep."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 

@@ -9,7 +9,7 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.device.flexible.molecules import NotServedError, bodies_of, molecules_of
-from openmm_exactrb.engines.device.library import MissingLibraryError, library
+from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.moves import Op, of_substep
@@ -108,4 +108,5 @@ DEVICE = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
+    information=describe,
 )

@@ -46,7 +46,7 @@ class HostEnvironment:
         Bodies that the user named, in addition to those of constraints.
     key : int
         Of the random numbers of a call.
-    around : (State, State) or None
+    last_exchange : (State, State) or None
         The states before and after the last heat exchange.
     """
 
@@ -64,7 +64,7 @@ class HostEnvironment:
     memory: ForceMemory
     named: Named
     key: int = 0
-    around: tuple[State, State] | None = None
+    last_exchange: tuple[State, State] | None = None
 
     def forces(self, group: int | None = None) -> Forces:
         """Return the forces of a group, or of all kicks."""

@@ -120,9 +120,9 @@ class HostPropagator:
         return self.sync.outdated
 
     @property
-    def around(self) -> tuple[State, State] | None:
+    def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is that at the end of its step."""
-        return self.environment.around if self._left is self.sync.state else None
+        return self.environment.last_exchange if self._left is self.sync.state else None
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
         """Make n steps. Whatever happens, the Context is left at the last valid state.

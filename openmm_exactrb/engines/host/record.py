@@ -43,4 +43,5 @@ HOST = Engine(
     marks=_marks,
     declare=_declare,
     propagator=_propagator,
+    information=lambda: "kernels of this package, on every platform",
 )

@@ -10,7 +10,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.context.synchronisation import refuse_unset
+from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
@@ -61,7 +61,7 @@ class Molecules:
 
 def bodies_of(context: Any, settings: Any) -> RigidBodies:
     """Return the bodies of a Context; if it has flexible molecules, two particles with a constraint are a cluster."""
-    refuse_unset(context)
+    require_positions(context)
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     box = arrays.periodic_box(context)
     bodies = find_bodies(system, x, settings.named, box)
@@ -138,7 +138,7 @@ def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Ex
 def _terms(excerpt: Excerpt, groups: int) -> Terms:
     """Return the terms of an excerpt in some groups (bits), numbered as in the whole System."""
     terms, number = terms_of(excerpt.system, groups), excerpt.particles
-    assert terms is not None  # none is unknown
+    assert terms is not None  # all are known
     maps = np.concatenate([number[terms.maps[:, :8]], terms.maps[:, 8:]], axis=1)
     names = ("bonds", "angles", "torsions", "pairs", "impropers")
     return terms._replace(maps=maps, **{name: number[getattr(terms, name)] for name in names})

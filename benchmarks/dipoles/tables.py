@@ -1,0 +1,70 @@
+"""Tables of Ewald sums of dipoles: dipole_scale.py and dipole_energy.py."""
+
+from __future__ import annotations
+
+from benchmarks.common.markdown import distinct, rows, table
+from benchmarks.common.records import Row
+
+
+def dipole_costs() -> str:
+    """Return the time of an evaluation at equal measured errors, on one core."""
+    found, body = rows("dipole_scale"), []
+    for (n,) in distinct(found, "n"):
+        for level in ("0.001", "0.0001", "1e-05"):
+            best: dict[str, Row] = {}
+            for row in found:
+                reached = row["n"] == n and row["cores"] == "1" and row["level"] and float(row["level"]) <= float(level)
+                if reached and float(row["ms"]) < float(best.get(row["who"], {"ms": "inf"})["ms"]):
+                    best[row["who"]] = row
+            if level != "0.0001" and "LAMMPS" not in best:
+                continue
+            ours = best["rb.Ewald"]
+            others = [f"{float(best[who]['ms']):.3g}" if who in best else "" for who in ("direct sum", "LAMMPS")]
+            others[0] = others[0] if level == "0.0001" else ""  # timed with one tolerance
+            setting = best["LAMMPS"]["settings"] if "LAMMPS" in best else ""
+            errors = f"{float(level):.0e}".replace("e-0", "e-")
+            ms = f"{float(ours['ms']):.3g}"
+            body.append((n, errors, ms, ours["settings"], *others, setting.replace("/dipole", "")))
+    return table(("dipoles", "errors up to", "`rb.Ewald`, ms", "with", "direct sum, ms", "LAMMPS, ms", "with"), body)
+
+
+def dipole_memory() -> str:
+    """Return the memory of a process with the fewest and with the most dipoles."""
+    found = [row for row in rows("dipole_scale") if row["process_MB"]]
+    few, many = (
+        f"{row['process_MB']} MB with {int(row['n']):,} dipoles".replace(",", " ") for row in found[:: len(found) - 1]
+    )
+    return f"{few}, {many}"
+
+
+def dipole_errors() -> str:
+    """Return the errors of forces and torques by the tolerance."""
+    found = [row for row in rows("dipole_scale") if row["who"] == "rb.Ewald" and row["cores"] == "1"]
+    errors = {(row["tolerance"], row["n"]): f"{row['force_error']}, {row['torque_error']}" for row in found}
+    numbers = ("125", "1000", "8000", "27000")
+    body = [
+        (name, *(errors.get((tolerance, n), "") for n in numbers))
+        for name, tolerance in (("1e-3", "0.001"), ("1e-4", "0.0001"), ("1e-5", "1e-05"), ("1e-6", "1e-06"))
+    ]
+    return table(("tolerance", *(f"{n} dipoles" for n in numbers)), body)
+
+
+def dipole_energies() -> str:
+    """Return standard deviations of the energy of a dipole, on a mesh and with the direct sum, and its drift."""
+    found, body = rows("dipole_energy"), []
+    for scheme, step in distinct(found, "scheme", "step_ps"):
+        of = {(row["sum"], row["start"]): row for row in found if row["scheme"] == scheme}
+        starts = [start for method, start in of if method == "direct" and ("mesh", start) in of]
+        stds = [
+            ", ".join(f"{float(of[method, start][name]):.{digits}e}".replace("e-0", "e-") for start in starts)
+            for name, digits in (("std_early", 3), ("std", 1))
+            for method in ("mesh", "direct")
+        ]
+        longest = max((row for row in of.values() if row["sum"] == "mesh"), key=lambda row: int(row["ps"]))
+        drifts = (
+            f"{row['drift_a_ps']} ± {row['drift_error']} ({row['ps']} ps)".replace("e-0", "e-")
+            for row in (longest, of["direct", longest["start"]])
+        )
+        body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, *drifts))
+    head = ("mesh, 1.2 ps", "direct, 1.2 ps", "mesh, 20 ps", "direct, 20 ps", "drift a ps, mesh", "drift a ps, direct")
+    return table(("scheme", "step", *head), body)

@@ -1,0 +1,103 @@
+"""The library of the device engine: where it is found, who may write there, and what is said where it is missing."""
+
+import ctypes
+import stat
+
+import openmm
+import pytest
+
+from openmm_exactrb.engines.device import library as module
+from openmm_exactrb.engines.device.library import Device, MissingLibraryError, library
+
+needs_compiler = pytest.mark.skipif(module.shutil.which("c++") is None, reason="needs a C++ compiler")
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """Return a folder for compiled libraries that does not exist yet."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv(module.CACHE, str(folder))
+    return folder
+
+
+def test_without_a_compiler_a_sentence_says_what_to_do(monkeypatch, cache):
+    monkeypatch.setenv("PATH", str(cache))
+    monkeypatch.delenv(module.COMPILER, raising=False)
+    with pytest.raises(MissingLibraryError, match=r"no C\+\+ compiler was found: install one"):
+        module.compiler()
+    assert "no C++ compiler" in module.describe()
+
+
+@needs_compiler
+def test_the_folder_belongs_to_the_user_alone(cache):
+    assert stat.S_IMODE(module.private_folder().stat().st_mode) == 0o700
+    cache.chmod(0o755)
+    with pytest.raises(MissingLibraryError, match="not yours alone"):
+        module.private_folder()
+
+
+@needs_compiler
+def test_what_another_user_could_have_written_is_not_loaded(cache):
+    module.private_folder()
+    planted = module.cached()
+    planted.write_bytes(b"")
+    planted.chmod(0o666)
+    with pytest.raises(MissingLibraryError, match="not yours alone"):
+        module.compiled()
+
+
+@needs_compiler
+def test_a_compiler_that_fails_is_quoted(cache, tmp_path, monkeypatch):
+    source = tmp_path / "broken.cpp"
+    source.write_text("int main() { return nothing; }\n")
+    monkeypatch.setattr(module, "SOURCE", source)
+    with pytest.raises(MissingLibraryError, match=r"cannot compile the device engine: .*nothing"):
+        module.compiled()
+    assert list(cache.iterdir()) == []  # and nothing is left
+
+
+@needs_compiler
+def test_names_tell_sources_and_versions_apart(cache, monkeypatch):
+    name = module.cached()
+    monkeypatch.setattr(openmm, "__version__", "8.6.9")
+    assert module.cached() != name
+    assert "openmm8.6.9" in module.cached().name
+
+
+@needs_compiler
+def test_without_a_program_it_is_a_custom_integrator():
+    integrator = library().make()
+    assert type(integrator) is openmm.CustomIntegrator
+    assert library().owns(integrator)
+    assert not library().owns(openmm.CustomIntegrator(0.001))
+    integrator.setStepSize(0.001)
+    integrator.addComputePerDof("x", "x+1")
+    system = openmm.System()
+    system.addParticle(1.0)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions([[0.0, 0.0, 0.0]])
+    integrator.step(2)
+    assert context.getState(positions=True).getPositions()[0][1]._value == 2.0
+
+
+@needs_compiler
+def test_lines_that_are_no_program_are_refused_with_a_sentence():
+    device = Device(library(), library().make())
+    for text, message in (
+        ("run nothing", "an operation outside a sequence: run nothing"),
+        ("sequence a\nrun nothing", "no kernel nothing"),
+        ("sequence a\njump", "unknown operation jump"),
+    ):
+        with pytest.raises(openmm.OpenMMException, match=message):
+            device.load(text)
+    with pytest.raises(openmm.OpenMMException, match="no Context on one device with double precision, or no program"):
+        device.step(1)
+    with pytest.raises(openmm.OpenMMException, match="no array x"):
+        device.upload("x", ctypes.c_double())
+
+
+def test_the_info_says_which_library_runs(capsys):
+    from openmm_exactrb.command.main import main
+
+    assert main(["info"]) == 0
+    assert f"device engine: {module.describe()}" in capsys.readouterr().out

@@ -1,0 +1,49 @@
+"""No file has more than 400 lines, no function more than 60 lines of code or 10 parameters by position; but kernels."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+#: To be divided: the tests of the engine of an integrator's program go with it.
+NOT_YET = {
+    "openmm_exactrb/integrator.py",
+    "openmm_exactrb/integrator.py: __init__",
+    "openmm_exactrb/systems/fluids.py: dipole_fluid",
+}
+TEXTS = {
+    str(file.relative_to(ROOT)): file.read_text(encoding="utf-8")
+    for folder in ("openmm_exactrb", "tests", "benchmarks")
+    for file in (ROOT / folder).rglob("*.py")
+    if "kernels" not in file.relative_to(ROOT).parts
+}
+FUNCTIONS = [
+    (f"{name}: {node.name}", node)
+    for name, text in TEXTS.items()
+    for node in ast.walk(ast.parse(text))
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+]
+
+
+def lines_of(function):
+    """Return how many lines a function has without its docstring."""
+    first = function.body[0]
+    docstring = first.end_lineno - first.lineno + 1 if ast.get_docstring(function) else 0
+    return function.end_lineno - function.lineno + 1 - docstring
+
+
+def positional(function):
+    """Return the parameters that a call may give by position."""
+    names = [argument.arg for argument in function.args.posonlyargs + function.args.args]
+    return names[1:] if names[:1] in (["self"], ["cls"]) else names
+
+
+def test_files_are_short():
+    assert {name: lines for name, text in TEXTS.items() if (lines := text.count("\n")) > 400}.keys() <= NOT_YET
+
+
+def test_functions_are_short():
+    assert {name: lines for name, function in FUNCTIONS if (lines := lines_of(function)) > 60}.keys() <= NOT_YET
+
+
+def test_functions_take_few_parameters_by_position():
+    assert {name: names for name, function in FUNCTIONS if len(names := positional(function)) > 10}.keys() <= NOT_YET
