@@ -41,7 +41,7 @@ KB = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelv
 DENSITY, KT, MU2 = 0.822, 1.15, 3.0
 Y = 4.0 * np.pi * DENSITY * MU2 / (9.0 * KT)
 STEP = 0.015  # ps, with one force evaluation
-CUTOFF = 3.5  # sigma, or half of a smaller box
+CUTOFF = 3.5  # of the attraction, sigma, or half of a smaller box
 SAMPLE = 4  # steps between two moments
 
 
@@ -80,7 +80,8 @@ def simulate(args: argparse.Namespace) -> tuple[np.ndarray, np.ndarray, float]:
         inertia=(0.2, 0.2, 0.2),
         attraction=1.0,
         density=DENSITY,
-        boundary=rb.Ewald(tolerance=1e-3, cutoff=min(CUTOFF, 0.5 * edge)),
+        boundary=rb.Ewald(tolerance=1e-3),
+        sphere_cutoff=min(CUTOFF, 0.5 * edge),
     )
     ends = {"C": -(MU2**0.5) / 0.5, "D": MU2**0.5 / 0.5}  # charges half a nm apart that make the dipole
     charges = [ends.get(atom.name, 0.0) for atom in topology.atoms()]

@@ -17,6 +17,7 @@ from openmm import unit
 from openmm_exactrb.context.body_access import BodyAccess
 from openmm_exactrb.context.minimiser import minimise_by_integrators
 from openmm_exactrb.context.timings import Timings
+from openmm_exactrb.context.updates import warn_of_removed_motion
 from openmm_exactrb.context.velocities import draw_by_integrators
 from openmm_exactrb.engines.engine import Propagator, Settings
 from openmm_exactrb.engines.selection import Selection
@@ -49,8 +50,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of hybrid
-        Monte Carlo is "S2_2".
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of
+        Nosé-Hoover chains is "BAOAB", that of hybrid Monte Carlo "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
@@ -294,19 +295,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _settings(self) -> Settings:
         thermostat, scheme = self._thermostat, self._steps()
         splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        return Settings(
-            scheme,
-            self._scheme,
-            splitting,
-            splits,
-            self._h,
-            self._groups,
-            self._rotor,
-            self._fast,
-            thermostat,
-            self._bodies,
-            self._check,
-        )
+        parts = scheme, self._scheme, splitting, splits, self._h, self._groups
+        return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
@@ -386,6 +376,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._settle(context := self._found())
             self._propagator = self._selection.propagator(context, self, self._settings(), self.timings)
             self._propagator.sync.new_trajectory = _parting(self)
+            warn_of_removed_motion(context.getSystem())
         return self._propagator
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
@@ -50,15 +51,18 @@ class Thermostat(ABC):
         In K.
     numbers : tuple of str
         Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+    heat : str or None
+        The one of them in which the energy is added up that it gives to the bodies.
     factors : Factors, optional
         The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
-        evaluates forces once a step.
+        evaluates forces once a step. A deterministic thermostat has one that is symmetric in time.
     """
 
     temperature: float
-    numbers: tuple[str, ...] = ()
+    numbers: ClassVar[tuple[str, ...]] = ()
+    heat: ClassVar[str | None] = None
     factors: Factors | None = None
     scheme: ClassVar[str] = "BAOA"
 
@@ -85,12 +89,15 @@ class Thermostat(ABC):
         """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside
+        bodies, numbers, heat = environment.bodies, environment.numbers, self.heat
 
         def flow(state: State, tau: float) -> State:
             along = tangent(state)
             P, m = exchange(along.P, along.m, tau, Instant(environment.key, clock.number, number))
             same = P is along.P and m is along.m
             after = state if same else tangent(state._replace(P=P, m=m))
+            if heat is not None and not same:
+                numbers.present[heat] += _gain(bodies, along, after)
             outside(state, after)
             environment.last_exchange = state, after
             return after
@@ -115,6 +122,15 @@ class Thermostat(ABC):
         `freedom` are the degrees of freedom of translation and of rotation.
         """
         return None
+
+
+def _gain(bodies: RigidBodies, before: State, after: State) -> float:
+    """Return the kinetic energy (kJ/mol) that bodies gained, from momenta along the constraints."""
+    gains = (
+        np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))
+        for a, b, inertia in ((before.P, after.P, bodies.mass), (before.m, after.m, bodies.inertia.T))
+    )
+    return float(sum(gains))
 
 
 class Noise:

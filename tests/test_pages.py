@@ -4,6 +4,8 @@ import ast
 import doctest
 import importlib
 import re
+import sys
+from importlib.util import find_spec
 
 import matplotlib as mpl
 import pytest
@@ -50,7 +52,9 @@ def test_names_that_pages_take_from_the_package_exist():
         code = "".join(code for code, _ in PIECE.findall(page.read_text()))
         tree = ast.parse(re.sub(r"^:\w+:$", "", code, flags=re.M))
         for module, name in imported(tree):
-            if name is not None and not hasattr(importlib.import_module(module), name):
+            if name is None or hasattr(importlib.import_module(module), name):
+                continue
+            if not hasattr(sys.modules[module], "__path__") or find_spec(f"{module}.{name}") is None:
                 missing.append((name_of(page), module, name))
         missing += [
             (name_of(page), "rb", node.attr)
@@ -61,11 +65,15 @@ def test_names_that_pages_take_from_the_package_exist():
     assert missing == []
 
 
+#: Files that a reader of a recipe makes.
+MADE = {"openmm_exactrb/rotors/axes_321.py", "openmm_exactrb/potentials/spheres.py", "tests/potentials/test_spheres.py"}
+
+
 def test_files_that_pages_name_exist():
     missing = [
         (name_of(page), name)
-        for page in PAGES
+        for page in (*PAGES, ROOT / "docs" / "contributing.md", ROOT / "CONTRIBUTING.md")
         for name in PATH.findall(page.read_text(encoding="utf-8"))
-        if not (ROOT / name).exists()
+        if not (ROOT / name).exists() and name not in MADE
     ]
     assert missing == []

@@ -1,5 +1,6 @@
 """The recipes in docs/contributing.md, carried out as a reader would type them."""
 
+import io
 import os
 import re
 import shutil
@@ -16,12 +17,13 @@ import openmm_exactrb as rb
 import three_masses
 from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.engines import ENGINES
 from openmm_exactrb.mechanics import free_motion
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import State
 from orders import slope
 from peptides import peptide
-from starts import context_of
+from starts import context_of, simulation_of
 
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
@@ -99,11 +101,13 @@ def named(page, name):
 def test_every_addition_has_one_place_that_exists():
     table = re.findall(r"^\| \[(?:a|an) (.*)\]\(#(.*)\) \| (.*) \|$", PAGE, flags=re.M)
     assert {name for name, *_ in table} >= {
-        "scheme", "substep", "thermostat", "rotor", "constraint type", "device stage", "command option",
+        "scheme", "substep", "thermostat", "rotor", "constraint type", "engine", "device stage", "reporter",
+        "command option", "potential",
     }  # fmt: skip
     for name, anchor, place in table:
-        assert anchor == f"a-{name.replace(' ', '-').lower()}"
-        assert recipe(f"A {name}")[1]
+        article = "an" if name[0] in "aeiou" else "a"
+        assert anchor == f"{article}-{name.replace(' ', '-').lower()}"
+        assert recipe(f"{article.title()} {name}")[1]
         for of, file in re.findall(r"`(\w+)` in `(\S+)`", place):
             assert re.search(rf"\b{of}\b", (ROOT / file).read_text(encoding="utf-8"))
 
@@ -220,6 +224,37 @@ def test_a_constraint_type_holds_within_inner_steps(monkeypatch):
     np.testing.assert_array_equal(end.R[:, 2, free], begin.R[:, 2, free])
     assert np.abs(end.R[0, :2, free] - begin.R[0, :2, free]).min() > 0.0
     assert integrator.timings.fast_evaluations > 0
+
+
+def test_names_are_in_the_files_that_the_page_gives():
+    pairs = re.findall(r"`(\w+)`\s+in\s+`(openmm_exactrb/\S+\.py)`", PAGE)
+    assert len(pairs) > 8
+    for name, file in pairs:
+        assert re.search(rf"\b{name}\b", (ROOT / file).read_text(encoding="utf-8")), (name, file)
+
+
+def test_an_engine_is_one_record(monkeypatch):
+    monkeypatch.setitem(ENGINES, "small", ENGINES["host"])  # what the recipe puts there goes with it
+    integrator = typed("An engine")["integrator"]
+    _context = moving(integrator)
+    integrator.step(1)
+    assert (integrator.getEngine(), integrator.engineNote()) == ("small", "the system is small")
+    large = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="small")
+    _, system, x = rb.rigid_water(40)
+    context = context_of(system, large, x)
+    with pytest.raises(ValueError, match="at most 100 particles, not 120; use engine='host'"):
+        large.step(1)
+    assert context.getStepCount() == 0
+
+
+def test_a_reporter_asks_the_integrator():
+    out, integrator = io.StringIO(), rb.ExactRigidBodyIntegrator(0.002, "S2_2")
+    simulation = simulation_of(*rb.rigid_water(3)[:2], integrator, rb.rigid_water(3)[2], kelvin=300.0)
+    simulation.reporters.append(typed("A reporter")["TemperatureReporter"](out, 2))
+    simulation.step(4)
+    rows = [line.split(",") for line in out.getvalue().splitlines()]
+    assert [int(step) for step, *_ in rows] == [2, 4]
+    assert [float(T) for T in rows[-1][1:]] == [T._value for T in integrator.temperatures()]
 
 
 FADING = """

@@ -4,7 +4,7 @@ import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-#: To be divided: the tests of the engine of an integrator's program go with it.
+#: To be divided.
 NOT_YET = {
     "openmm_exactrb/integrator.py",
     "openmm_exactrb/integrator.py: __init__",

@@ -95,9 +95,11 @@ def evaluating(forces, sites, edge, platform, precision=None):
 
 
 def on_bodies(context, centres, sites):
-    """Return forces and torques (n, 3) of two sites a body."""
-    forces = context.getState(forces=True).getForces(asNumpy=True)._value.reshape(-1, 2, 3)
-    return forces.sum(axis=1), np.cross(sites.reshape(-1, 2, 3) - centres[:, None], forces).sum(axis=1)
+    """Return forces and torques (n, 3) of two sites a body, and of its centre, if it has one as its last site."""
+    forces = context.getState(forces=True).getForces(asNumpy=True)._value
+    at_sites, at_centres = forces[: len(sites)].reshape(-1, 2, 3), forces[len(sites) :]
+    torques = np.cross(sites.reshape(-1, 2, 3) - centres[:, None], at_sites).sum(axis=1)
+    return at_sites.sum(axis=1) + (at_centres if len(at_centres) else 0.0), torques
 
 
 def times_of(contexts, rounds):
@@ -142,8 +144,9 @@ def rods(n, arguments, precision):
         own = rod_length(n, around["box"], boundary)
         for length in (0.3 * own, own, 3.0 * own) if tolerance == 1e-3 else (own,):
             ends = np.stack([centres + 0.5 * length * u, centres - 0.5 * length * u], axis=1).reshape(-1, 3)
-            parts = dipole_rod_forces(pairs, 2 * n, length=length, boundary=boundary, **around)
-            context = evaluating(parts, ends, edge, arguments.platform, precision)
+            middles = list(range(2 * n, 3 * n))
+            parts = dipole_rod_forces(pairs, 3 * n, length=length, boundary=boundary, centres=middles, **around)
+            context = evaluating(parts, np.concatenate([ends, centres]), edge, arguments.platform, precision)
             force, torque = on_bodies(context, centres, ends)
             least, median = times_of({"rods": context}, 3)["rods"]
             row = {"tolerance": tolerance, "length": length, "mesh": parts[0].getPMEParameters()[1]}

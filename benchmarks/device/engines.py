@@ -12,7 +12,7 @@ kernels are compiled. Of rigid bodies also the standard deviation of the total e
 a day, the standard deviation of the total energy within 0.5 ps, mean square over --starts canonical starts, and the
 ratios of Verlet's to it from each of them. --platform names the platform, --sizes and --systems choose, --quick is
 small. --clock cpu takes the time of all threads of the process instead: for OpenCL on a processor that others use too.
-Launches are counted by the library: `Device.launches`.
+Launches are counted by tests/engines/device/test_contexts.py.
 
     python benchmarks/device/engines.py --platform CUDA
     python benchmarks/device/engines.py --platform CUDA --systems dhfr --rates 250 125

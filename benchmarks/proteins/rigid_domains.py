@@ -34,7 +34,7 @@ CPU = openmm.Platform.getPlatform("CPU")
 GYRATION, ENERGIES, COST = (DOCS / f"rigid_domains{part}.csv" for part in ("_gyration", "", "_cost"))
 STEP, SAMPLE, FRICTION = 0.03, 9.0, 0.1  # ps, ps, 1/ps
 WARM, BLOCKS = 2000.0, 10  # ps that are left out, and blocks of the rest
-INTERVALS, DURATION, EVERY = (10, 20, 30), 30.0, 0.1  # fs, ps, ps
+INTERVALS, DURATION, EVERY = (10, 20, 30, 50, 80, 110), 30.0, 0.1  # fs, ps, ps
 
 
 def model(exclude: bool = True) -> openmm.System:
@@ -168,7 +168,7 @@ def energies() -> None:
             (integrator if ours else context).setVelocitiesToTemperature(MODEL.TEMPERATURE, 7)
             try:
                 numbers = [f"{number:.3f}" for number in conserved(context, integrator, ours)]
-            except rb.IntegrationError:
+            except (rb.IntegrationError, openmm.OpenMMException):
                 numbers = ["diverges", ""]
             rows.append([interval, name, scheme, *numbers])
             print(*rows[-1], flush=True)

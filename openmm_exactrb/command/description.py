@@ -15,20 +15,15 @@ from openmm import app, unit
 
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.integrator import DEFAULT, ExactRigidBodyIntegrator
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
-from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, MultipleTimeSteps, fast_forces
+from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.openmm_access.arrays import periodic_box
-from openmm_exactrb.schemes import Scheme, splitting
-from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.tuning.floor import causes, of_water
+from openmm_exactrb.schemes import splitting
+from openmm_exactrb.tuning.floor import causes, is_water, limits
 
-_WATER = 18.015  # amu
-# The recommended times between two evaluations of the forces (ps): docs, "Which integrator, scheme and step".
-_WATER_NVE, _WATER_NVT, _PROTEIN, _HEAVY_NVT = 0.002, 0.004, 0.004, 0.008
-_HEAVY = 2.9  # amu, of each hydrogen of water
 _SHOWN = 3  # periods
 
 
@@ -57,21 +52,10 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from _floor(system, bodies)
-    yield from _refusals(system, positions)
-
-
-def _floor(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield what limits the energy error of every integrator."""
-    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
-    molecules = sum(len(kind.particles) for kind in bodies.kinds if _is_water(kind))
-    if level := of_water(system, molecules):
-        yield (
-            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more with any "
-            "integrator: that of TIP3P with these settings, scaled by the square root of the number of molecules"
-        )
+    yield from limits(system, bodies)
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
+    yield from _refusals(system, positions)
 
 
 class _Names:
@@ -161,65 +145,21 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield a line for constant energy and one for constant temperature, and why."""
-    fast = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None))
-    water = any(map(_is_water, bodies.kinds))
-    if not water:
-        yield (
-            "step: no recommendation is measured for molecules like these: exactrb tune finds one"
-            + ("" if fast is None else f"; bonded forces get inner steps above {_longest(fast):.2g} fs per evaluation")
-        )
+    """Yield a line for constant energy and one for constant temperature, where steps were measured."""
+    if not any(map(is_water, bodies.kinds)):
+        yield "step: none was measured for molecules like these: exactrb tune finds one"
         return
-    flexible = fast is not None
-    nve, between = (look_up(DEFAULT), _PROTEIN) if flexible else (look_up("W4_4"), _WATER_NVE)
-    nvt = "ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
-    yield f"constant energy: rb.ExactRigidBodyIntegrator({_step(fast, nve, between)}"
-    scheme = splitting("W2_3m")
-    resonance = Resonances(system).first(scheme) if flexible else None
-    below = math.inf if resonance is None else resonance.below(scheme)
-    heavy = flexible and below >= _HEAVY_NVT and any(map(_is_heavy_water, bodies.kinds))
-    interval = _HEAVY_NVT if heavy else min(_WATER_NVT, below)
-    yield f"constant temperature: rb.{nvt}{_step(fast, scheme, interval)}"
+    flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None)) is not None
+    nve, fs, what = ("W2_1", 4.0, "proteins in water") if flexible else ("W4_4", 2.0, "rigid water")
+    nvt = splitting("W2_3m")
+    resonance = Resonances(system).first(nvt) if flexible else None
+    longest = 4.0 if resonance is None else min(4.0, 1000.0 * resonance.below(nvt))
+    yield f'constant energy: rb.ExactRigidBodyIntegrator(forceInterval={fs:g}*femtoseconds, scheme="{nve}")'
     yield (
-        "why: measured on proteins in water, where the other forces bear this interval and bonds do not"
-        if flexible
-        else "why: measured on rigid water, whose rotation limits the interval"
+        "constant temperature: rb.ExactRigidBodyLangevinIntegrator(300*kelvin, 5/picosecond, "
+        f'forceInterval={longest:g}*femtoseconds, scheme="{nvt.name}")'
     )
-    if heavy:
-        yield "8 fs: for averages, with heavy hydrogens; the density is more accurate at 4 fs"
-    elif interval < _WATER_NVT:
-        yield f"{1000.0 * interval:g} fs: beyond is a resonance with a bond or angle, as without constraints=HBonds"
-
-
-def _is_water(kind: Kind) -> bool:
-    return len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1
-
-
-def _is_heavy_water(kind: Kind) -> bool:
-    return _is_water(kind) and bool(np.sort(kind.masses)[0] > _HEAVY)
-
-
-def _longest(fast: FastForces) -> float:
-    """Return the longest interval of the forces (fs) without inner steps, by bisection of `FastForces.acts`."""
-    scheme, low, high = look_up("S2_2"), 0.0, 1.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if fast.acts(scheme, middle * scheme.stages) else (middle, high)
-    return 1000.0 * high
-
-
-def _step(fast: FastForces | None, scheme: Scheme, interval: float) -> str:
-    """Return the arguments for an interval of the forces (ps), and how bonded ones are nested in it."""
-    step, arguments = (
-        interval * scheme.forces,
-        f'forceInterval={1000.0 * interval:g}*femtoseconds, scheme="{scheme.name}")',
-    )
-    if fast is None or not fast.acts(scheme, step):
-        return arguments
-    inner, repetitions = fast.inner(scheme), fast.repetitions(scheme, step)
-    drifts = [abs(part) for substep, part in scheme.sequence if substep.moves]
-    count = sum(repetitions(part * step) for part in drifts) * inner.stages
-    return f"{arguments}, bonded forces nested with {inner.name}, {count} evaluations per step of {1000.0 * step:g} fs"
+    yield f"these steps were measured on {what} (documentation: Which integrator, scheme and step)"
 
 
 def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:

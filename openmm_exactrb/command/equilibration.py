@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import openmm
-from openmm import app, unit
+from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
 from openmm_exactrb.openmm_access.platforms import mixed
@@ -17,16 +17,15 @@ from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
+from openmm_exactrb.tuning.preparation import heat, minimise
 
 #: Files in the folder of a run: the start, and the tuned scheme and step.
 START, STEP = "start.xml", "step.json"
 
 # Without --equilibrate: the part of --duration, and the longest time in ps.
 _PART, _LONGEST = 0.2, 5.0
-_ITERATIONS = 100  # of the minimisation: enough to remove clashes
-_STEP = 1.0 * unit.femtosecond  # stable for free hydrogen atoms too
-_FRICTION = 5.0 / unit.picosecond
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
@@ -49,8 +48,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     """Return the State at step 0: the user's, or an equilibrated one.
 
-    A start without velocities gets some and is equilibrated for ``--equilibrate`` with OpenMM's
-    LangevinMiddleIntegrator.
+    A start without velocities is minimised, gets some and is equilibrated for ``--equilibrate``.
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)
@@ -69,7 +67,8 @@ def step_of(
         stored = json.loads((job.folder / STEP).read_text(encoding="utf-8"))
         return stored, stored.pop("step")
     report = None if args.quiet else progress
-    result = tune(box.system, start, target=args.target, schemes=candidates(args), platform=platform, report=report)
+    options = {"target": args.target, "schemes": candidates(args), "budget": args.budget}
+    result = tune(box.system, start, platform=platform, report=report, **options)
     if result.chosen is None:
         raise ValueError(f"{str(result).splitlines()[-1]} Give a larger --target, or a --step.")
     if not args.quiet:
@@ -94,22 +93,21 @@ def length_of(args: argparse.Namespace) -> float:
 
 
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
-    integrator = openmm.LangevinMiddleIntegrator(args.temperature * unit.kelvin, _FRICTION, _STEP)
+    integrator = ExactRigidBodyLangevinIntegrator(args.temperature, 0.0, 1e-6, engine="host")
     integrator.setRandomNumberSeed(args.seed)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
     if box.state is not None:
         begin_at(simulation, box.state)
     else:
         simulation.context.setPositions(box.positions)
-        simulation.minimizeEnergy(maxIterations=_ITERATIONS)
     if not box.moves:
-        simulation.context.setVelocitiesToTemperature(args.temperature * unit.kelvin, args.seed)
+        minimise(integrator)
+        integrator.setVelocitiesToTemperature(args.temperature, args.seed)
         length = length_of(args)
-        steps = round(length / _STEP.value_in_unit(unit.picosecond))
-        if steps and not args.quiet:
-            told = f"equilibrating for {length:g} ps, {steps} steps of {_STEP._value:g} fs (--equilibrate)"
-            print(told, file=sys.stderr, flush=True)
-        simulation.step(steps)
+        if length and not args.quiet:
+            print(f"equilibrating for {length:g} ps (--equilibrate)", file=sys.stderr, flush=True)
+        for _ in heat(integrator, simulation.context, length):
+            pass
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)

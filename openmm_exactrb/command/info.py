@@ -49,8 +49,7 @@ def carry_out(args: argparse.Namespace) -> int:
         system = read_xml(args.files[0], openmm.System)
         print("\n".join(described(system)))
         return 0
-    named = {name: value for name, value in vars(args).items() if value is not None}
-    box = inputs.load(argparse.Namespace(**vars(args) | {"seed": 1} | inputs.DEFAULTS | named))
+    box = inputs.load(inputs.with_defaults(args))
     print("\n".join(described(box.system, box.positions, box.topology)))
     return 0
 

@@ -87,6 +87,27 @@ def check_missing(files: Iterable[Path]) -> None:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
 
 
+def with_defaults(args: argparse.Namespace) -> argparse.Namespace:
+    """Return the options with the defaults of those that were not given."""
+    named = {name: value for name, value in vars(args).items() if value is not None}
+    return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | named)
+
+
+def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, str, str]] = ()) -> None:
+    """Raise ValueError if an option was given that has no effect: those of molecules, and others with the reason."""
+    unboxed = box.topology.getPeriodicBoxVectors() is None
+    idle = [
+        (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
+        (unboxed, "cutoff ewald_tolerance", "there is no cutoff without a periodic box"),
+        (not args.solvate, "water", "it is the water of --solvate"),
+        *others,
+    ]
+    for applies, names, reason in idle:
+        for name in names.split():
+            if applies and getattr(args, name) is not None:
+                raise ValueError(f"leave out --{name.replace('_', '-')}: {reason}")
+
+
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     if not args.files and not args.solvate:

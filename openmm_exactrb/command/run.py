@@ -21,7 +21,7 @@ from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.thermostats import Langevin
-from openmm_exactrb.tuning import CANDIDATES
+from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES
 
 #: The purpose, in one sentence.
 PURPOSE = "Run a simulation: trajectory, energies and a picture in a folder; --resume continues it after any accident."
@@ -36,6 +36,7 @@ _DEFAULTS: dict[str, Any] = {
     "friction": 1.0,
     "pressure": 1.0,
     "target": 1e-3,
+    "budget": BUDGET,
     "equilibrate": None,  # see `equilibration.length_of`
 }
 
@@ -62,6 +63,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     between = "time between two force evaluations with its unit: 2fs; instead of --step"
     add("--force-interval", type=arguments.time_with_unit, metavar="T", help=between)
     add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
+    add("--budget", type=positive, metavar="S", help=f"processor time for auto, s {shown['budget']}")
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:
         add(arguments.flag(name), dest=name, **option)
@@ -101,7 +103,7 @@ def carry_out(args: argparse.Namespace) -> int:
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
     box = inputs.load(settled)
-    _check_idle(args, box)
+    inputs.check_idle(args, box, _idle(args, box))
     setup.couple(box.system, settled)
     with job.lock():
         equilibration.claim(job, settled, [*_reporters(settled), analysis.PICTURE])
@@ -120,23 +122,15 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
     return scheme
 
 
-def _check_idle(args: argparse.Namespace, box: inputs.Box) -> None:
-    """Raise ValueError if an option was given that has no effect."""
-    unboxed = box.topology.getPeriodicBoxVectors() is None
-    idle = [
-        (box.state is not None, "constraints cutoff ewald_tolerance water", "a System has its forces and constraints"),
-        (unboxed, "cutoff ewald_tolerance", "there is no cutoff without a periodic box"),
-        (not args.solvate, "water", "it is the water of --solvate"),
+def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, str]]:
+    """Return when options have no effect, which they are, and why."""
+    return [
         (args.ensemble != "npt", "pressure pressure_offset", "only --ensemble npt has one"),
         (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),
-        (args.step is not None, "target", "only --step auto has one"),
+        (args.step is not None, "target budget", "only --step auto has one"),
         (box.moves, "equilibrate", "a State with velocities is used unchanged"),
         (box.moves and args.ensemble == "nve", "temperature", "a State with velocities is used unchanged"),
     ]
-    for applies, names, reason in idle:
-        for name in names.split():
-            if applies and getattr(args, name) is not None:
-                raise ValueError(f"leave out --{name.replace('_', '-')}: {reason}")
 
 
 def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: openmm.Platform) -> None:

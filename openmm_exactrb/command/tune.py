@@ -3,47 +3,50 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-import openmm
-
-from openmm_exactrb.schemes import CATALOGUE
-from openmm_exactrb.states import read_xml
-from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
+from openmm_exactrb.command import arguments, inputs
+from openmm_exactrb.openmm_access.platforms import platform_of
+from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES, progress, tune
 
 #: The purpose, in one sentence.
 PURPOSE = "Find the cheapest scheme and step for a wanted energy error."
 
+_TEMPERATURE = 300.0
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments and options of `tune`."""
-    add = parser.add_argument
-    add("system", type=Path, help="the System, written by openmm.XmlSerializer")
-    add("state", type=Path, help="a State with positions and velocities, written by openmm.XmlSerializer")
-    add("--target", type=float, help="wanted standard deviation of the total energy, kJ/mol per body")
-    add("--schemes", nargs="+", metavar="NAME", help=f"of {', '.join(CATALOGUE)} ({' '.join(CANDIDATES)})")
+    """Add the files of `exactrb run`, and the arguments of `tune`."""
+    inputs.add_options(parser)
+    positive, time = arguments.positive, arguments.time
+    add = parser.add_argument_group("tuning").add_argument
+    add("--target", type=positive, metavar="X", help="wanted standard deviation of the energy, kJ/mol per body")
+    add("--schemes", nargs="+", metavar="NAME", help=f"instead of {', '.join(CANDIDATES)}")
+    add("--temperature", type=positive, metavar="K", help=f"of a start without velocities, K ({_TEMPERATURE:g})")
+    add("--horizon", type=time, metavar="T", help="length of the runs for which errors are promised, ps, or 30ps")
+    add("--budget", type=positive, default=BUDGET, metavar="S", help="seconds of processor time (%(default)g)")
+    add("--duration", type=time, metavar="T", help="length of the runs of the survey (from the forces and the budget)")
+    add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities and noise (%(default)s)")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
-    add("--temperature", type=float, metavar="K", help="draw velocities; needed if those of the State are zero")
-    add("--horizon", type=float, metavar="PS", help="length of the runs for which errors are promised, ps")
-    add("--duration", type=float, metavar="PS", help="length of the runs of the survey, ps (from the forces)")
-    add("--output", type=Path, metavar="FILE", help="a picture of error against cost; needs matplotlib")
     add("--quiet", action="store_true", help="no line per run on stderr")
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Tune for a serialised System and State and print the result; return 1 if the target is not reached, else 0."""
+    """Tune for the molecules of files and print the result; return 1 if the target is not reached, else 0."""
+    platform = platform_of(args.platform)
+    box = inputs.load(inputs.with_defaults(args))
+    inputs.check_idle(args, box)
     result = tune(
-        read_xml(args.system, openmm.System),
-        read_xml(args.state, openmm.State),
+        box.system,
+        box.positions if box.state is None else box.state,
         target=args.target,
         schemes=args.schemes,
-        temperature=args.temperature,
-        platform=args.platform,
+        temperature=args.temperature if box.moves else args.temperature or _TEMPERATURE,
+        platform=platform,
         horizon=args.horizon,
+        budget=args.budget,
         duration=args.duration,
+        seed=args.seed,
         report=None if args.quiet else progress,
     )
     print(result, flush=True)
-    if args.output is not None:
-        result.draw(args.output)
     return 0 if args.target is None or result.chosen is not None else 1

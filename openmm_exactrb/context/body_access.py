@@ -50,7 +50,9 @@ class BodyAccess:
     def totalEnergy(self) -> unit.Quantity:
         """Return the total energy, in kJ/mol: kinetic, and potential of the integration force groups.
 
-        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities.
+        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities. With a scheme that
+        ends a step with a drift behind a heat exchange, such as the default with a thermostat, the sum has its
+        canonical mean, but fluctuates in proportion to the step size: ``effectiveEnergy`` is the balance of such a run.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -29,6 +30,10 @@ _OURS = ("SoftDipoleForce", "GayBernePotential")  # PythonForces of this package
 _THERMOSTAT, _REMOVER = "AndersenThermostat", "CMMotionRemover"
 #: Forces that change positions or velocities between steps: without them a System conserves its energy.
 UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
+
+
+class RemovedMotionWarning(UserWarning):
+    """A CMMotionRemover takes away momentum that frozen particles give: the energy has errors of order 1."""
 
 
 class ContextUpdates:
@@ -149,6 +154,19 @@ def conserve_energy(system: openmm.System) -> bool:
         type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
         for force in system.getForces()
     )
+
+
+def warn_of_removed_motion(system: openmm.System) -> None:
+    """Warn of a CMMotionRemover in a System with frozen particles, which push the centre of mass of the others."""
+    massless = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
+    removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    if removes and not all(map(system.isVirtualSite, massless)):
+        warnings.warn(
+            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that "
+            "the energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            RemovedMotionWarning,
+            stacklevel=2,
+        )
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:

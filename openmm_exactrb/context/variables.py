@@ -35,8 +35,8 @@ COORDINATES, REMEMBERED, DIFFERENCES = "coordinates", "remembered", "differences
 #: Of the noise: the seed, and which of its streams.
 SEED, STREAM = "seed", "stream"
 #: Of thermostats: the heat that they gave, and proposals of Metropolis's rule.
-HEAT, ACCEPTED, PROPOSED = "heat", "accepted", "proposed"
-_NUMBERS = (SEED, STREAM, HEAT, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
+HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accepted", "proposed"
+_NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
 #: What is said of a checkpoint in the variables of another engine than its own.
 OTHER_ENGINE = (
     'the checkpoint that was loaded is of a run with engine="{0}": make the integrator with engine="{0}" or "auto"'

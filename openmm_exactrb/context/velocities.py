@@ -24,9 +24,9 @@ _LEFT = 1e-3
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
-    """Have integrators of a kind draw the velocities that OpenMM cannot, by their method of the same name.
+    """Have integrators of a class draw the velocities that OpenMM cannot, by their method of the same name.
 
-    The method of the class is replaced, since a Context may be asked for velocities before its integrator knows it.
+    The method of all Contexts is replaced, since one may be asked for velocities before its integrator knows it.
     """
     method = openmm.Context.setVelocitiesToTemperature
 

@@ -82,7 +82,7 @@ def whole_positions(
 ) -> Array:
     """Return positions (n_particles, 3) with clusters of constraints whole, and the bodies that a user named.
 
-    `held` are the constraints of the System.
+    ``held`` are the constraints of the System.
 
     Raises
     ------
@@ -153,7 +153,7 @@ _REMEDY = (
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
     """Return positions with those bodies whole that nothing joins, where another of their masses shows their shape.
 
-    `split` is whether the box has split other molecules.
+    ``split`` is whether the box has split other molecules.
     """
     same: dict[bytes, list[int]] = {}
     for place, body in enumerate(bodies):

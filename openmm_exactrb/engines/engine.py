@@ -25,6 +25,9 @@ from openmm_exactrb.thermostat import Thermostat
 
 Array = NDArray[np.float64]
 
+#: What an engine says that does not add up the heat of its thermostat.
+NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -128,6 +131,12 @@ class Propagator(Protocol):
         """The states before and after the last heat exchange, if the present state is that at the end of its step.
 
         ValueError if the engine does not know them.
+        """
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+
+        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:

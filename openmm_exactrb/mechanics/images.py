@@ -40,7 +40,7 @@ class Decided:
     doubtful : (m,) array of bool
         Where no image has the length, and what is given does not either.
     undecided : (m,) array of bool
-        Where several images have the length within `_NEAR`.
+        Where several images have the length within 0.02 nm.
     """
 
     shifts: Array

@@ -1,8 +1,8 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S on the energy of pairs of nearest images ends it at the cutoff. S is proportional to the integral of
-(s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`: forces have five continuous
-derivatives, as schemes of order 6 need them.
+A switch S on the energy of pairs of nearest images ends it at the cutoff; that of spheres has its own (`spheres`). S is
+proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`:
+forces have five continuous derivatives, as schemes of order 6 need them.
 """
 
 from __future__ import annotations
@@ -114,17 +114,17 @@ class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Parameters that are not given
-    are chosen such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The switch acts on the
-    spheres, and hardly on the dipoles. Forces are the exact gradient of the energy: in a fixed box the energy is smooth
-    whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about
-    the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
+    are chosen such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of
+    `dipole_fluid` have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is
+    smooth whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to
+    about the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
         Distances at which the energy of a pair ends and its switch begins, in nm. By default the cutoff is the fastest
         one for a mesh, or half the shortest edge of the box for the direct sum; the switch begins at three quarters of
-        it. The cutoff also truncates the attraction of the spheres, so set it if you compare results.
+        it.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
@@ -217,7 +217,7 @@ def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
             f"for {n} dipoles with the given parameters: use a larger tolerance, a longer cutoff, a higher order, or "
             "method='direct'"
         )
-    # At nearly equal costs the direct sum stays: spheres of a small box then attract up to half of it.
+    # At nearly equal costs the direct sum stays, which has no error of a mesh.
     weights = {"direct": 0.8, "mesh": 1.0}
     chosen = min(choices, key=lambda choice: weights[choice.method] * ewald.cost(n, edges, choice))
     if chosen.error > boundary.tolerance:

@@ -15,6 +15,8 @@ from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
+from openmm_exactrb.potentials.spheres import SphereCutoff, check_minimum
+from openmm_exactrb.potentials.spheres import sphere_cutoff as sphere_cutoff_in
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -31,6 +33,9 @@ def soft_dipole_force(
     wca: bool = False,
     box: Sequence[float] | None = None,
     boundary: Boundary = OPEN,
+    sphere_cutoff: float | None = None,
+    sphere_switch: float | None = None,
+    shifted: bool = False,
     kernel: str = "auto",
 ) -> openmm.CustomHbondForce | openmm.CustomCompoundBondForce | openmm.PythonForce:
     """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
@@ -57,7 +62,13 @@ def soft_dipole_force(
         Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; also set them with
         ``System.setDefaultPeriodicBoxVectors``.
     boundary : Open, ReactionField or Ewald
-        Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images.
+        Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images. Cutoff and switch of a
+        boundary are those of the dipoles.
+    sphere_cutoff, sphere_switch : float, optional
+        Where the energy of two spheres in a box ends, and its switch begins, in nm. By default 3 sigma, or half the
+        shortest edge of the box if that is less, and three quarters of the cutoff.
+    shifted : bool
+        Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Type of the force. "auto" or "compiled": a kernel in double precision on all cores, some fifty times faster on a
         CPU. "openmm": a `CustomHbondForce`, if there is a cutoff, which stays on the device with
@@ -90,21 +101,42 @@ def soft_dipole_force(
     arrows = checked_pairs(arrows)
     edges = None if box is None else edges_of(box)
     truncation = checked(boundary).truncation(edges, len(arrows))
+    spheres = spheres_of(edges, sigma, attraction, sphere_cutoff, sphere_switch, shifted=shifted, wca=wca)
     kernel = _chosen(kernel, needs_compiled=isinstance(boundary, Ewald))
     parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
     if kernel == "compiled":
-        force = openmm.PythonForce(SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca), parameters)
+        dipoles = SoftDipoles(truncation, boundary.images(len(arrows), edges), wca=wca, spheres=spheres)
+        force = openmm.PythonForce(dipoles, parameters)
         force.setParticles(list(itertools.chain(*arrows)))
         force.setUsesPeriodicBoundaryConditions(boundary.periodic)
-    elif kernel == "openmm" and truncation is not None and edges is not None:
+    elif kernel == "openmm" and truncation is not None and edges is not None and spheres is not None:
         _check_tips(truncation[0], float(length), edges)
-        force = soft_dipole_hbonds(arrows, parameters, truncation, wca=wca)
+        force = soft_dipole_hbonds(arrows, parameters, truncation, spheres, wca=wca)
     else:
         places = {f"box_{axis}": edge for axis, edge in zip("xyz", edges or (), strict=False)}
-        force = soft_dipole_bonds(arrows, parameters | places, truncation, wca=wca)
+        force = soft_dipole_bonds(arrows, parameters | places, truncation, spheres, wca=wca)
         force.setUsesPeriodicBoundaryConditions(boundary.periodic)
     force.setName("SoftDipoleForce")
     return force
+
+
+def spheres_of(
+    edges: Sequence[float] | None,
+    sigma: float,
+    attraction: float,
+    cutoff: float | None,
+    switch: float | None,
+    *,
+    shifted: bool,
+    wca: bool,
+) -> SphereCutoff | None:
+    """Return the cutoff of the spheres, None without a box; a ValueError if it does not fit."""
+    found = sphere_cutoff_in(edges, checks.positive(sigma, "sigma", "nm"), cutoff, switch, shifted=shifted)
+    if wca and attraction > 0.0:
+        if shifted:
+            raise ValueError("wca shifts the energy of the spheres to zero at its minimum already: omit shifted")
+        check_minimum(found, sigma, attraction)
+    return found
 
 
 def _chosen(kernel: str, *, needs_compiled: bool) -> str:
@@ -174,6 +206,8 @@ class SoftDipoles:
         or the steps of a mesh along the edges (nm) and the order of its splines; permittivity around all images.
     wca : bool
         Whether the spheres' energy ends at its minimum.
+    spheres : SphereCutoff, optional
+        Cutoff of the spheres, with a truncation; by default that of the dipoles.
     """
 
     # Pickles in System XML name this module and the attributes.
@@ -185,10 +219,12 @@ class SoftDipoles:
         ewald: Images | None = None,
         *,
         wca: bool = False,
+        spheres: SphereCutoff | None = None,
     ) -> None:
         self.truncation = truncation
         self.ewald = ewald
         self.wca = wca
+        self.spheres = None if spheres is None else tuple(spheres)
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
@@ -221,22 +257,26 @@ class SoftDipoles:
             positions,
             parameters["soft_repulsion"],
             parameters["dipole_coupling"],
-            self.truncation and self._in_box(box),
+            self.truncation and self._in_box(box, parameters),
             threads,
             attraction=parameters.get("soft_attraction", 0.0),
             minimum=_minimum(parameters) if self.wca else None,
             ewald=self.ewald,
         )
 
-    def _in_box(self, box: Array | None) -> tuple[float, float, float, float, float, float]:
+    def _in_box(self, box: Array | None, parameters: Mapping[str, float]) -> tuple[float, ...]:
         """Return the truncation as the kernel takes it."""
         assert self.truncation is not None
         if box is None or np.count_nonzero(box) != 3:
             raise ValueError("soft dipoles need a rectangular box")
         cutoff, switch, reaction = self.truncation
+        end, begin, shifted = self.spheres or (cutoff, switch, False)
         a, b, c = map(float, box.diagonal())
-        check_cutoff(cutoff, (a, b, c))
-        return a, b, c, float(cutoff**2), 1.0 / (cutoff**2 - switch**2), reaction
+        check_cutoff(max(cutoff, end), (a, b, c))
+        of_dipoles = float(cutoff**2), 1.0 / (cutoff**2 - switch**2), reaction
+        shift = parameters["soft_repulsion"] * end**-12 - parameters.get("soft_attraction", 0.0) * end**-6
+        of_spheres = float(end**2), 1.0 / (end**2 - begin**2), float(shift) if shifted else 0.0
+        return a, b, c, float(max(cutoff, end) ** 2), *of_dipoles, *of_spheres
 
 
 def _minimum(parameters: Mapping[str, float]) -> tuple[float, float]:

@@ -8,20 +8,27 @@ from collections.abc import Mapping, Sequence
 import openmm
 
 from openmm_exactrb.potentials.boundaries import Truncation
+from openmm_exactrb.potentials.spheres import SphereCutoff
 
 
 def soft_dipole_bonds(
-    arrows: Sequence[tuple[int, int]], parameters: Mapping[str, float], truncation: Truncation | None, *, wca: bool
+    arrows: Sequence[tuple[int, int]],
+    parameters: Mapping[str, float],
+    truncation: Truncation | None,
+    spheres: SphereCutoff | None,
+    *,
+    wca: bool,
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential of `soft_dipole_force` with all pairs as bonds.
 
-    With a truncation (cutoff and switch in nm, strength of the reaction field in 1/nm³) the Context parameters include
+    With a truncation (cutoff and switch in nm, strength of the reaction field in 1/nm³) of the dipoles, and one of the
+    spheres, the Context parameters include
     the edges of the box, box_x, box_y and box_z. Products of coordinates, one reciprocal and one square root are three
     times faster in OpenMM than the same energy in `distance` or in powers of r.
     """
     force = openmm.CustomCompoundBondForce(
         4,
-        f"{_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation)}"
+        f"{_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation, spheres)}"
         "uv = ux*vx + uy*vy + uz*vz; ur = ux*x + uy*y + uz*z; vr = vx*x + vy*y + vz*z;"
         "i3 = i*sqrt(i); i = 1/r2; r2 = x*x + y*y + z*z;"
         f"{_displacement(periodic=truncation is not None)}"
@@ -36,7 +43,12 @@ def soft_dipole_bonds(
 
 
 def soft_dipole_hbonds(
-    arrows: Sequence[tuple[int, int]], parameters: Mapping[str, float], truncation: Truncation, *, wca: bool
+    arrows: Sequence[tuple[int, int]],
+    parameters: Mapping[str, float],
+    truncation: Truncation,
+    spheres: SphereCutoff,
+    *,
+    wca: bool,
 ) -> openmm.CustomHbondForce:
     """Return the potential of `soft_dipole_force` with each arrow as donor and as acceptor: no list of pairs.
 
@@ -44,43 +56,46 @@ def soft_dipole_hbonds(
     nearest images, from which the products of u, v and r follow by the law of cosines.
     """
     force = openmm.CustomHbondForce(
-        f"0.5*E; E = {_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation)}"
+        f"0.5*E; E = {_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation, spheres)}"
         "uv = 0.5*(p2 + q2 - r2 - t2); ur = 0.5*(q2 - r2 - distance(d1, d2)^2);"
         "vr = 0.5*(r2 + distance(a1, a2)^2 - p2);"
         "q2 = distance(d2, a1)^2; p2 = distance(d1, a2)^2; t2 = distance(d2, a2)^2;"
         "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1)",
     )
-    add_hbonds(force, arrows, parameters, truncation[0])
+    add_hbonds(force, arrows, parameters, max(truncation[0], spheres.cutoff))
     return force
 
 
-def soft_rod_energy(truncation: Truncation, coupling: float, *, attracts: bool, wca: bool) -> str:
-    """Return the energy of two spheres less the Coulomb energy of their rods; donor and acceptor are (plus, minus).
+def soft_rod_energy(
+    truncation: Truncation, spheres: SphereCutoff, coupling: float, *, attracts: bool, wca: bool
+) -> str:
+    """Return the energy of two spheres less the Coulomb energy of their rods; both are (centre, plus, minus).
 
-    u and v are the rods, r is the distance of their middles: r² = (pp² + mm² + pm² + mp² - u² - v²)/4.
+    u and v are the rods. The nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
     """
-    core = f"{_core(attracts=attracts, wca=wca)} - dipole_coupling*(1/pp + 1/mm - 1/pm - 1/mp)"
+    rods = "- dipole_coupling*(1/pp + 1/mm - 1/pm - 1/mp)"
     return (
-        f"0.5*E; E = {_energy(core, truncation)} dipole_coupling = {coupling!r};"
+        f"0.5*E; E = {_energy(_core(attracts=attracts, wca=wca), truncation, spheres, rods)}"
+        f"dipole_coupling = {coupling!r};"
         "uv = 0.5*(PM + MP - PP - MM); ur = 0.25*(PP + PM - MP - MM); vr = 0.25*(PM - MP - PP + MM);"
-        "i3 = i*sqrt(i); i = 1/r2; r2 = 0.25*(PP + MM + PM + MP - distance(d1, d2)^2 - distance(a1, a2)^2);"
+        "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1);"
         "PP = pp^2; MM = mm^2; PM = pm^2; MP = mp^2;"
-        "pp = distance(d1, a1); mm = distance(d2, a2); pm = distance(d1, a2); mp = distance(d2, a1)"
+        "pp = distance(d2, a2); mm = distance(d3, a3); pm = distance(d2, a3); mp = distance(d3, a2)"
     )
 
 
 def add_hbonds(
     force: openmm.CustomHbondForce,
-    pairs: Sequence[tuple[int, int]],
+    groups: Sequence[Sequence[int]],
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Make each pair of particles a donor and an acceptor, but not for itself, within a cutoff (nm)."""
+    """Make each two or three particles a donor and an acceptor, not for itself, by the distance of the first (nm)."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
-    for i, (first, second) in enumerate(pairs):
-        force.addDonor(first, second, -1)
-        force.addAcceptor(first, second, -1)
+    for i, (first, second, *third) in enumerate(groups):
+        force.addDonor(first, second, *(third or [-1]))
+        force.addAcceptor(first, second, *(third or [-1]))
         force.addExclusion(i, i)
     force.setNonbondedMethod(force.CutoffPeriodic)
     force.setCutoffDistance(cutoff)
@@ -94,16 +109,26 @@ def _core(*, attracts: bool, wca: bool) -> str:
     return core
 
 
-def _energy(core: str, truncation: Truncation | None) -> str:
-    """Return the energy of a pair, times the switch where there is one."""
-    if truncation is None:
+def _energy(core: str, truncation: Truncation | None, spheres: SphereCutoff | None, more: str = "") -> str:
+    """Return the energy of a pair: of spheres and of dipoles, with `more`, each times its switch where there is one."""
+    if truncation is None or spheres is None:
         return f"{core} + dipole_coupling*i3*(uv - 3*i*ur*vr);"
     cutoff, switch, reaction = truncation
+    shift = f" - ({_core(attracts='soft_attraction' in core, wca=False)})" if spheres.shifted else ""
+    shift = shift.replace("i^6", repr(spheres.cutoff**-12)).replace("i^3", repr(spheres.cutoff**-6))
     return (
-        f"S*({core} + dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr));"
-        "S = 0.5 + t*(3003 - 6006*u + 9009*u^2 - 8580*u^3 + 5005*u^4 - 1638*u^5 + 231*u^6)/2048;"
-        "u = t*t; t = 2*s - 1;"
-        f"s = min(1, max(0, ({cutoff**2!r} - r2)/{cutoff**2 - switch**2!r}));"
+        f"T*({core}{shift}) + S*(dipole_coupling*((i3 - {reaction!r})*uv - 3*i*i3*ur*vr){more});"
+        f"{_switch('S', cutoff, switch)}{_switch('T', spheres.cutoff, spheres.switch)}"
+    )
+
+
+def _switch(S: str, cutoff: float, switch: float) -> str:
+    """Return the definition of a switch S in r²."""
+    u = f"u{S}"
+    return (
+        f"{S} = 0.5 + t{S}*(3003 - 6006*{u} + 9009*{u}^2 - 8580*{u}^3 + 5005*{u}^4 - 1638*{u}^5 + 231*{u}^6)/2048;"
+        f"u{S} = t{S}*t{S}; t{S} = 2*s{S} - 1;"
+        f"s{S} = min(1, max(0, ({cutoff**2!r} - r2)/{cutoff**2 - switch**2!r}));"
     )
 
 

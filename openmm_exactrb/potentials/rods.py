@@ -9,7 +9,7 @@ from dataclasses import replace
 import openmm
 
 from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
-from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters
+from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters, spheres_of
 from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
 from openmm_exactrb.potentials.moments import COULOMB
 from openmm_exactrb.support import checks
@@ -30,6 +30,10 @@ def dipole_rod_forces(
     wca: bool = False,
     box: Sequence[float],
     boundary: Ewald,
+    centres: Sequence[int],
+    sphere_cutoff: float | None = None,
+    sphere_switch: float | None = None,
+    shifted: bool = False,
 ) -> tuple[openmm.NonbondedForce, openmm.CustomHbondForce]:
     """Soft spheres with a point dipole and all periodic images, from OpenMM's own forces.
 
@@ -55,6 +59,10 @@ def dipole_rod_forces(
     boundary : Ewald
         With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision.
         The default cutoff is three times the mean distance of the dipoles.
+    centres : sequence of int
+        Particles or virtual sites in the middle of the rods.
+    sphere_cutoff, sphere_switch, shifted
+        Of the spheres; see `soft_dipole_force`.
 
     Returns
     -------
@@ -76,6 +84,10 @@ def dipole_rod_forces(
     rods, edges = checked_pairs(rods, "rod", "plus, minus"), edges_of(box)
     cutoff, switch = _distances(len(rods), edges, boundary)
     parameters = context_parameters(strength, length, sigma, epsilon, attraction, wca=wca)
+    spheres = spheres_of(edges, sigma, attraction, sphere_cutoff, sphere_switch, shifted=shifted, wca=wca)
+    assert spheres is not None
+    if len(centres) != len(rods):
+        raise ValueError(f"each rod needs its centre: {len(rods)} rods have {len(centres)} centres")
     if not cutoff + length < 0.5 * min(edges):
         raise ValueError(
             f"cutoff + length, {cutoff + length:g} nm, must be below half the box, {0.5 * min(edges):g} nm: use a "
@@ -96,8 +108,10 @@ def dipole_rod_forces(
     for plus, minus in rods:
         charges.addException(plus, minus, 0.0, 1.0, 0.0)
     attracts = "soft_attraction" in parameters
-    near = openmm.CustomHbondForce(soft_rod_energy((cutoff, switch, 0.0), coupling, attracts=attracts, wca=wca))
-    add_hbonds(near, rods, parameters, cutoff + length)
+    energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, attracts=attracts, wca=wca)
+    near = openmm.CustomHbondForce(energy)
+    groups = [(centre, *rod) for centre, rod in zip(centres, rods, strict=True)]
+    add_hbonds(near, groups, parameters, max(cutoff, spheres.cutoff))
     near.setName("SoftDipoleForce")
     return charges, near
 

@@ -89,6 +89,22 @@ def canonical_momenta(sequence: Sequence) -> Sequence:
     return (Drift("inner"), late), *rows, (Drift("others"), late)
 
 
+def behind_exchange(sequence: Sequence) -> Sequence:
+    """Return the drifts with which a step ends behind its last heat exchange; none if it ends otherwise.
+
+    From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
+    2. At the end of the step, places are ahead of momenta, and the errors of the sum of the energies are of order 1.
+    """
+    rows: list[tuple[Substep, float]] = []
+    for substep, part in reversed(sequence):
+        if isinstance(substep, HeatExchange):
+            return tuple(reversed(rows))
+        if not isinstance(substep, Drift):
+            break
+        rows.append((substep, part))
+    return ()
+
+
 def with_proposals(scheme: Scheme, proposal: Substep) -> Scheme:
     """Return a scheme whose step is a proposal between two halves of a thermostat."""
     return _numbered(scheme, _between_halves(((proposal, 1.0),)))

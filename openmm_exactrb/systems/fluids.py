@@ -15,6 +15,8 @@ from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength, rod_length, soft_dipole_force
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
+from openmm_exactrb.potentials.spheres import long_range_correction as correction_of_spheres
+from openmm_exactrb.potentials.spheres import sphere_cutoff as cutoff_of_spheres
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -93,6 +95,10 @@ def dipole_fluid(
     trap: float | unit.Quantity = 0.0,
     boundary: Boundary = OPEN,
     density: float | unit.Quantity | None = None,
+    sphere_cutoff: float | unit.Quantity | None = None,
+    sphere_switch: float | unit.Quantity | None = None,
+    shifted: bool = False,
+    long_range_correction: bool | None = None,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
     """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
@@ -128,6 +134,15 @@ def dipole_fluid(
         With one of the last two the spheres fill a cubic box, on a lattice given by `density` instead of `spacing`.
     density : float, optional
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
+    sphere_cutoff, sphere_switch : float, optional
+        Where the energy of two spheres in the box ends, and its switch begins, in nm. By default 3 sigma, or half the
+        box if that is less, and three quarters of the cutoff. They do not depend on the cutoff of the dipoles, which
+        belongs to the boundary.
+    shifted : bool
+        Whether the energy of two spheres at their cutoff is subtracted from it.
+    long_range_correction : bool, optional
+        Whether energy and pressure have the mean contribution of spheres beyond the cutoff, by a second force. By
+        default they have it, unless the potential is shifted or ends at its minimum (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" takes the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
@@ -167,18 +182,23 @@ def dipole_fluid(
     chain = topology.addChain()
     spheres: dict[str, Any] = {"strength": strength, "sigma": sigma, "epsilon": epsilon, "boundary": boundary}
     spheres |= {"attraction": attraction, "wca": wca, "box": None if box is None else (box, box, box)}
+    cutoff, switch = stripped(sphere_cutoff, unit.nanometer), stripped(sphere_switch, unit.nanometer)
+    spheres |= {"sphere_cutoff": cutoff, "sphere_switch": switch, "shifted": shifted}
     places = {"C": np.zeros(3), "D": arrow}
     if isinstance(boundary, Ewald) and kernel == "openmm":
         rod = rod_length(n, spheres["box"], boundary)
         places = {"P": 0.5 * rod * (vector / strength), "N": -0.5 * rod * (vector / strength)} | places
         added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
         ends = [(plus, minus) for plus, minus, *_ in added]
-        for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, **spheres):
+        middles = [centre for *_, centre, _ in added]
+        for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, centres=middles, **spheres):
             system.addForce(part)
     else:
         added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
         arrows = [(centre, tip) for centre, tip in added]
         system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
+    if long_range_correction if long_range_correction is not None else box is not None and not (shifted or wca):
+        system.addForce(_correction(n, box, spheres))
     if box is not None:
         spacing = box / _places_a_side(n)
         vectors = box * np.eye(3)
@@ -191,6 +211,17 @@ def dipole_fluid(
     lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
+
+
+def _correction(n: int, box: float | None, spheres: Mapping[str, Any]) -> openmm.CustomVolumeForce:
+    """Return the mean energy of spheres beyond their cutoff; a ValueError without any."""
+    if box is None or spheres["wca"]:
+        raise ValueError("long_range_correction is for spheres in a periodic box that wca does not end: omit it")
+    law = {name: float(spheres[name]) for name in ("sigma", "epsilon", "attraction")}
+    edges, given = spheres["box"], (spheres["sphere_cutoff"], spheres["sphere_switch"])
+    end = cutoff_of_spheres(edges, law["sigma"], *given, shifted=spheres["shifted"])
+    assert end is not None
+    return correction_of_spheres(n, end, **law)
 
 
 def _places_a_side(n: int) -> int:

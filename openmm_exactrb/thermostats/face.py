@@ -9,6 +9,8 @@ from typing import Any, TypedDict, Unpack
 
 from openmm import unit
 
+from openmm_exactrb.context import variables
+from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
@@ -86,6 +88,10 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)
         return translational, rotational
 
+    def _energyAtExchange(self) -> unit.Quantity:
+        """Return the total energy at the last heat exchange, where its errors are of the order of the scheme."""
+        return self._up_to_date().energy_at_exchange(self._version, self._settings) * unit.kilojoule_per_mole
+
     def _change(self, **settings: Any) -> None:
         """Change settings of the thermostat."""
         self._thermostat = replace(self._thermostat, **settings)
@@ -95,3 +101,34 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         arguments = super()._arguments()
         del arguments["thermostat"]
         return {**arguments, **self._thermostat.settings()}
+
+
+class HeatedIntegrator(ThermostattedIntegrator):
+    """An integrator whose thermostat exchanges heat with the bodies, which is added up."""
+
+    def heat(self) -> unit.Quantity:
+        """Return the energy that the thermostat has added to the bodies since the integrator was created.
+
+        Raises
+        ------
+        ValueError
+            With friction on the device, which does not add it up.
+        """
+        if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
+            raise ValueError(NO_BALANCE)
+        return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
+
+    def effectiveEnergy(self) -> unit.Quantity:
+        """Return the total energy at the last heat exchange less the heat: the energy balance of the run.
+
+        Its drift and noise are the error of the step, of the order of the scheme. `totalEnergy` is that at the end of
+        the step. With a scheme that ends with a drift behind the heat exchange, such as the default, momenta there lag
+        behind the positions, and the sum of the energies fluctuates by an amount proportional to the step size. A
+        barostat or a ``CMMotionRemover`` changes the effective energy too.
+
+        Raises
+        ------
+        ValueError
+            With friction on the device, which does not add up the heat.
+        """
+        return self._energyAtExchange() - self.heat()

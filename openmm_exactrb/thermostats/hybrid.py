@@ -111,7 +111,7 @@ class HybridMonteCarlo(Langevin):
 
     stepsPerProposal: int = 1
 
-    numbers = (variables.ACCEPTED, variables.PROPOSED)
+    numbers = (variables.HEAT_OF_FRICTION, variables.ACCEPTED, variables.PROPOSED)
     scheme: ClassVar[str] = "S2_2"
 
     def __post_init__(self) -> None:

@@ -12,12 +12,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from openmm import unit
 
+from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.free_motion import advancing
@@ -28,7 +29,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import not_negative
 from openmm_exactrb.thermostat import Exchange, Thermostat
-from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
@@ -58,6 +59,9 @@ class Langevin(Thermostat):
     friction: float
     rotationalFriction: float | None = None
     flexibleFriction: float | None = field(default=None, kw_only=True)
+
+    numbers: ClassVar[tuple[str, ...]] = (variables.HEAT_OF_FRICTION,)
+    heat: ClassVar[str | None] = variables.HEAT_OF_FRICTION
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "temperature", kelvin(self.temperature))
@@ -178,7 +182,7 @@ def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
     return fading
 
 
-class ExactRigidBodyLangevinIntegrator(ThermostattedIntegrator):
+class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body, for as many

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Unpack
+from typing import ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,8 @@ class NoseHooverChain(Thermostat):
     numMTS: int = 3
     numYoshidaSuzuki: int = 7
     together: bool = False
+
+    scheme: ClassVar[str] = "BAOAB"  # symmetric in time, as the chains are
 
     def __post_init__(self) -> None:
         frequency = plain(self.collisionFrequency, _RATE, "a collision frequency")
@@ -214,6 +216,10 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
 
     Notes
     -----
+    The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a
+    step are half a kick from the chains, and `temperatures` is lower than the temperature of the chains by a part that
+    is proportional to the square of the step. `temperaturesAroundThermostat` is that of the chains.
+
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. A run continues only
     from a checkpoint or State of the same chain length. Small or stiff systems may not be ergodic; a harmonic
     oscillator with a chain of one link, for example, is not.
@@ -246,11 +252,11 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         self._change(collisionFrequency=frequency)
 
     def conservedEnergy(self) -> unit.Quantity:
-        """Return the total energy plus that of the chains.
+        """Return the total energy at the last heat exchange plus that of the chains.
 
-        It is as constant as the total energy without a thermostat. To monitor it, use a scheme of the catalogue. A
-        barostat or a ``CMMotionRemover`` changes it too.
+        It is as constant as the total energy of the scheme without a thermostat. A barostat or a ``CMMotionRemover``
+        changes it too.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}
-        return self.totalEnergy() + self._thermostat.energy(values, freedoms) * unit.kilojoule_per_mole
+        return self._energyAtExchange() + self._thermostat.energy(values, freedoms) * unit.kilojoule_per_mole

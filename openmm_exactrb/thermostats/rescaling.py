@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Unpack
+from typing import ClassVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import not_negative, positive, whole
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
-from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
+from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
 Array = NDArray[np.float64]
 
@@ -53,6 +53,7 @@ class StochasticRescaling(Thermostat):
     together: bool = True
 
     numbers = (variables.HEAT,)
+    heat: ClassVar[str | None] = variables.HEAT
     factors = Factors("rescaling", (("RESCALING", 1),), 1)
 
     def __post_init__(self) -> None:
@@ -69,17 +70,12 @@ class StochasticRescaling(Thermostat):
         return gas_constant_times(self.temperature), self.relaxationTime, *map(float, freedom), float(self.together)
 
     def bind(self, environment: Environment) -> Exchange:
-        """Return the rescaling of momenta, which adds up its heat."""
-        bodies, numbers, kT = environment.bodies, environment.numbers, gas_constant_times(self.temperature)
+        """Return the rescaling of momenta."""
+        bodies, kT = environment.bodies, gas_constant_times(self.temperature)
         moments, freedom = bodies.principal_moments, environment.degrees_of_freedom
         rescale = rescaling(bodies.mass, moments, kT, self.relaxationTime, freedom, self.together)
 
-        def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
-            P, m, heat = rescale(P, m, tau, at)
-            numbers.present[variables.HEAT] += heat
-            return P, m
-
-        return exchange
+        return lambda P, m, tau, at: rescale(P, m, tau, at)[:2]
 
 
 def rescaling(
@@ -163,7 +159,7 @@ def scaled(x: Array, factor: float) -> Array:
     return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
 
 
-class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
+class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
     At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
@@ -205,17 +201,3 @@ class ExactRigidBodyRescalingIntegrator(ThermostattedIntegrator):
     def setRelaxationTime(self, time: float | unit.Quantity) -> None:
         """Set the relaxation time of the kinetic energy, in ps if it has no unit."""
         self._change(relaxationTime=time)
-
-    def heat(self) -> unit.Quantity:
-        """Return the energy that the thermostat has added to the bodies since the integrator was created."""
-        return variables.get(self, variables.HEAT) * unit.kilojoule_per_mole
-
-    def effectiveEnergy(self) -> unit.Quantity:
-        """Return the total energy less the heat.
-
-        It is as constant as the total energy of the splitting without a thermostat: its drift and noise are the error
-        of the step. To monitor it, use a scheme of the catalogue: a scheme that contains the thermostat does not
-        conserve the sum of kinetic and potential energy at the end of its steps. A barostat or a ``CMMotionRemover``
-        changes the effective energy too.
-        """
-        return self.totalEnergy() - self.heat()

@@ -1,8 +1,8 @@
 """The cheapest scheme and step for an energy error on a user's own system.
 
-`tune` in `advice` has three layers. Measurement: `initial_state` reads the arguments and brings the system to a
-temperature, `benchmark` runs the methods, `error` extrapolates their energy errors, and `measurements` keeps them.
-`search` decides what to measure. `result` is the answer, as an object, text and a picture.
+`tune` in `advice` has three layers. Measurement: `initial_state` reads the arguments, `preparation` brings the system
+to a temperature, `benchmark` runs the methods within the `budget`, `error` extrapolates their energy errors, and
+`measurements` keeps them. `search` decides what to measure. `result` is the answer, as an object and text.
 """
 
 from openmm_exactrb.tuning.advice import tune

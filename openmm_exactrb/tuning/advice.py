@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import openmm
 from openmm import app, unit
@@ -14,18 +15,27 @@ from openmm_exactrb.mechanics.overheating import StepSizeWarning
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive, whole
-from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, Benchmark, Method, schemes_named
-from openmm_exactrb.tuning.floor import causes
-from openmm_exactrb.tuning.initial_state import initial_state, thermalised
-from openmm_exactrb.tuning.measurements import Measurements, Point
-from openmm_exactrb.tuning.result import Choice, Tuning
-from openmm_exactrb.tuning.search import search
+from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, STARTS, Benchmark, Method, schemes_named
+from openmm_exactrb.tuning.budget import Budget
+from openmm_exactrb.tuning.floor import causes, limits
+from openmm_exactrb.tuning.initial_state import InitialState, initial_state, thermalised
+from openmm_exactrb.tuning.measurements import UNSURE, Measurements, Report
+from openmm_exactrb.tuning.result import Tuning
+from openmm_exactrb.tuning.search import COARSE, RATIO, Outcome, probed, search
 
 __all__ = ["CANDIDATES", "progress", "tune"]
 
-# Length of survey runs in characteristic times, and of production runs in survey runs. The survey of a named horizon
-# takes a tenth of it, up to this many times its usual length.
-_SURVEY, _LONGER, _LONGEST = 100.0, 10.0, 4.0
+#: Seconds of processor time that a tuning takes at most.
+BUDGET = 120.0
+
+# Length of survey runs in characteristic times, the least of it, and of production runs in survey runs. The survey of a
+# named horizon takes a tenth of it, up to this many times its usual length.
+_SURVEY, _SHORTEST, _LONGER, _LONGEST = 100.0, 30.0, 10.0, 4.0
+# Parts of the force evaluations that the budget allows: for the survey, and for production runs. Steps to the target,
+# the time per evaluation near it over the characteristic time, and how many settings are run until one meets it.
+_OF_SURVEY, _OF_PRODUCTION, _DEEP, _NEAR, _ATTEMPTS = 0.5, 0.4, 8, 0.15, 1.7
+# Schemes that are tried even if that makes the survey short.
+_FEWEST = 4
 
 
 def progress(line: str) -> None:
@@ -45,19 +55,22 @@ def tune(
     properties: Mapping[str, str] | None = None,
     bodies: Sequence[Sequence[int]] | None = None,
     horizon: float | unit.Quantity | None = None,
+    budget: float | unit.Quantity = BUDGET,
     duration: float | unit.Quantity | None = None,
     levels: int = 10,
     seed: int = 0,
     report: Callable[[str], None] | None = progress,
 ) -> Tuning:
-    """Measure energy error and wall time of schemes on a system, and find the cheapest one for a given error.
+    """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). Survey runs are as long as `duration`, and their errors are extrapolated from
-    the growth of the variance with the length of the run. Since the energy may drift over picoseconds, the recommended
-    setting is then run over the whole horizon. Costs are those of `Simulation.step`, which calls the integrator every
-    ten steps. If the System has bonds and angles that are not constrained, schemes with ``fast="bonded"`` are tried
-    too: those of `schemes`, or `NESTED_CANDIDATES`.
+    (rigid bodies and single particles). What limits it whatever the scheme is reported first: the rest of the work is
+    saved if the target is clearly below that. Survey runs are as long as `duration`, and their errors are extrapolated
+    from the growth of the variance with the length of the run. The recommended setting is then run over the whole
+    horizon from three starts: the given one, and others of its temperature. What is promised is the largest of their
+    errors, raised where the error grows so steeply with the step that another start may differ more. Costs are those of
+    `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
+    constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
@@ -70,13 +83,14 @@ def tune(
         Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target all step sizes are
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
-        By default `CANDIDATES`. A scheme of your own needs a name that is not in the catalogue. OpenMM's
-        VerletIntegrator is measured too if constraints hold all bodies.
+        By default `CANDIDATES`, or the first of them if the budget allows no more. A scheme of your own needs a name
+        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; where it
+        fails, that is its result.
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
-        In K, required if all velocities are zero. Positions without velocities are minimised; Langevin dynamics then
-        brings the start to the temperature.
+        In K, required if all velocities are zero. Positions without velocities are minimised; Langevin dynamics of this
+        package then brings the start to the temperature.
     platform : str or openmm.Platform, optional
         By default the one named by OPENMM_DEFAULT_PLATFORM, otherwise the fastest except for OpenCL on a CPU.
     properties : mapping, optional
@@ -85,10 +99,14 @@ def tune(
         As in `ExactRigidBodyIntegrator`; by default those of the integrator of a Simulation.
     horizon : float or Quantity, optional
         Length of the production runs for which errors are promised, in ps without a unit; by default ten times
-        `duration`.
+        `duration`, or less if the budget does not allow that.
+    budget : float or Quantity, optional
+        Processor time that may be used, in s without a unit, by default two minutes. If it does not suffice for the
+        production runs, the recommendation rests on the survey alone, and the result says so.
     duration : float or Quantity, optional
         Length of the survey runs, in ps without a unit. By default 100 over the root mean square frequency of the
-        system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this.
+        system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this; less if the
+        budget does not allow that.
     levels : int, optional
         Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
     seed : int, optional
@@ -107,52 +125,103 @@ def tune(
         not reached, or a scheme is unknown or cannot be used.
     """
     wanted = None if target is None else positive(target, "target", "kJ/mol per body")
-    plain = schemes_named(CANDIDATES if schemes is None else schemes)
-    levels = whole(levels, "levels", least=3)
+    allowed = Budget(positive(stripped(budget, unit.second), "budget", "s"))
+    plain, levels = schemes_named(CANDIDATES if schemes is None else schemes), whole(levels, "levels", least=3)
+    nested = plain if schemes is not None else schemes_named(NESTED_CANDIDATES)
     survey = None if duration is None else positive(stripped(duration, unit.picosecond), "duration", "ps")
     production = None if horizon is None else positive(stripped(horizon, unit.picosecond), "horizon", "ps")
     state, notes = initial_state(system, start, velocities, platform, properties, bodies)
-    if temperature is not None:
-        kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
-        state = thermalised(state, kelvin, seed, minimise=not state.velocities.any())
-        notes.append(f"the start was brought to {kelvin:g} K in a short run: prefer the State of an equilibrated one")
-    elif not state.velocities.any():
+    tell = report or (lambda line: None)
+    state = _in_motion(state, temperature, seed, allowed, notes, tell)
+    benchmark = Benchmark(state, allowed, seed)
+    methods = [Method(scheme) for scheme in plain]
+    methods += [Method(scheme, nested=True) for scheme in nested if benchmark.nests]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", StepSizeWarning)  # too long steps are tried on purpose
+        plan = _plan(benchmark, methods, survey, production, free=schemes is None)
+        tell(f"{plan} (budget: {allowed.seconds:g} s of processor time)")
+        measured = Measurements(benchmark, plan.methods, plan.survey, plan.horizon, tell)
+        noise = None if wanted is None else probed(measured)
+        if wanted is not None and noise is not None and wanted < 0.5 * noise:
+            tell(f"the target is out of reach: {noise:.1e} kJ/mol per body come from the forces alone")
+            outcome = Outcome(floor=noise)
+        else:
+            outcome = search(measured, wanted, levels)
+    return _result(measured, wanted, outcome, notes)
+
+
+def _in_motion(
+    state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
+) -> InitialState:
+    """Say what limits the error of a state, and bring it to the temperature if one is given."""
+    probe, _context = state.probe()
+    for line in limits(state.system, probe.bodyState()[0]):
+        tell(line)
+    at_rest = not state.velocities.any()
+    if temperature is None and at_rest:
         raise ValueError(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
             "motion: give a State of an equilibrated run with velocities=True, or a temperature in K"
         )
-    benchmark = Benchmark(state)
-    nested = plain if schemes is not None else schemes_named(NESTED_CANDIDATES)
-    methods = [Method(scheme) for scheme in plain]
-    methods += [Method(scheme, nested=True) for scheme in nested if benchmark.nests]
+    if temperature is None:
+        return state
+    kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
+    notes.append(f"the start was brought to {kelvin:g} K in a short run: prefer the State of an equilibrated one")
+    tell(f"bringing the start to {kelvin:g} K")
+    return thermalised(state, kelvin, seed, at_rest, budget)
+
+
+class _Plan(NamedTuple):
+    """What the budget allows."""
+
+    methods: list[Method]
+    #: Lengths of survey and production runs in ps.
+    survey: float
+    horizon: float
+
+    def __str__(self) -> str:
+        return f"{len(self.methods)} methods, {self.survey:.3g} ps each; errors are promised for {self.horizon:.3g} ps"
+
+
+def _plan(
+    benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
+) -> _Plan:
+    """Return methods and lengths of runs that fit into the budget; what was named is kept."""
+    time = benchmark.characteristics.time
+    affordable = benchmark.evaluations_left()
+    deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method a characteristic time
+    usual = _SURVEY * time
+    if survey is None and horizon is not None:
+        usual = min(max(usual, horizon / _LONGER), _LONGEST * usual)
+    if free:
+        most = max(_FEWEST, int(_OF_SURVEY * affordable / (deep * _SURVEY)))
+        plain, nested = ([method for method in methods if method.nested == kind] for kind in (False, True))
+        half = most if not nested else (most + 1) // 2
+        methods = plain[:half] + nested[:half]
     if survey is None:
-        usual = _SURVEY * benchmark.characteristics.time
-        survey = usual if production is None else min(max(usual, production / _LONGER), _LONGEST * usual)
-    production = _LONGER * survey if production is None else production
-    measured = Measurements(benchmark, methods, survey, production, report or (lambda line: None))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", StepSizeWarning)  # too long steps are tried on purpose
-        floor, best = search(measured, wanted, levels)
-    return _result(measured, wanted, floor, best, notes)
+        survey = min(usual, max(_OF_SURVEY * affordable / (deep * len(methods)), _SHORTEST) * time)
+    if horizon is None:
+        horizon = _OF_PRODUCTION * affordable * _NEAR / (STARTS * _ATTEMPTS) * time
+        horizon = max(survey, min(horizon, _LONGER * survey))
+    return _Plan(methods, survey, horizon)
 
 
-def _result(
-    measured: Measurements, target: float | None, floor: float | None, best: Point | None, notes: list[str]
-) -> Tuning:
-    state, (n_bodies, _, time, free) = measured.benchmark.state, measured.benchmark.characteristics
-    own = {name: scheme for name, method in measured.methods.items() if (scheme := method.own_scheme)}
-    chosen = None
-    if best is not None:
-        setting = best.method, best.step, best.error, best.cost
-        evaluations = measured.evaluations[best.method] / best.step
-        chosen = Choice(*setting, True, state.bodies, own.get(best.method), state.groups, evaluations)
+def _result(measured: Measurements, target: float | None, outcome: Outcome, notes: list[str]) -> Tuning:
+    benchmark = measured.benchmark
+    state, (n_bodies, _, time, free) = benchmark.state, benchmark.characteristics
     if time == free:
         notes.append(
             "at the start bodies hardly feel each other: what was measured says little about runs in which they meet"
         )
-    if floor is not None and best is not None and best.error < 1.5 * floor:
+    best = outcome.chosen
+    if best is not None and outcome.floor is not None and best.error < 1.5 * outcome.floor:
         notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
-    return Tuning(
+    if outcome.cut:
+        notes.append(
+            f"the budget of {benchmark.budget.seconds:g} s of processor time ended the search: a larger one allows "
+            "more schemes, smaller steps and longer runs"
+        )
+    tuning = Tuning(
         points=tuple(measured.points),
         seconds=measured.seconds,
         stages=measured.stages,
@@ -162,11 +231,15 @@ def _result(
         duration=measured.duration,
         horizon=measured.horizon,
         target=target,
-        chosen=chosen,
-        floor=floor,
+        floor=outcome.floor,
         causes=tuple(causes(state.system)),
         notes=tuple(notes),
         bodies=state.bodies,
-        schemes=own,
+        schemes={name: own for name, method in measured.methods.items() if (own := method.own_scheme)},
         groups=state.groups,
     )
+    if best is not None:
+        return replace(tuning, chosen=tuning.choice(best))
+    if target is not None and outcome.cut:
+        return replace(tuning, chosen=tuning.surveyed(target / UNSURE))
+    return tuning

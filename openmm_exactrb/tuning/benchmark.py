@@ -1,44 +1,46 @@
-"""The methods that are compared, and their benchmark: energy error and wall time of runs from one initial state."""
+"""The methods that are compared, and their runs from some starts: energies, and the time that they take."""
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import functools
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.tuning.error import expected_error
-from openmm_exactrb.tuning.initial_state import LOST, InitialState, characteristics, diverging
+from openmm_exactrb.tuning.budget import Budget
+from openmm_exactrb.tuning.initial_state import InitialState, others
+from openmm_exactrb.tuning.preparation import characteristics, diverging
 
-#: Schemes that are tried by default: each is the cheapest at some accuracy on some system.
+#: Schemes that are tried by default: each is the cheapest at some accuracy on some system. Where the budget does not
+#: allow all of them, the first ones are tried.
 CANDIDATES = (
-    "V2",
+    "W4_4",
     "W2_1",
     "S2_2",
-    "S2_4",
-    "W2_4",
-    "W2_5",
-    "W4_4",
-    "W4_5",
     "W4_6",
     "SRKN4_6b",
+    "W2_4",
+    "W4_5",
+    "V2",
     "SRKN6_11b",
+    "W2_5",
+    "S2_4",
     "SRKN6_14a",
 )
 
-#: Schemes that are tried with nested bonded forces by default.
-NESTED_CANDIDATES = ("W2_1", "S2_2", "S2_3", "W2_4", "W2_5", "W4_4", "W4_5", "SRKN4_6b", "ABA_8_6_4")
+#: Schemes that are tried with nested bonded forces by default, in the same order.
+NESTED_CANDIDATES = ("W2_1", "S2_2", "W4_4", "SRKN4_6b", "W2_4", "W4_5", "S2_3", "W2_5", "ABA_8_6_4")
 
 #: Name of the baseline: OpenMM's leapfrog with constraints.
 VERLET = "VerletIntegrator"
@@ -46,12 +48,17 @@ VERLET = "VerletIntegrator"
 #: End of the name of a scheme with nested bonded forces.
 NESTED = " nested"
 
+#: Starts of the runs that a promise rests on.
+STARTS = 3
+
 # Energies of a run, and the fewest.
 _SAMPLES, _FEWEST_SAMPLES = 300, 48
-# Steps of a call of the integrator by Simulation.step, and the fewest and most calls in which evaluations are counted.
-_CALL, _FEWEST_CALLS, _MOST_CALLS = 10, 6, 30
-# Rounds of timing through all methods, and force evaluations of each method in a round.
-_ROUNDS, _EVALUATIONS = 7, 28
+# Steps of a call of the integrator by Simulation.step.
+_CALL = 10
+# Step over the characteristic time of the run that measures how long a force evaluation takes.
+_BRIEF = 0.05
+# A run is unstable once its total energy is off by this fraction of the kinetic energy.
+_LOST = 0.1
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,17 @@ class Method:
         """Force evaluations per step, not counting those of nested forces."""
         return 1 if self.scheme is None else self.scheme.forces
 
+    def evaluations(self, periods: Sequence[int]) -> float:
+        """Return the force evaluations of a step of `Simulation.step`, given the steps between moves of each barostat.
+
+        A barostat compares two energies, and a processed scheme then maps its coordinates back and forth.
+        """
+        if self.scheme is None:
+            return 1.0 + sum(2.0 / period for period in periods)
+        calls = max(self.scheme.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
+        moved = 2.0 + 2.0 * sum(substep.kicks for substep, _ in self.scheme.processor)
+        return self.scheme.forces + calls + sum(moved / period for period in periods)
+
     @property
     def own_scheme(self) -> Scheme | None:
         """The scheme if it is the user's own, that is, if its name does not say which one it is."""
@@ -95,125 +113,113 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     return list(known.values())
 
 
-class IntegratorUnderTest:
-    """Runs one method from the initial state, again and again."""
+class Energies(NamedTuple):
+    """The total energies of a run, and what it took."""
 
-    def __init__(self, state: InitialState, integrator: openmm.Integrator) -> None:
-        self.state, self.integrator, self.context = state, integrator, state.context(integrator)
-
-    @property
-    def fast_share(self) -> float:
-        """Evaluations of nested forces per evaluation of the others, since the last `begin`."""
-        return 0.0
-
-    def begin(self, h: float) -> None:
-        """Return to the initial state, with a step in ps."""
-        self.integrator.setStepSize(h)
-        self.context.setPositions(self.state.positions)
-        self.context.setVelocities(self.state.velocities)
-
-    def energy(self) -> float:
-        """Return the total energy in kJ/mol, with the kinetic energy at the time of the positions."""
-        now = self.context.getState(energy=True, groups=self.state.groups)
-        return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
-
-    def evaluations_per_step(self, h: float) -> float:
-        """Return the force evaluations of a step of h ps, called as `Simulation.step` does in the whole System."""
-        return 1.0 + sum(2.0 / period for period in self.state.periods)  # a barostat compares two energies
-
-    def seconds_per_evaluation(self, steps: int) -> float:
-        """Make steps, and return their wall time per force evaluation."""
-        begun = time.perf_counter()
-        self.integrator.step(steps)
-        self.context.getState(positions=True)  # waits for platforms that compute asynchronously
-        return (time.perf_counter() - begun) / steps
+    #: In kJ/mol per body, at equal times.
+    values: NDArray[np.float64]
+    #: Time between two of them in ps.
+    interval: float
+    #: Wall time in s per force evaluation.
+    seconds: float
+    #: Evaluations of nested forces per evaluation of the others.
+    nested: float
 
 
-class ExactRigidBody(IntegratorUnderTest):
+class SchemeUnderTest:
     """A scheme with the exact rotor, on the engine that the integrator of a choice will have."""
 
     def __init__(self, state: InitialState, method: Method) -> None:
         options: dict[str, Any] = {"scheme": method.scheme, "fast": "bonded" if method.nested else None}
         make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
-        super().__init__(state, make())
+        self.integrator, self._groups = make(), state.groups
+        self.context = state.context(self.integrator)
         if (engine := self.integrator.getEngine()) != "host":  # chosen by name, it is kept when the step changes
             own = copy.deepcopy(state.system)  # to which an engine may add forces
-            super().__init__(replace(state, system=own), make(engine=engine))
+            self.integrator = make(engine=engine)
+            self.context = replace(state, system=own).context(self.integrator)
 
-    @property
-    def fast_share(self) -> float:
-        """See `IntegratorUnderTest`."""
-        timings = self.integrator.timings
-        return float(timings.fast_evaluations / max(1, timings.evaluations))
-
-    def begin(self, h: float) -> None:
-        """Return to the initial state, with a step in ps."""
-        super().begin(h)
+    def begin(self, h: float, start: InitialState) -> None:
+        """Go to a start, with a step in ps."""
+        self.integrator.setStepSize(h)
+        self.context.setPositions(start.positions)
+        self.context.setVelocities(start.velocities)
         self.integrator.timings.reset()
 
     def energy(self) -> float:
         """Return the total energy in kJ/mol, with the kinetic energy in float64."""
         return float(self.integrator.totalEnergy()._value)
 
-    def evaluations_per_step(self, h: float) -> float:
-        """Return the force evaluations of a step of h ps, called as `Simulation.step` does in the whole System.
+    def taken(self) -> tuple[float, int, float]:
+        """Return wall time in s, force evaluations, and nested ones per other, since the last `begin`."""
+        timings = self.integrator.timings
+        return timings.total, timings.evaluations, timings.fast_evaluations / max(1, timings.evaluations)
 
-        They are counted over periods of a barostat, unless these are very long.
-        """
-        self.begin(h)
-        integrator = self.integrator
-        if self.state.whole is not None:
-            integrator = copy.copy(integrator)
-            integrator.setRandomNumberSeed(1)  # barostats draw from it on Reference and CPU: the same count every time
-            _context = replace(self.state, system=copy.deepcopy(self.state.whole)).context(integrator)
-        period = math.lcm(_CALL, *self.state.periods) // _CALL
-        calls = min(period * math.ceil(_FEWEST_CALLS / period), _MOST_CALLS)
-        integrator.step(_CALL)  # with what a run pays once
-        integrator.timings.reset()
-        integrator.step(_CALL)
-        counted = [integrator.timings.evaluations]
-        with contextlib.suppress(IntegrationError):  # a step that is stable in the survey need not be for as long
-            for _ in range(calls - 1):
-                integrator.step(_CALL)
-                counted.append(integrator.timings.evaluations)
-        return float(counted[-1] / (len(counted) * _CALL))
-
-    def seconds_per_evaluation(self, steps: int) -> float:
-        """Make steps, and return their wall time per force evaluation."""
-        self.integrator.timings.reset()
+    def step(self, steps: int) -> None:
+        """Make steps."""
         self.integrator.step(steps)
-        return float(self.integrator.timings.total / self.integrator.timings.evaluations)
 
 
-class Verlet(IntegratorUnderTest):
+class VerletUnderTest:
     """OpenMM's leapfrog, whose velocities are half a step behind the positions."""
 
     def __init__(self, state: InitialState) -> None:
-        super().__init__(state, openmm.VerletIntegrator(1e-6))
+        self.integrator, self._groups = openmm.VerletIntegrator(1e-6), state.groups
         self.integrator.setConstraintTolerance(1e-10)
+        self.context, self._seconds, self._steps = state.context(self.integrator), 0.0, 0
         masses = [state.system.getParticleMass(i)._value for i in range(state.system.getNumParticles())]
         self._inverse_masses = np.array([[1.0 / m if m > 0.0 else 0.0] for m in masses])
 
-    def begin(self, h: float) -> None:
-        """Return to the initial positions, with the velocities half a step earlier."""
-        super().begin(h)
+    def begin(self, h: float, start: InitialState) -> None:
+        """Go to the positions of a start, with the velocities half a step earlier."""
+        self._seconds, self._steps = 0.0, 0
+        self.integrator.setStepSize(h)
+        self.context.setPositions(start.positions)
         self.context.computeVirtualSites()
-        forces = self.context.getState(forces=True, groups=self.state.groups).getForces(asNumpy=True)._value
-        self.context.setVelocities(self.state.velocities - 0.5 * h * forces * self._inverse_masses)
+        forces = self.context.getState(forces=True, groups=self._groups).getForces(asNumpy=True)._value
+        self.context.setVelocities(start.velocities - 0.5 * h * forces * self._inverse_masses)
         self.context.applyVelocityConstraints(1e-10)
+
+    def energy(self) -> float:
+        """Return the total energy in kJ/mol, with the kinetic energy at the time of the positions."""
+        now = self.context.getState(energy=True, groups=self._groups)
+        return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
+
+    def taken(self) -> tuple[float, int, float]:
+        """See `SchemeUnderTest`."""
+        return self._seconds, self._steps, 0.0
+
+    def step(self, steps: int) -> None:
+        """Make steps, and wait for platforms that compute asynchronously."""
+        begun = time.perf_counter()
+        self.integrator.step(steps)
+        self.context.getState(positions=True)
+        self._seconds += time.perf_counter() - begun
+        self._steps += steps
 
 
 class Benchmark:
-    """Runs methods from one initial state of a System that conserves its energy."""
+    """Runs methods of a System that conserves its energy, from some starts and within a budget."""
 
-    def __init__(self, state: InitialState) -> None:
+    def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()
+        bodies, bodies_state = integrator.bodyState()
         #: Of the initial state.
         self.characteristics = characteristics(integrator, context)
-        bodies, bodies_state = integrator.bodyState()
-        #: The initial state of all integrators: molecules are rigid, and not split by the periodic box.
+        if not context.getState(forces=True, groups=state.groups).getForces(asNumpy=True)._value.any():
+            raise ValueError("no force acts: there is no energy error to measure")
+        #: The initial state: molecules are rigid, and not split by the periodic box.
         self.state = replace(state, positions=bodies.positions(bodies_state, state.positions.copy()))
-        self._integrators: dict[str, IntegratorUnderTest] = {}
+        self.budget, self._seed = budget, seed
+        #: Processor time in s of a force evaluation in the last run; 0 before the first.
+        self.processor = 0.0
+        self._under_test: dict[str, SchemeUnderTest | VerletUnderTest] = {}
+
+    @functools.cached_property
+    def starts(self) -> list[InitialState]:
+        """The initial state, and others of its temperature."""
+        self.budget.require()
+        return others(self.state, STARTS, self._seed)
 
     @property
     def has_baseline(self) -> bool:
@@ -230,47 +236,54 @@ class Benchmark:
             return False
         return True
 
-    def under_test(self, method: Method) -> IntegratorUnderTest:
-        """Return the integrator under test of a method."""
-        if method.name not in self._integrators:
-            made = Verlet(self.state) if method.scheme is None else ExactRigidBody(self.state, method)
-            self._integrators[method.name] = made
-        return self._integrators[method.name]
+    def evaluations_left(self) -> float:
+        """Return the force evaluations that the budget allows, after a few to see how long they take."""
+        step = _BRIEF * self.characteristics.time
+        for _ in range(2):  # the first compiles kernels
+            self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
+        return self.budget.left / self.processor
 
-    def error(self, method: Method, step: float, duration: float, horizon: float) -> float:
-        """Run from the initial state for a duration, and return the energy error to expect over the horizon, all in ps.
+    def under_test(self, method: Method) -> SchemeUnderTest | VerletUnderTest:
+        """Return what runs a method."""
+        if method.name not in self._under_test:
+            made = VerletUnderTest(self.state) if method.scheme is None else SchemeUnderTest(self.state, method)
+            self._under_test[method.name] = made
+        return self._under_test[method.name]
 
-        It is in kJ/mol per body, and infinite if the run diverges or changes the energy by a tenth of the kinetic one.
+    def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
+        """Run a method for a duration, both in ps.
+
+        Return None if the run diverges or changes the energy by a tenth of the kinetic one, or OpenMM's integrator
+        fails. BudgetSpentError is raised before a run that the budget does not allow, or within it.
         """
-        tested, (n_bodies, kinetic, *_) = self.under_test(method), self.characteristics
-        every = max(1, round(duration / _SAMPLES / step))
-        energies: list[float] = []
+        self.budget.require(self.processor * method.stages * duration / step)
+        begun, tested = time.process_time(), self.under_test(method)
         try:
             with np.errstate(all="ignore"), diverging():
-                tested.begin(step)
-                first = tested.energy() / n_bodies
-                while len(energies) < max(_FEWEST_SAMPLES, math.ceil(duration / (every * step))):
-                    tested.integrator.step(every)
-                    energies.append(tested.energy() / n_bodies)
-                    if not abs(energies[-1] - first) < LOST * kinetic:
-                        return math.inf
+                return self._energies(tested, step, duration, start)
         except IntegrationError:
-            return math.inf
-        error = expected_error(np.array(energies), every * step, horizon)
-        return error if error < LOST * kinetic else math.inf
+            return None
+        except openmm.OpenMMException:
+            if method.scheme is not None:
+                raise
+            return None
+        finally:
+            if evaluations := tested.taken()[1]:
+                self.processor = (time.process_time() - begun) / evaluations
 
-    def seconds_per_evaluation(self, methods: Sequence[Method], interval: float) -> list[float]:
-        """Return the wall times in s per force evaluation of methods at a time per force evaluation in ps.
-
-        The fastest of some rounds counts, since other processes only add to the time.
-        """
-        rounds = []
-        for _ in range(_ROUNDS):
-            times = []
-            for method in methods:
-                tested = self.under_test(method)
-                tested.begin(method.stages * interval)
-                tested.integrator.step(1)
-                times.append(tested.seconds_per_evaluation(max(2, round(_EVALUATIONS / method.stages))))
-            rounds.append(times)
-        return [float(t) for t in np.min(rounds, axis=0)]
+    def _energies(
+        self, tested: SchemeUnderTest | VerletUnderTest, step: float, duration: float, start: InitialState
+    ) -> Energies | None:
+        n_bodies, kinetic, *_ = self.characteristics
+        every = max(1, round(duration / _SAMPLES / step))
+        values: list[float] = []
+        tested.begin(step, start)
+        first = tested.energy() / n_bodies
+        while len(values) < max(_FEWEST_SAMPLES, math.ceil(duration / (every * step))):
+            self.budget.require()
+            tested.step(every)
+            values.append(tested.energy() / n_bodies)
+            if not abs(values[-1] - first) < _LOST * kinetic:
+                return None
+        seconds, evaluations, nested = tested.taken()
+        return Energies(np.array(values), every * step, seconds / max(1, evaluations), nested)

@@ -6,8 +6,11 @@ from collections.abc import Iterator
 
 import openmm
 
+from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+
 #: Of ``ewaldErrorTolerance``: a looser one shows with the best schemes.
 TIGHT = 1e-5
+_WATER = 18.015  # amu
 #: kJ/mol over the square root of the number of molecules: the standard deviation of the total energy of 216 TIP3P over
 #: 30 ps with OpenMM's defaults, no switch and a tolerance of 5e-4, by W4_4 with 2 fs per force evaluation on the CPU
 #: platform.
@@ -41,6 +44,21 @@ def of_water(system: openmm.System, molecules: int) -> float | None:
             if molecules and loose and not force.getUseSwitchingFunction():
                 return float(WATER_BY_DEFAULT * molecules**0.5)
     return None
+
+
+def limits(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
+    """Yield what limits the energy error of every integrator, a sentence each."""
+    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
+    if level := of_water(system, sum(len(kind.particles) for kind in bodies.kinds if is_water(kind))):
+        yield (
+            f"expect a standard deviation of the total energy of about {level:.1g} kJ/mol over 30 ps or more with any "
+            "integrator: that of TIP3P with these settings, scaled by the square root of the number of molecules"
+        )
+
+
+def is_water(kind: Kind) -> bool:
+    """Return whether bodies have the mass of water."""
+    return len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openmm
@@ -16,27 +17,22 @@ from openmm import app, unit
 
 from openmm_exactrb.context.updates import BAROSTATS, UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
 from openmm_exactrb.support import checks
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
+from openmm_exactrb.tuning.budget import Budget
+from openmm_exactrb.tuning.preparation import heat, minimise
 
 Array = NDArray[np.float64]
 
-#: A run is unstable once its total energy is off by this fraction of the kinetic energy.
-LOST = 0.1
-
-# Extent in nm that a particle is given, which has no shape.
-_EXTENT = 0.1
-
-# Of the Langevin dynamics that brings a start to a temperature: step and friction over the characteristic time, steps
-# in a part of it, parts, and the last parts over which the temperature is a mean.
-_STEP, _FRICTION, _STEPS, _PARTS, _LAST = 0.05, 0.2, 150, 20, 10
-_MINIMISER_ITERATIONS = 1000  # enough to remove overlaps; it need not converge
+# Part of the budget that bringing a start to a temperature may take.
+_SHARE = 0.33
 # Accepted deviation of the kinetic energy: a fraction, since a large system absorbs heat, and standard deviations.
 _SLACK, _DEVIATIONS = 0.1, 5.0
+# Parts of Langevin dynamics between two starts.
+_APART = 4
 
 
 @dataclass(frozen=True)
@@ -58,15 +54,8 @@ class InitialState:
     bodies: list[list[int]] | None = None
     #: Bits of the force groups that act.
     groups: int = -1
-    #: The System with what acts between steps, which `system` lacks; None if nothing does.
-    whole: openmm.System | None = None
-
-    @property
-    def periods(self) -> list[int]:
-        """Steps between two moves of each barostat of the whole System."""
-        forces = [] if self.whole is None else self.whole.getForces()
-        barostats = [force for force in forces if type(force).__name__ in BAROSTATS]
-        return [period for force in barostats if (period := force.getFrequency())]
+    #: Steps between two moves of each barostat of the user's System, which `system` lacks.
+    periods: tuple[int, ...] = ()
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
@@ -91,6 +80,17 @@ class InitialState:
         """Return an integrator that knows the bodies, and its Context in this state."""
         integrator = ExactRigidBodyIntegrator(1e-6, scheme="V2", bodies=self.bodies, fast=fast, engine="host")
         return integrator, self.context(integrator)
+
+    def langevin(self, temperature: float, seed: int) -> tuple[ExactRigidBodyLangevinIntegrator, openmm.Context]:
+        """Return an integrator at a temperature in K, and its Context in this state."""
+        integrator = ExactRigidBodyLangevinIntegrator(temperature, 0.0, 1e-6, bodies=self.bodies, engine="host")
+        integrator.setRandomNumberSeed(seed + 1)
+        return integrator, self.context(integrator)
+
+
+def _periods(system: openmm.System) -> tuple[int, ...]:
+    barostats = [force for force in system.getForces() if type(force).__name__ in BAROSTATS]
+    return tuple(period for force in barostats if (period := force.getFrequency()))
 
 
 def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
@@ -144,8 +144,8 @@ def initial_state(
     precision = mixed(fastest) if properties is None else dict(properties)
     named = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
     notes = [f"errors are those without the {', '.join(left_out)} of the System; costs include it"] if left_out else []
-    whole = system if left_out else None
-    return InitialState(twin, x, v, box, parameters, fastest.getName(), precision, named, groups, whole), notes
+    where = box, parameters, fastest.getName(), precision
+    return InitialState(twin, x, v, *where, named, groups, _periods(system)), notes
 
 
 def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: str) -> Array:
@@ -159,77 +159,35 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
     return array
 
 
-@contextlib.contextmanager
-def diverging() -> Iterator[None]:
-    """Turn OpenMM's exception for coordinates that are NaN into NonFiniteError; other exceptions pass."""
-    try:
-        yield
-    except openmm.OpenMMException as error:
-        if "NaN" not in str(error):
-            raise
-        raise NonFiniteError(str(error)) from error
-
-
-class Characteristics(NamedTuple):
-    """Size and characteristic times of a system."""
-
-    #: Rigid bodies, and other particles.
-    n_bodies: int
-    #: Kinetic energy in kJ/mol per body.
-    kinetic: float
-    #: 1/omega in ps, at most `free`. omega², the mean square frequency in equilibrium, is the mean of force²/mass and
-    #: torque²/inertia divided by kT.
-    time: float
-    #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
-    free: float
-
-
-def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
-    """Return size and characteristic times of the system in a Context; ValueError if nothing moves or no force acts."""
-    bodies, state = integrator.bodyState()
-    context.computeVirtualSites()
-    groups = integrator.getIntegrationForceGroups()
-    forces = context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
-    if not np.isfinite(forces).all():
-        raise ValueError("the forces at the start are not finite: minimise the energy first")
-    (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
-    moments = np.broadcast_to(bodies.inertia.T, torque.shape)
-    turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
-    square = float((force**2 / bodies.mass).sum() + turning.sum())
-    if not kinetic > 0.0 or not square > 0.0:
-        raise ValueError("nothing moves or no force acts: there is no energy error to measure")
-    free = _free_time(bodies, kinetic)
-    return Characteristics(len(bodies), kinetic / len(bodies), min(math.sqrt(2.0 * kinetic / square), free), free)
-
-
-def _free_time(bodies: RigidBodies, kinetic: float) -> float:
-    """Return the time of a turn by a radian or a flight over an extent: 1/rms of the inverse times."""
-    kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
-    moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
-    moments = moments[moments > 0.0]
-    inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])
-    return float(1.0 / math.sqrt(kT * inverse.mean()))
-
-
-def thermalised(state: InitialState, temperature: float, seed: int, minimise: bool) -> InitialState:
-    """Bring a state to a temperature in K by Langevin dynamics; ValueError if it does not reach it."""
-    integrator = ExactRigidBodyLangevinIntegrator(temperature, 0.0, 1e-6, bodies=state.bodies, engine="host")
-    integrator.setRandomNumberSeed(seed + 1)
-    context = state.context(integrator)
-    if minimise:
-        integrator.minimizeEnergy(10.0, _MINIMISER_ITERATIONS)
+def thermalised(state: InitialState, temperature: float, seed: int, minimised: bool, budget: Budget) -> InitialState:
+    """Bring a state to a temperature in K, within a third of the budget; ValueError if it does not get there."""
+    integrator, context = state.langevin(temperature, seed)
+    if minimised:
+        minimise(integrator)
     integrator.setVelocitiesToTemperature(temperature, seed)
-    kinetic: list[float] = []
-    with contextlib.suppress(IntegrationError), diverging():
-        for _ in range(_PARTS):
-            time = characteristics(integrator, context).time
-            integrator.setStepSize(_STEP * time)
-            integrator.setFriction(_FRICTION / time)
-            integrator.step(_STEPS)
-            kinetic.append(sum(part._value for part in integrator.kineticEnergies()))
-    freedom = sum(integrator.degreesOfFreedom())
-    mean = float(np.mean(kinetic[-_LAST:])) if len(kinetic) == _PARTS else math.inf
+    least, kinetic = (1.0 - _SHARE) * budget.left, []
+    with contextlib.suppress(IntegrationError):
+        kinetic = list(heat(integrator, context, may_continue=lambda: budget.left > least))
+    freedom, last = sum(integrator.degreesOfFreedom()), max(1, len(kinetic) // 2)
+    mean = float(np.mean(kinetic[-last:])) if kinetic else math.inf
     ratio = 2.0 * mean / (freedom * gas_constant_times(temperature))
-    if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * _LAST)):
+    if not abs(ratio - 1.0) < _SLACK + _DEVIATIONS * math.sqrt(2.0 / (freedom * last)):
         raise ValueError(f"the start cannot be brought to {temperature:g} K: minimise its energy first")
     return state.updated(context)
+
+
+def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
+    """Return a state and others of its temperature, apart from each other by a short run with friction."""
+    probe, _context = state.probe()
+    bodies, now = probe.bodyState()
+    freedom = bodies.translational_freedom + bodies.rotational_freedom
+    kT = 2.0 * sum(bodies.kinetic_energies(now)) / freedom
+    temperature = kT / gas_constant_times(1.0)
+    integrator, context = state.langevin(temperature, seed)
+    states = [state]
+    for k in range(1, number):
+        integrator.setVelocitiesToTemperature(temperature, seed + k)
+        for _ in itertools.islice(heat(integrator, context), _APART):
+            pass
+        states.append(state.updated(context))
+    return states

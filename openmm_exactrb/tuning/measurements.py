@@ -6,44 +6,46 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
+import numpy as np
+
+from openmm_exactrb.tuning.benchmark import STARTS, VERLET, Benchmark, Energies, Method
+from openmm_exactrb.tuning.budget import BudgetSpentError
+from openmm_exactrb.tuning.error import expected_error
 
 Report = Callable[[str], None]
 
-# A force evaluation with its drift and kick is the same work in all schemes: times above the least one times this are
-# noise.
-_SAME_WORK = 1.15
+# Another start is as if the step were longer by this: where the curve is steeper than the order of the method, its
+# error differs by more than the starts that were run show.
+_LONGER = 1.05
+#: Margin of what rests on fewer runs than a promise should.
+UNSURE = 1.5
 
 
 @dataclass(frozen=True)
 class Point:
-    """One measured run."""
+    """A method with a step, run from one start or from several."""
 
     #: Name of a scheme, followed by " nested" if bonded forces are nested, or "VerletIntegrator".
     method: str
     #: Step of the whole scheme in ps.
     step: float
-    #: Standard deviation in kJ/mol per body to expect over the horizon; infinite if the run was unstable.
+    #: Standard deviation in kJ/mol per body to expect over the horizon; infinite if a run failed or was unstable.
     error: float
     #: Wall time in s per ps.
     cost: float
-    #: Length of the run in ps.
+    #: Length of a run in ps.
     duration: float
 
 
-def stable_points(points: Sequence[Point], method: str) -> list[Point]:
-    """Return the points of a method with steps below its smallest unstable one."""
+def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
+    """Return the points of a method with steps below its smallest unstable one, cheapest first.
+
+    Left out are those that a longer run with no larger step but a larger error contradicts: they did not show that
+    error.
+    """
     own = [p for p in points if p.method == method]
     limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
-    return [p for p in own if p.step < limit]
-
-
-def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
-    """Return the stable points of a method that no longer run contradicts, cheapest first.
-
-    A longer run with no larger step but a larger error contradicts a point: the shorter run did not show that error.
-    """
-    below = stable_points(points, method)
+    below = [p for p in own if p.step < limit]
     return sorted((p for p in below if not any(_contradicts(q, p) for q in below)), key=lambda p: p.cost)
 
 
@@ -71,7 +73,7 @@ class Measurements:
     """Points of methods, each run on request and kept.
 
     The baseline is added to the methods if it moves the same bodies. Survey runs take `duration`, production runs the
-    `horizon`, in ps. `report` gets a line of text per run.
+    `horizon`, in ps. `report` gets a line of text per point.
     """
 
     def __init__(
@@ -80,61 +82,85 @@ class Measurements:
         self.benchmark, self.duration, self.horizon, self._report = benchmark, duration, horizon, report
         self.methods = {method.name: method for method in (*methods, *[Method()] * benchmark.has_baseline)}
         self.stages = {name: method.stages for name, method in self.methods.items()}
-        #: Wall time of a force evaluation in s by method, measured by `time`.
-        self.seconds: dict[str, float] = {}
-        #: Force evaluations of a step by method, as `Simulation.step` calls it in the whole System; set by `time`.
-        self.evaluations: dict[str, float] = {}
-        self.points: list[Point] = []
-        self._shares: dict[tuple[str, float], float] = {}  # nested evaluations per other evaluation, at a step
-        self._plain_seconds = self._nested_seconds = math.nan  # per force evaluation, and per nested one
+        #: Force evaluations of a step by method, as `Simulation.step` calls it in the whole System.
+        self.evaluations = {name: m.evaluations(benchmark.state.periods) for name, m in self.methods.items()}
+        #: Whether the budget ended the runs of a promise.
+        self.cut = False
+        self._points: list[Point] = []
+        # Wall time in s of a force evaluation with what is nested in it, and nested evaluations for each, at a step.
+        self._taken: dict[tuple[str, float], tuple[float, float]] = {}
 
-    def at(self, name: str, interval: float, duration: float | None = None) -> Point:
-        """Return the point of a method at a time per force evaluation in ps; it is run if no run was as long."""
+    @property
+    def points(self) -> list[Point]:
+        """All points, with their costs as far as they are known by now."""
+        return [replace(p, cost=self._cost(p)) for p in self._points]
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall time of a force evaluation in s by method, with nested ones at its shortest step."""
+        shortest = dict(sorted(self._taken, reverse=True))
+        return {name: self._seconds(name, step) for name, step in shortest.items()}
+
+    def at(self, name: str, interval: float) -> Point:
+        """Return the point of the survey at a time per force evaluation in ps."""
         method, step = self.methods[name], self.stages[name] * interval
-        duration = self.duration if duration is None else duration
-        for known in self.points:
-            if known.method == name and math.isclose(known.step, step, rel_tol=1e-9):
-                if known.duration >= duration or math.isinf(known.error):
-                    return known
-                self.points.remove(known)
-                break
-        error = self.benchmark.error(method, step, duration, self.horizon)
-        self._shares[name, step] = self.benchmark.under_test(method).fast_share
-        point = self._with_cost(Point(name, step, error, math.nan, duration))
-        self.points.append(point)
-        shown = "unstable" if math.isinf(error) else f"{error:.1e} kJ/mol per body"
-        self._report(f"{name}, {1e3 * interval:.3g} fs per evaluation: {shown}")
-        return point
+        run = self._run(method, step, self.duration, 0)
+        error = math.inf if run is None else expected_error(run.values, run.interval, self.horizon)
+        return self._kept(Point(name, step, error, math.nan, self.duration))
 
-    def time(self, interval: float) -> None:
-        """Measure the wall time of all methods at a time per force evaluation in ps, and set the costs of the points.
+    def promised(self, name: str, step: float, target: float) -> Point:
+        """Return the point of the production runs: their largest error, with a margin where the curve is steep.
 
-        The time of a nested evaluation is the least that the excess over plain schemes allows.
+        They end with the first that misses the target. Where the budget ends them, the errors that are missing have
+        another margin.
         """
-        times = self.benchmark.seconds_per_evaluation(list(self.methods.values()), interval)
-        self.seconds = dict(zip(self.methods, times, strict=True))
-        nested = [name for name, method in self.methods.items() if method.nested]
-        plain = [name for name in self.methods if name != VERLET and name not in nested]
-        least = min(self.seconds[name] for name in plain)
-        for name in plain:
-            self.seconds[name] = min(self.seconds[name], _SAME_WORK * least)
-        shares = {name: self.benchmark.under_test(self.methods[name]).fast_share for name in nested}
-        excess = [max(0.0, self.seconds[name] - least) / shares[name] for name in nested]
-        self._plain_seconds, self._nested_seconds = least, min(excess, default=0.0)
-        for name in nested:
-            self.seconds[name] = least + shares[name] * self._nested_seconds
-        self.evaluations = {
-            name: self.benchmark.under_test(method).evaluations_per_step(method.stages * interval)
-            for name, method in self.methods.items()
-        }
-        self.points = [self._with_cost(p) for p in self.points]
+        steeper = max(self.slope(name, step) - self.methods[name].order, 0.0)
+        errors, margin = [0.0], _LONGER**steeper
+        try:
+            for k in range(STARTS):
+                run = self._run(self.methods[name], step, self.horizon, k)
+                errors.append(math.inf if run is None else float(np.std(run.values)))
+                if errors[-1] * margin > target:
+                    break
+        except BudgetSpentError:
+            if len(errors) == 1:
+                raise
+            margin, self.cut = margin * UNSURE, True
+        starts = f" over {self.horizon:.3g} ps from {len(errors) - 1} of {STARTS} starts"
+        return self._kept(Point(name, step, max(errors) * margin, math.nan, self.horizon), starts)
 
-    def _with_cost(self, point: Point) -> Point:
-        """Return a point with the cost of its force evaluations, nested ones included."""
-        seconds = self.seconds.get(point.method, math.nan)
-        if self.methods[point.method].nested:
-            seconds = self._plain_seconds + self._shares[point.method, point.step] * self._nested_seconds
-        return replace(point, cost=seconds * self.evaluations.get(point.method, math.nan) / point.step)
+    def _run(self, method: Method, step: float, duration: float, start: int) -> Energies | None:
+        state = self.benchmark.starts[start] if start else self.benchmark.state
+        run = self.benchmark.run(method, step, duration, state)
+        if run is not None:
+            before = self._taken.get((method.name, step), (math.inf, 0.0))
+            self._taken[method.name, step] = min(run.seconds, before[0]), run.nested
+        return run
+
+    def _kept(self, point: Point, starts: str = "") -> Point:
+        self._points.append(point)
+        shown = "unstable" if math.isinf(point.error) else f"{point.error:.1e} kJ/mol per body"
+        interval = 1e3 * point.step / self.stages[point.method]
+        self._report(f"{point.method}, {interval:.3g} fs per evaluation{starts}: {shown}")
+        return replace(point, cost=self._cost(point))
+
+    def _cost(self, point: Point) -> float:
+        if (point.method, point.step) not in self._taken:
+            return math.nan
+        return self._seconds(point.method, point.step) * self.evaluations[point.method] / point.step
+
+    def _seconds(self, name: str, step: float) -> float:
+        """Return the wall time of a force evaluation: it is the same work in all schemes, and so is a nested one.
+
+        What is more than the least that was found is what else the machine did.
+        """
+        own = [seconds for (other, _), (seconds, _) in self._taken.items() if other == name]
+        if name == VERLET:
+            return min(own)
+        runs = [taken for (other, _), taken in self._taken.items() if other != VERLET]
+        plain = min((seconds for seconds, nested in runs if not nested), default=min(own))
+        nested = min(((seconds - plain) / count for seconds, count in runs if count), default=0.0)
+        return plain + self._taken[name, step][1] * max(nested, 0.0)
 
     def schemes(self) -> list[str]:
         """Return the schemes that were stable at some step."""
@@ -144,13 +170,17 @@ class Measurements:
         """Return the stable points of a method that no longer run contradicts, cheapest first."""
         return stable_curve(self.points, name)
 
-    def slope(self, name: str) -> float:
-        """Return the power by which the error falls with the cost at the finest points; the order, of one point."""
-        curve = self.curve(name)
+    def slope(self, name: str, step: float | None = None) -> float:
+        """Return the power of the step in the error of the survey around a step, by default the smallest.
+
+        It is that of the two nearest steps on either side, and the order of the method if there is one alone.
+        """
+        curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 2:
             return float(self.methods[name].order)
-        a, b = curve[-2:]
-        return math.log(a.error / b.error) / math.log(b.cost / a.cost)
+        after = next((i for i, p in enumerate(curve) if step is not None and p.step <= step), len(curve) - 1)
+        a, b = curve[max(after, 1) - 1], curve[max(after, 1)]
+        return math.log(a.error / b.error) / math.log(a.step / b.step)
 
     def is_flat(self, name: str) -> bool:
         """Return whether the survey's error stopped falling: by less than a third of the order, over two step sizes."""
@@ -158,10 +188,4 @@ class Measurements:
         if len(curve) < 3:
             return False
         a, b = curve[-3], curve[-1]
-        return math.log(a.error / b.error) < self.methods[name].order / 3.0 * math.log(b.cost / a.cost)
-
-    def holds(self, name: str, target: float) -> bool:
-        """Return whether the finest point of a method meets the target and no longer run of it misses it."""
-        curve = self.curve(name)
-        failed = any(p.error > target and p.duration > self.duration for p in curve)
-        return bool(curve) and curve[-1].error <= target and not failed
+        return math.log(a.error / b.error) < self.methods[name].order / 3.0 * math.log(a.step / b.step)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import textwrap
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -15,11 +14,7 @@ from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive
 from openmm_exactrb.tuning.benchmark import NESTED, VERLET
-from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, stable_points, step_at
-
-# From the palettes of Okabe and Ito, and of Tol, for colour-blind readers; each colour has its own marker.
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#332288", "#882255")
-_MARKERS = "sD^vpPX*"
+from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, step_at
 
 
 class UnreachableError(ValueError):
@@ -34,11 +29,11 @@ class Choice:
     method: str
     #: Step of the whole scheme in ps.
     step: float
-    #: Standard deviation of the total energy in kJ/mol per body to expect over the horizon.
+    #: Standard deviation of the total energy in kJ/mol per body that is promised over the horizon.
     error: float
     #: Wall time in s per ps.
     cost: float
-    #: Whether this setting itself was run; otherwise it is interpolated.
+    #: Whether this setting itself was run over the horizon, from several starts; otherwise it follows from the survey.
     confirmed: bool
     #: Argument of the integrator.
     bodies: list[list[int]] | None = None
@@ -64,8 +59,9 @@ class Choice:
         return {"scheme": self.scheme or self.method.removesuffix(NESTED), "fast": "bonded" if nested else None}
 
     def __str__(self) -> str:
+        unsure = "" if self.confirmed else ", by the survey alone"
         return (
-            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol per body, "
+            f"{self.method} with a step of {1e3 * self.step:.4g} fs: error {self.error:.1e} kJ/mol per body{unsure}, "
             f"{self.evaluations:.4g} force evaluations and {self.cost:.3g} s per ps ({86.4 / self.cost:.3g} ns per day)"
         )
 
@@ -109,8 +105,8 @@ class Tuning:
         ----------
         target : float, optional
             Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`,
-            whose setting was confirmed by a run over the horizon; for other targets the setting is interpolated between
-            measured ones.
+            whose setting was confirmed by runs over the horizon; for other targets the setting is interpolated between
+            points of the survey.
         method : str, optional
             A scheme, or "VerletIntegrator"; by default all schemes.
 
@@ -135,7 +131,7 @@ class Tuning:
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
 
-        Steps were tried up to the first unstable one, at most 19 % above the returned one, or up to the one in which
+        Steps were tried up to the first unstable one, at most 42 % above the returned one, or up to the one in which
         free bodies turn by a radian between two force evaluations.
 
         Raises
@@ -152,16 +148,27 @@ class Tuning:
         """Return the stable points of a method, cheapest first, without those that a longer run contradicted."""
         return stable_curve(self.points, method)
 
+    def choice(self, point: Point) -> Choice:
+        """Return the setting of a point that was run over the horizon."""
+        return self._setting(point.method, point.step, point.error, point.cost, True)
+
+    def surveyed(self, target: float) -> Choice | None:
+        """Return the cheapest setting by the survey, or None."""
+        found = [choice for name in self._methods(None) if (choice := self._choice(name, target))]
+        return min(found, key=lambda choice: choice.cost, default=None)
+
     def _methods(self, method: str | None) -> list[str]:
         """Return one method, which must have been measured, or all schemes."""
         if method is None:
-            return [name for name in self.seconds if name != VERLET]
-        if method not in self.seconds:
-            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.seconds)}")
+            return [name for name in self.stages if name != VERLET]
+        if method not in self.stages:
+            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.stages)}")
         return [method]
 
     def _largest_stable(self, method: str) -> float:
-        return max((p.step for p in stable_points(self.points, method)), default=math.nan)
+        own = [p for p in self.points if p.method == method]
+        limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
+        return max((p.step for p in own if p.step < limit), default=math.nan)
 
     def _choice(self, method: str, target: float) -> Choice | None:
         """Return the cheapest setting of a method with an error, or None."""
@@ -169,13 +176,17 @@ class Tuning:
         cost = cost_at(curve, target)
         if cost is None:
             return None
-        measured = curve[0].error <= target  # already with the largest stable step
-        error, step = curve[0].error if measured else target, step_at(curve, cost)
+        error = min(curve[0].error, target)  # the former with the largest stable step
+        return self._setting(method, step_at(curve, cost), error, cost, False)
+
+    def _setting(self, method: str, step: float, error: float, cost: float, confirmed: bool) -> Choice:
         own, evaluations = self.schemes.get(method), self.evaluations[method] / step
-        return Choice(method, step, error, cost, measured, self.bodies, own, self.groups, evaluations)
+        return Choice(method, step, error, cost, confirmed, self.bodies, own, self.groups, evaluations)
 
     def _why_unreachable(self, target: float, method: str | None = None) -> str:
         points = [p for name in self._methods(method) for p in self.curve(name)]
+        if not points and self.floor is not None:
+            return f"an error of {target:.3g} kJ/mol per body is out of reach. {self._about_floor()}"
         if not points:
             return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"
@@ -197,42 +208,43 @@ class Tuning:
             f"body, within {self.horizon:.3g} ps\n"
             f"(extrapolated from {self.duration:.3g} ps). Cost: wall time in s per ps."
         )
-        return "\n".join([head, "", self._tables(), "", *(textwrap.fill(line, 120) for line in self._conclusions())])
+        tables = [self._tables(), ""] if self.points else []
+        return "\n".join([head, "", *tables, *(textwrap.fill(line, 120) for line in self._conclusions())])
 
     def _tables(self) -> str:
         """Return the errors of all methods by the time per force evaluation; nested schemes have their own table."""
-        nested = [method for method in self.seconds if method.endswith(NESTED)]
-        plain = [method for method in self.seconds if method not in nested]
+        nested = [method for method in self.stages if method.endswith(NESTED)]
+        plain = [method for method in self.stages if method not in nested]
         return "\n\n".join(self._table(methods) for methods in (plain, nested) if methods)
 
     def _table(self, methods: list[str]) -> str:
-        contradicted, cells = self._contradicted(), {}
+        cells: dict[tuple[float, str], str] = {}
         for p in self.points:
-            text = "unstable" if math.isinf(p.error) else f"({p.error:.1e})" if p in contradicted else f"{p.error:.1e}"
+            text = "unstable" if math.isinf(p.error) else f"{p.error:.1e}" + "*" * (p.duration >= self.horizon)
             cells[float(f"{p.step / self.stages[p.method]:.6g}"), p.method] = text
-        intervals = sorted({interval for interval, method in cells if method in methods}, reverse=True)
+        stable = {t for (t, method), text in cells.items() if method in methods and text != "unstable"}
+        limit = min((t for t, method in cells if method in methods and t > max(stable, default=0.0)), default=0.0)
+        intervals = sorted(
+            {t for t, method in cells if method in methods and t <= max(limit, *stable, 0.0)}, reverse=True
+        )
         rows = [
             ["fs per evaluation", *methods],
             *([f"{1e3 * t:.4g}", *(cells.get((t, method), "") for method in methods)] for t in intervals),
             ["largest step, fs", *(f"{1e3 * self._largest_stable(method):.4g}" for method in methods)],
-            ["ms per evaluation", *(f"{1e3 * self.seconds[method]:.3g}" for method in methods)],
+            ["ms per evaluation", *(f"{1e3 * self.seconds.get(method, math.nan):.3g}" for method in methods)],
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
-    def _contradicted(self) -> set[Point]:
-        """Return the stable points that a longer run contradicts."""
-        return {p for name in self.seconds for p in {*stable_points(self.points, name)}.difference(self.curve(name))}
-
     def _conclusions(self) -> Iterable[str]:
-        if self._contradicted():
-            yield "In brackets: a longer run of a smaller step had a larger error."
+        if any(p.duration >= self.horizon for p in self.points):
+            yield "*: run over the whole horizon, up to the first start that misses the target."
         if self.floor is not None and (self.target is None or self.chosen is not None):
             yield self._about_floor()
         if self.target is not None:
             yield f"target {self.target:.3g}: {self.chosen or self._why_unreachable(self.target)}"
-        if self.chosen is not None and VERLET in self.seconds and self.curve(VERLET):
-            yield self._comparison(self.chosen)
+        if self.chosen is not None and (curve := self.curve(VERLET)):
+            yield self._comparison(self.chosen, curve)
         yield from (f"note: {note}" for note in self.notes)
 
     def _about_floor(self) -> str:
@@ -242,70 +254,11 @@ class Tuning:
             f"forces, not from the scheme ({known}). See the documentation: Why is my energy error not smaller?"
         )
 
-    def _comparison(self, chosen: Choice) -> str:
-        """Return a sentence that compares a choice with OpenMM's Verlet integrator."""
-        last, about = self.curve(VERLET)[-1], ""
-        cost = cost_at(self.curve(VERLET), chosen.error)
+    def _comparison(self, chosen: Choice, curve: list[Point]) -> str:
+        """Return a sentence that compares a choice with OpenMM's Verlet integrator, which is of order 2."""
+        last, about = curve[-1], ""
+        cost = cost_at(curve, chosen.error)
         if cost is None:
-            cost, about = _extrapolated(last, chosen.error), "about "
+            cost, about = last.cost * math.sqrt(last.error / chosen.error), "about "
         step = 1e3 * self.seconds[VERLET] * self.evaluations[VERLET] / cost
         return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"
-
-    def draw(self, file: str | os.PathLike[str]) -> None:
-        """Draw energy error against cost, with the best schemes in colours and the others in grey.
-
-        Parameters
-        ----------
-        file : str or path
-            Its suffix must be that of a format that matplotlib writes.
-
-        Raises
-        ------
-        ModuleNotFoundError
-            If matplotlib is not installed.
-        """
-        try:
-            from matplotlib.backends.backend_agg import FigureCanvasAgg
-            from matplotlib.figure import Figure
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError("the picture needs matplotlib: python -m pip install matplotlib") from None
-        figure = Figure(figsize=(8.5, 5.0), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.add_subplot(
-            xscale="log",
-            yscale="log",
-            title=f"{self.n_bodies} bodies, {self.platform} platform",
-            xlabel="wall time (s per ps)",
-            ylabel=f"std of total energy over {self.horizon:.3g} ps (kJ/mol per body)",
-        )
-        points = [p for name in self._methods(None) for p in self.curve(name)]
-        best = {p.method for p in points if not any(q.cost < p.cost and q.error < p.error for q in points)}
-        styles = iter(zip(_COLOURS, _MARKERS, strict=True))
-        for name in sorted(self.seconds, key=lambda name: name in best):
-            line = [p.cost for p in self.curve(name)], [p.error for p in self.curve(name)]
-            if name == VERLET:
-                axes.plot(*line, "o--", color="black", label=name)
-                if line[0] and self.chosen is not None and self.chosen.error < line[1][-1]:
-                    last, error = self.curve(VERLET)[-1], self.chosen.error
-                    rest = [last.cost, _extrapolated(last, error)], [last.error, error]
-                    axes.plot(*rest, ":", color="black", label=f"{name}, extrapolated")
-            elif name in best and (style := next(styles, None)):
-                axes.plot(*line, color=style[0], marker=style[1], mec="white", label=name)
-            else:
-                axes.plot(*line, color="0.8", lw=1.0)
-        axes.set_ylim(bottom=0.4 * min([*(p.error for p in points), self.target or math.inf], default=1.0))
-        if self.target is not None:
-            axes.axhline(self.target, color="0.4", lw=0.8, ls="--", label="target")
-        if self.floor is not None:
-            axes.axhspan(1e-3 * self.floor, self.floor, color="0.85", label="below the floor")
-        if self.chosen is not None:
-            label = f"chosen: {self.chosen.method}, {1e3 * self.chosen.step:.3g} fs"
-            axes.plot(self.chosen.cost, self.chosen.error, "o", ms=14, mfc="none", mec="black", label=label)
-        if axes.get_legend_handles_labels()[0]:
-            figure.legend(loc="outside right upper", fontsize=9)
-        figure.savefig(file, dpi=150)
-
-
-def _extrapolated(last: Point, error: float) -> float:
-    """Return the cost at which Verlet, which is of order 2, has an error beyond its last point."""
-    return last.cost * math.sqrt(last.error / error)

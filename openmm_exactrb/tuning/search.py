@@ -2,96 +2,105 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping
+from dataclasses import dataclass
 
-from openmm_exactrb.tuning.benchmark import VERLET
+from openmm_exactrb.schemes import CATALOGUE
+from openmm_exactrb.tuning.benchmark import VERLET, Method
+from openmm_exactrb.tuning.budget import BudgetSpentError
+from openmm_exactrb.tuning.error import expected_error
 from openmm_exactrb.tuning.measurements import Measurements, Point, cost_at, step_at
 
-# Time per force evaluation at level 0, and the one at which wall times are measured, in units of the characteristic
-# time. From one level to the next it falls by the ratio.
-_COARSE, _TIMED_AT, _RATIO = 0.4, 0.1, 2.0**0.5
-_SEARCHED = 8  # levels on either side of 0 at which a method may become unstable
-_UNCERTAIN = 4  # stable points of a method before it may be given up
+#: Time per force evaluation of the first step size, over the characteristic time, of plain and of nested schemes.
+COARSE, COARSE_NESTED = 1.6, 8.0
+#: From one step size to the next it falls by this.
+RATIO = 2.0**0.5
+# Scheme of the probe for the noise of the forces, its time per evaluation over the characteristic one, its length over
+# that of the survey, and the part of an error that is left where it is the scheme's.
+_PROBE, _FINE, _PROBED, _FALLING = "W4_4", 0.05, 0.3, 0.35
+# The first step sizes at which a method need not be stable, and how far behind the best one it may then fall.
+_SEARCHED, _BEHIND = 16, 10.0
+# Methods that are run for the production length at a time, the settings of one that are run, the least rise of the cost
+# from one to the next, and the part of the target that is aimed at.
+_TRIED, _RUNS, _RISE, _AIM = 3, 5, 1.05, 0.8
 
 
-def search(measured: Measurements, target: float | None, levels: int) -> tuple[float | None, Point | None]:
-    """Measure all methods at so many levels of step sizes, until the target is met or nothing is gained.
+@dataclass
+class Outcome:
+    """What a search found until it ended."""
 
-    Return the error due to the noise of the forces if it was reached, and the cheapest point that meets the target.
+    #: The cheapest point that meets the target.
+    chosen: Point | None = None
+    #: The error due to the noise of the forces, if it was reached.
+    floor: float | None = None
+    #: Whether the budget ended it.
+    cut: bool = False
+
+
+def search(measured: Measurements, target: float | None, levels: int) -> Outcome:
+    """Measure all methods at so many step sizes, until the target is met, nothing is gained or the budget is spent."""
+    outcome = Outcome()
+    try:
+        _descend(measured, target, levels, outcome)
+    except BudgetSpentError:
+        outcome.cut = True
+    outcome.cut |= measured.cut
+    outcome.floor = _floor(measured) or outcome.floor
+    return outcome
+
+
+def probed(measured: Measurements) -> float | None:
+    """Return the error that the noise of the forces makes, in two runs that leave little else; None if it is less.
+
+    The steps are so short that the error of the scheme alone would fall to a quarter from the first to the second.
     """
-    first = {name: level for name in measured.methods if (level := _first_stable(measured, name)) is not None}
-    if not first:
-        return None, None
-    time = measured.benchmark.characteristics.time
-    measured.time(min(_TIMED_AT * time, _interval(measured, max(first.values()))))
-    live, floor, chosen = set(first), None, None
-    for level in range(min(first.values()), min(first.values()) + levels):
-        for name in measured.methods:
-            if name in live and level >= first[name]:
-                measured.at(name, _interval(measured, level))
-        chosen = None if target is None else _confirmed(measured, target, chosen)
-        live = _survivors(measured, live, target)
-        floor = _floor(measured) or floor
-        if chosen is not None or not live - {VERLET}:
-            break
-    return floor, chosen
-
-
-def _interval(measured: Measurements, level: float) -> float:
-    """Return the time per force evaluation at a level in ps."""
-    return float(_COARSE * measured.benchmark.characteristics.time * _RATIO**-level)
-
-
-def _first_stable(measured: Measurements, name: str) -> int | None:
-    """Return the coarsest stable level of a method, after a run half a level coarser."""
-    level = 0
-    if _is_stable(measured, name, level):
-        while level > -_SEARCHED and _is_bounded(measured, level - 1) and _is_stable(measured, name, level - 1):
-            level -= 1
-    else:
-        while level < _SEARCHED and not _is_stable(measured, name, level + 1):
-            level += 1
-        level += 1
-    if level > _SEARCHED:
+    benchmark, errors = measured.benchmark, []
+    method, duration = Method(CATALOGUE[_PROBE]), _PROBED * measured.duration
+    with contextlib.suppress(BudgetSpentError):
+        for part in (_FINE * RATIO, _FINE):
+            step = method.stages * part * benchmark.characteristics.time
+            run = benchmark.run(method, step, duration, benchmark.state)
+            errors.append(math.inf if run is None else expected_error(run.values, run.interval, measured.horizon))
+    if len(errors) < 2 or not errors[1] > _FALLING * errors[0]:
         return None
-    if _is_bounded(measured, level - 0.5):
-        _is_stable(measured, name, level - 0.5)
-    return level
+    return min(errors) if math.isfinite(min(errors)) else None
 
 
-def _is_stable(measured: Measurements, name: str, level: float) -> bool:
-    return math.isfinite(measured.at(name, _interval(measured, level)).error)
+def _descend(measured: Measurements, target: float | None, levels: int, outcome: Outcome) -> None:
+    scales = measured.benchmark.characteristics
+    live, last = set(measured.methods), _SEARCHED
+    coarsest = {
+        name: min((COARSE_NESTED if method.nested else COARSE) * scales.time, scales.free)
+        for name, method in measured.methods.items()
+    }
+    level, interval = 0, max(coarsest.values())
+    while level < last and live - {VERLET}:
+        for name in measured.methods:
+            if name in live and interval <= coarsest[name] * 1.001:
+                measured.at(name, interval)
+        if measured.schemes():
+            last = min(last, level + levels) if last == _SEARCHED else last
+        live = _survivors(measured, live)
+        if target is not None:
+            outcome.chosen = _confirmed(measured, target, outcome.chosen)
+            if outcome.chosen is not None:
+                return
+        if _floor(measured) is not None:
+            return
+        level, interval = level + 1, interval / RATIO
 
 
-def _is_bounded(measured: Measurements, level: float) -> bool:
-    """Return whether free bodies turn by at most a radian between two forces: in longer steps they miss each other."""
-    return _interval(measured, level) <= measured.benchmark.characteristics.free
-
-
-def _survivors(measured: Measurements, live: set[str], target: float | None) -> set[str]:
-    """Return the methods that are worth smaller steps."""
-    last = {name: curve[-1] for name in live if len(curve := measured.curve(name)) >= 2}
-    least = min((p.error for p in measured.points if p.method != VERLET), default=math.inf)
-    flat = {name for name in last if name != VERLET and measured.is_flat(name) and last[name].error < 2.0 * least}
-    done = flat | {name for name in last if target is not None and measured.holds(name, target)}
-    return live - done - _beaten(measured, {name: last[name] for name in last.keys() - done - {VERLET}})
-
-
-def _beaten(measured: Measurements, last: Mapping[str, Point]) -> set[str]:
-    """Return the methods that will not win: three times the error of one of their order or above, falling no faster.
-
-    Close to the largest stable step errors fall much faster than the order says, so the first points prove nothing.
-    """
-    beaten = set()
-    for name, mine in last.items():
-        for other in last.keys() - {name}:
-            theirs = last[other]
-            worse = mine.error > 3.0 * theirs.error and mine.cost > 0.9 * theirs.cost
-            sure = len(measured.curve(name)) > _UNCERTAIN and measured.slope(name) <= measured.slope(other) + 0.5
-            if worse and sure and measured.methods[name].order <= measured.methods[other].order:
-                beaten.add(name)
-    return beaten
+def _survivors(measured: Measurements, live: set[str]) -> set[str]:
+    """Return the methods that are worth smaller steps: all but those far behind one of their order or above."""
+    finest = {name: curve[-1].error for name in live - {VERLET} if len(curve := measured.curve(name)) > 2}
+    methods = measured.methods
+    behind = {
+        name
+        for name, error in finest.items()
+        if any(error > _BEHIND * e and methods[o].order >= methods[name].order for o, e in finest.items())
+    }
+    return live - behind
 
 
 def _floor(measured: Measurements) -> float | None:
@@ -99,28 +108,28 @@ def _floor(measured: Measurements) -> float | None:
     names = measured.schemes()
     least = min((p.error for name in names for p in measured.curve(name)), default=math.inf)
     at_floor = [name for name in names if measured.is_flat(name) and measured.curve(name)[-1].error < 2.0 * least]
-    return least if len(at_floor) >= min(2, len(names)) else None
+    return least if at_floor and len(at_floor) >= min(2, len(names)) else None
 
 
 def _confirmed(measured: Measurements, target: float, chosen: Point | None) -> Point | None:
     """Run the cheapest settings near the target for the production length, and return the cheapest that meets it."""
-    reached = {name: cost_at(measured.curve(name), target) for name in measured.schemes()}
+    reached = {name: cost_at(measured.curve(name), _AIM * target) for name in measured.schemes()}
     costs = {name: cost for name, cost in reached.items() if cost is not None}
-    for name in sorted(costs, key=costs.__getitem__)[:3]:
+    for name in sorted(costs, key=costs.__getitem__)[:_TRIED]:
         if chosen is None or costs[name] < min(0.98 * chosen.cost, 1.3 * min(costs.values())):
-            chosen = _approached(measured, name, 1.02 * costs[name], target, chosen) or chosen
+            chosen = _approached(measured, name, _RISE * costs[name], target, chosen) or chosen
     return chosen
 
 
 def _approached(measured: Measurements, name: str, cost: float, target: float, chosen: Point | None) -> Point | None:
-    """Raise the cost of a method until a run of the production length meets the target or another one is cheaper."""
-    slope = max(measured.slope(name), float(measured.methods[name].order))
+    """Raise the cost of a method until its production runs meet the target or another one is cheaper."""
     curve = measured.curve(name)  # before longer runs turn out unstable
-    for _ in range(5):
+    for _ in range(_RUNS):
         if chosen is not None and cost > 0.98 * chosen.cost:
             return None
-        point = measured.at(name, step_at(curve, cost) / measured.stages[name], measured.horizon)
+        step = step_at(curve, cost)
+        point = measured.promised(name, step, target)
         if point.error <= target:
             return point
-        cost *= min(max(1.02 * (point.error / target) ** (1.0 / slope), 1.03), _RATIO)
+        cost *= min(max((point.error / (_AIM * target)) ** (1.0 / measured.methods[name].order), _RISE), RATIO)
     return None

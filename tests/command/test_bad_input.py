@@ -56,6 +56,7 @@ IDLE = [
     ([*PDB, "--ensemble", "nvt", "--pressure", "1"], "--pressure: only --ensemble npt has one"),
     ([*PDB, "--friction", "1"], "--friction: only --ensemble nvt and npt have one"),
     ([*PDB, "--target", "1e-3"], "--target: only --step auto has one"),
+    ([*PDB, "--budget", "60"], "--budget: only --step auto has one"),
 ]
 
 

@@ -105,7 +105,7 @@ def test_a_run_can_be_made_longer(serialised, tmp_path, capsys):
 
 def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
     """It depends on how busy the machine was: a run that goes on must not measure again."""
-    options = "--scheme", "S2_2", "--target", "0.05", "--no-picture", "--out", tmp_path / "out", *PLAIN
+    options = "--scheme", "S2_2", "--target", "0.05", "--budget", "4", "--no-picture", "--out", tmp_path / "out", *PLAIN
     assert carry_out(capsys, "run", *serialised, "--duration", "0.05", *options)[0] == 0
     kept = json.loads((tmp_path / "out" / "step.json").read_text())
     assert kept["scheme"] == "S2_2"
@@ -240,7 +240,7 @@ def test_an_equilibration_has_units(droplet, tmp_path, capsys):
 
 def test_an_equilibration_is_told_before_it_begins_and_is_a_fifth_of_the_run(droplet, tmp_path, capsys):
     command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT[:-1], "--no-picture"
-    for duration, told in ((0.05, "equilibrating for 0.01 ps, 10 steps of 1 fs (--equilibrate)"), (1e-3, None)):
+    for duration, told in ((0.05, "equilibrating for 0.01 ps (--equilibrate)"), (1e-3, None)):
         out = tmp_path / str(duration)
         status, _, errors = carry_out(capsys, *command, "--duration", duration, "--out", out)
         assert status == 0

@@ -4,30 +4,42 @@ import pytest
 
 from openmm_exactrb.command.main import main
 
+SHORT = ["--schemes", "S2_2", "--platform", "Reference", "--duration", "0.1", "--horizon", "300fs"]
 
-def test_it_prints_and_draws(serialised, tmp_path, capfd):
-    options = ["--schemes", "S2_2", "--platform", "Reference", "--duration", "0.2", "--target", "1e-2"]
-    picture = tmp_path / "picture.png"
-    assert main(["tune", *map(str, serialised), *options, "--output", str(picture)]) == 0
+
+def test_it_prints(serialised, capfd):
+    assert main(["tune", *map(str, serialised), *SHORT, "--target", "1e-2"]) == 0
     out, errors = capfd.readouterr()
     assert "target 0.01: S2_2 with a step of " in out
     assert "S2_2, " in errors
+    assert "errors are promised for 0.3 ps (budget: 120 s of processor time)" in errors
     assert "Warning" not in errors
-    assert picture.exists()
+
+
+def test_it_reads_what_a_run_reads(droplet, capsys):
+    files = [str(droplet), "--forcefield", "tip4pew.xml"]
+    assert main(["tune", *files, *SHORT, "--target", "0.05", "--temperature", "250", "--budget", "10", "--quiet"]) == 0
+    out, errors = capsys.readouterr()
+    assert "8 bodies on Reference" in out
+    assert "brought to 250 K" in " ".join(out.split())
+    assert errors == ""
+    assert main(["tune", *files, "--cutoff", "0.5"]) == 2
+    assert "leave out --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["state.xml", "system.xml"], "holds a State, not a System"),
-        (["system.xml", "nowhere.xml"], "nowhere.xml"),
-        (["picture.png", "state.xml"], "was not written by openmm.XmlSerializer"),
-        (["system.xml", "state.xml", "--target=-1"], "target must be a positive number"),
+        (["system.xml", "nowhere.xml"], "there is no file nowhere.xml"),
+        (["picture.xml", "state.xml"], "was not written by openmm.XmlSerializer"),
+        ([], "there is nothing to tune: give one file"),
+        (["system.xml", "state.xml", "--schemes", "W4"], "did you mean 'W4_4'?"),
     ],
 )
 def test_a_mistake_is_one_line(serialised, tmp_path, monkeypatch, capsys, arguments, message):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "picture.png").write_text("a picture")
+    (tmp_path / "picture.xml").write_text("a picture")
     assert main(["tune", *arguments]) == 2
     out, errors = capsys.readouterr()
     assert errors.startswith("exactrb tune: ")

@@ -9,7 +9,6 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from on_device import platform_for
 
 KB = 0.00831446261815324
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -107,21 +106,6 @@ def test_openmms_reporter_prints_the_temperature_of_the_bodies(kind, names, name
     assert found == pytest.approx(of_particles(simulation.context, freedom), rel=1e-12)
     parts = zip(integrator.degreesOfFreedom(), integrator.temperatures(), strict=True)
     assert found == pytest.approx(sum(n * temperature._value for n, temperature in parts) / freedom, rel=1e-12)
-
-
-@pytest.mark.parametrize("names", [4 * ["CO2"], ["CO2", "benzene", "water", "ion"]], ids=["linear", "mixed"])
-def test_it_prints_the_same_on_the_device(names):
-    system, places, _, freedom = gas(names)
-    field = openmm.CustomExternalForce("x+0.5*y")
-    for i in range(0, system.getNumParticles(), 2):
-        field.addParticle(i)
-    system.addForce(field)
-    integrator = rb.ExactRigidBodyLangevinIntegrator(BATH, 5.0, 0.002, engine="device")
-    simulation = simulation_of(system, places, integrator, platform_for("device"))
-    integrator.setVelocitiesToTemperature(BATH, 1)
-    found = printed(simulation, 3)[-1]
-    assert integrator.getEngine() == "device"
-    assert found == pytest.approx(of_particles(simulation.context, freedom), rel=1e-9)
 
 
 @pytest.mark.parametrize("remover", [False, True], ids=["", "remover"])

@@ -49,10 +49,16 @@ def test_what_is_added_within_the_cutoff_is_lawful(rng):
     centres = 1.3 * np.argwhere(np.ones((2, 2, 2))) + 0.05 * rng.standard_normal((8, 3))
     half = rng.standard_normal((8, 3))
     half *= 0.5 * length / np.linalg.norm(half, axis=1, keepdims=True)
-    x = np.stack([centres + half, centres - half], axis=1).reshape(-1, 3)
-    rods = np.arange(16).reshape(8, 2).tolist()
-    settings = {"strength": 1.5, "length": length, "box": 3 * [edge], "boundary": rb.Ewald(cutoff=2.0, tolerance=1e-2)}
-    charges, near = dipole_rod_forces(rods, 16, **settings)
+    x = np.stack([centres + half, centres - half, centres], axis=1).reshape(-1, 3)
+    rods, middles = np.arange(24).reshape(8, 3)[:, :2].tolist(), list(range(2, 24, 3))
+    settings = {
+        "centres": middles,
+        "strength": 1.5,
+        "length": length,
+        "box": 3 * [edge],
+        "boundary": rb.Ewald(cutoff=2.0, tolerance=1e-2),
+    }
+    charges, near = dipole_rod_forces(rods, 24, **settings)
     assert_lawful(near, x, 3 * [edge])
     moments = sum(charges.getParticleParameters(i)[0]._value * x[i] for i in (0, 1))
     assert np.linalg.norm(moments) * 138.93545764438198**0.5 == pytest.approx(1.5, rel=1e-12)
@@ -62,7 +68,8 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
     topology, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=rb.Ewald(tolerance=1e-3), density=0.3)
     names = [atom.name for atom in next(topology.residues()).atoms()]
     assert names == ["M1", "M2", "M3", "P", "N", "C", "D"]
-    assert [type(force) for force in system.getForces()] == [openmm.NonbondedForce, openmm.CustomHbondForce]
+    kinds = [openmm.NonbondedForce, openmm.CustomHbondForce, openmm.CustomVolumeForce]
+    assert [type(force) for force in system.getForces()] == kinds
     x = positions._value.reshape(27, 7, 3)
     np.testing.assert_allclose(x[:, 3] + x[:, 4], 2.0 * x[:, 5], atol=1e-14)
     boundary = rb.Ewald(tolerance=1e-3)
@@ -87,9 +94,11 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
         ({"rods": [(0, 1, 2)]}, r"each rod is a pair of particles, plus, minus"),
         ({"rods": []}, "at least one rod"),
         ({"particles": 3}, "particles must be"),
+        ({"centres": [4]}, "2 rods have 1 centres"),
     ],
 )
 def test_wrong_options_get_one_sentence(options, message):
-    settings = {"rods": [(0, 1), (2, 3)], "particles": 4, "strength": 1.0, "length": 0.1, "box": 3 * [5.0]}
+    settings = {"rods": [(0, 1), (2, 3)], "centres": [4, 5], "particles": 6, "strength": 1.0, "length": 0.1}
+    settings["box"] = 3 * [5.0]
     with pytest.raises(ValueError, match=message):
         dipole_rod_forces(**settings | {"boundary": rb.Ewald(tolerance=1e-3)} | options)

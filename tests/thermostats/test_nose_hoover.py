@@ -260,14 +260,6 @@ def test_a_setting_that_is_refused_leaves_the_one_there_was():
     assert integrator.getThermostat() == NoseHooverChain(300.0, FREQUENCY)
 
 
-def test_the_device_refuses_it_and_auto_leaves_it_to_the_host():
-    with pytest.raises(ValueError, match="the device supports the Langevin thermostat only, not NoseHooverChain"):
-        nose_hoover(engine="device")
-    integrator = nose_hoover(engine="auto")
-    assert integrator.getEngine() == "host"
-    assert "not NoseHooverChain" in integrator.engineNote()
-
-
 def test_a_chain_that_is_too_stiff_for_the_step_gets_a_sentence():
     run = droplet_of(nose_hoover(frequency=1e5))
     run.integrator.setVelocitiesToTemperature(60.0, 1)

@@ -1,19 +1,23 @@
-"""Advice that holds: a run ten times longer than those of the survey stays within a factor 2 of the promised error."""
+"""Advice that holds for other starts too, within a budget."""
 
 import math
+import time
 from dataclasses import replace
 
+import numpy as np
 import openmm
 import pytest
-from equilibrium import equilibrated, long_run, typical_long_run
-from openmm import app, unit
+from equilibrium import equilibrated, long_run
+from openmm import app
 
 import openmm_exactrb as rb
 from openmm_exactrb import tuning
 from openmm_exactrb.tuning.benchmark import VERLET
+from small_molecules import MOLECULES, placed, system_of
 from starts import context_of, simulation_of
 
-FEW = ("V2", "S2_2", "SRKN4_6b")
+FEW = ("V2", "S2_2", "W4_4")
+HERE = {"platform": "Reference", "duration": 0.3, "horizon": 2.0}
 
 
 @pytest.fixture(scope="module")
@@ -23,24 +27,20 @@ def lines():
 
 @pytest.fixture(scope="module")
 def tuned(droplet, lines):
-    some = {"duration": 0.5, "platform": "Reference", "report": lines.append}
-    return rb.tune(*droplet, target=1e-3, schemes=FEW, **some)
+    return rb.tune(*droplet, target=2e-3, schemes=FEW, report=lines.append, **HERE)
 
 
-def test_the_advice_holds_for_a_run_ten_times_longer(tuned, droplet):
+def test_the_advice_holds_for_other_starts(tuned, droplet):
+    """The median of three, over the horizon."""
+    system, state = droplet
     choice = tuned.best()
     assert choice.confirmed
-    assert choice.error <= 1e-3
-    assert tuned.horizon == pytest.approx(10.0 * tuned.duration)
-    assert typical_long_run(choice, tuned, *droplet, "Reference") < 2.0 * choice.error
-
-
-def test_a_processed_scheme_is_advised(droplet):
-    some = {"duration": 0.5, "platform": "Reference", "report": None}
-    result = rb.tune(*droplet, target=1e-3, schemes=["V2", "W4_4"], **some)
-    choice = result.best()
+    assert choice.error <= 2e-3
     assert choice.method == "W4_4"
-    assert typical_long_run(choice, result, *droplet, "Reference") < 2.0 * choice.error
+    positions = state.getPositions()
+    starts = [equilibrated(system, positions, seed=seed) for seed in (5, 6, 7)]
+    found = [long_run(choice, tuned, system, start, "Reference") for start in starts]
+    assert np.median(found) < 1.5 * choice.error
 
 
 @pytest.mark.parametrize("updates", ["remover", "both"])
@@ -49,11 +49,11 @@ def test_the_promised_forces_are_those_of_a_simulation(updates):
         27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4, removeCMMotion=True
     )
     start = equilibrated(system, positions)
-    schemes, chance, steps = ("W2_1", "W4_4"), 0.0, 100
+    schemes, chance, steps = ("W2_1", "W4_4"), 0.0, 500
     if updates != "remover":
         system.addForce(openmm.MonteCarloBarostat(1.0, 300.0))
         # A trial of the barostat costs more when it is accepted: three standard deviations, and one seed below.
-        chance, steps = 0.085, 250
+        chance, steps = 0.085, 500
     some = {"duration": 0.02, "levels": 3, "report": None}
     result = rb.tune(system, start, schemes=schemes, platform="Reference", **some)
     for name in (*schemes, VERLET):
@@ -71,33 +71,18 @@ def test_the_promised_forces_are_those_of_a_simulation(updates):
         assert promised == pytest.approx(integrator.timings.evaluations, rel=0.02 + chance), name
 
 
-def named_horizon(droplet):
-    schemes = ("S2_2", "W2_4", "Chin4A")
-    return rb.tune(*droplet, target=3e-3, horizon=3.0 * unit.picosecond, schemes=schemes, platform="Reference")
-
-
-def test_the_horizon_that_is_named_is_run_before_anything_is_promised(droplet):
-    result = named_horizon(droplet)
-    choice = result.best()
-    assert result.horizon == pytest.approx(3.0)
-    assert "within 3 ps" in str(result)
-    (point,) = (p for p in result.points if (p.method, p.step) == (choice.method, choice.step))
-    assert point.duration == pytest.approx(3.0)
-
-
-@pytest.mark.validate
-def test_promises_for_a_named_horizon_hold(droplet):
-    """Of ten surveys, whose choices depend on the wall times of the day, nine keep to 1.5 times what they promise."""
-    kept = 0
-    for _ in range(10):
-        result = named_horizon(droplet)
-        choice = result.best()
-        kept += typical_long_run(choice, result, *droplet, "Reference") < 1.5 * choice.error
-    assert kept >= 9
+def test_the_horizon_that_is_named_is_run_before_anything_is_promised(tuned, lines):
+    choice = tuned.best()
+    assert tuned.horizon == 2.0
+    assert "within 2 ps" in str(tuned)
+    (point,) = (p for p in tuned.points if (p.method, p.step) == (choice.method, choice.step))
+    assert (point.duration, point.error) == (2.0, choice.error)
+    assert lines[-1].startswith("W4_4, ")
+    assert "over 2 ps from 3 of 3 starts" in lines[-1]
 
 
 def test_a_choice_builds_its_integrator(tuned):
-    choice = tuned.best(1e-3)
+    choice = tuned.best()
     integrator = choice.integrator()
     assert isinstance(integrator, rb.ExactRigidBodyIntegrator)
     assert integrator.getScheme().name == choice.method
@@ -106,7 +91,7 @@ def test_a_choice_builds_its_integrator(tuned):
 
 
 def test_smaller_errors_cost_more(tuned):
-    loose, tight = tuned.best(1e-2), tuned.best(1.5e-3)
+    loose, tight = tuned.best(1e-2), tuned.best(3e-3)
     assert loose.cost < tight.cost
     assert loose.error <= 1e-2
 
@@ -115,24 +100,20 @@ def test_the_largest_stable_step_lies_below_an_unstable_one(tuned):
     for name in FEW:
         largest = tuned.largest_stable_step(name)
         unstable = [p.step for p in tuned.points if p.method == name and math.isinf(p.error)]
-        assert largest < min(unstable) < 1.2 * largest
-    # Rigid water: 7 to 10 fs with Verlet.
+        assert largest < min(unstable) < 1.42 * largest
+    # Rigid water: 6 to 10 fs with Verlet.
     assert 0.004 < tuned.largest_stable_step("V2") < 0.015
 
 
 def test_it_prints_well(tuned, lines):
     text = str(tuned)
-    for part in ("kJ/mol per body", "fs per evaluation", "largest step, fs", "target 0.001:", VERLET, *FEW):
+    for part in ("kJ/mol per body", "fs per evaluation", "largest step, fs", "target 0.002:", VERLET, *FEW):
         assert part in text
     assert tuned.best().method in text
     assert max(map(len, text.splitlines())) < 130
+    assert lines[0] == "3 methods, 0.3 ps each; errors are promised for 2 ps (budget: 120 s of processor time)"
     assert len(lines) == len({*lines})
-    assert all("fs per evaluation" in line for line in lines)
-
-
-def test_it_is_drawn(tuned, tmp_path):
-    tuned.draw(tmp_path / "picture.png")
-    assert (tmp_path / "picture.png").stat().st_size > 10_000
+    assert all("fs per evaluation" in line for line in lines[1:])
 
 
 def test_an_error_out_of_reach_is_said_with_the_smallest_found(tuned):
@@ -142,16 +123,60 @@ def test_an_error_out_of_reach_is_said_with_the_smallest_found(tuned):
     assert f"the smallest found is {smallest:.2g}" in str(error.value)
 
 
-def test_the_floor_of_single_precision_is_named(droplet):
-    system, state = droplet
-    result = rb.tune(system, state, target=1e-9, schemes=("SRKN4_6b", "SRKN6_11b"), platform="CPU", duration=0.2)
-    assert result.chosen is None
+def test_the_floor_of_single_precision_is_said_before_anything_is_tried(droplet, lines):
+    said = []
+    result = rb.tune(*droplet, target=1e-9, platform="CPU", duration=0.2, report=said.append)
+    assert (result.chosen, result.points) == (None, ())
     assert 1e-7 < result.floor < 1e-3
+    assert len(said) == 2
+    assert said[1].startswith("the target is out of reach: ")
     assert "comes from the forces, not from the scheme (single precision" in " ".join(str(result).split())
-    finest = min(p.step / rb.SCHEMES[p.method].forces for p in result.points if p.method in rb.SCHEMES)
-    assert finest > 5e-5  # it did not go on to tiny steps
-    with pytest.raises(ValueError, match=r"Below .* smaller steps do not lower the error"):
+    with pytest.raises(ValueError, match=r"out of reach. Below .* smaller steps do not lower the error"):
         result.best()
+
+
+def test_settings_that_limit_the_error_are_said_first():
+    _, system, positions = rb.rigid_water(27, nonbondedMethod=app.PME, nonbondedCutoff=0.45)
+    said = []
+    some = {"temperature": 300.0, "platform": "CPU", "schemes": "S2_2", "duration": 0.2, "report": said.append}
+    result = rb.tune(system, positions, target=1e-6, **some)
+    assert "without a switch" in said[0]
+    assert "ewaldErrorTolerance" in said[1]
+    assert "about 0.3 kJ/mol over 30 ps" in said[2]  # 0.064 kJ/mol times the root of 27
+    assert said[-1].startswith("the target is out of reach: ")
+    assert result.chosen is None
+    assert "set switchDistance" in " ".join(str(result).split())
+
+
+def test_a_tuning_ends_within_its_budget(droplet):
+    """With what the survey knows by then, and saying so; all schemes and 100 ps would take minutes."""
+    begun = time.process_time()
+    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=100.0, budget=4.0, report=None)
+    assert time.process_time() - begun < 4.4
+    assert "the budget of 4 s of processor time ended the search" in " ".join(str(result).split())
+    assert 0.0 < result.best().error <= 5e-2
+
+
+def test_what_the_survey_alone_says_is_called_so(droplet):
+    result = rb.tune(*droplet, target=2e-2, platform="Reference", horizon=2000.0, budget=4.0, report=None)
+    choice = result.best()
+    assert not choice.confirmed
+    assert "by the survey alone" in " ".join(str(result).split())
+    assert choice.error <= 2e-2
+
+
+def test_a_baseline_that_fails_is_a_row_of_the_result():
+    """OpenMM's solver finds no solution for more constraints than a rigid molecule needs."""
+    methane = MOLECULES["CH4"]
+    x, edge = placed(methane, 27)
+    system = system_of(methane, 27, edge, cutoff=0.6)
+    some = {"temperature": 150.0, "platform": "CPU", "duration": 0.1, "horizon": 0.2, "report": None}
+    result = rb.tune(system, x, target=0.1, schemes="W2_1", **some)
+    assert result.best().method == "W2_1"
+    baseline = [p for p in result.points if p.method == VERLET]
+    assert baseline
+    assert all(math.isinf(p.error) for p in baseline)
+    assert VERLET in str(result)
 
 
 def test_a_loose_target_gets_the_largest_steps(droplet):
@@ -190,8 +215,7 @@ def test_what_longer_runs_contradict_is_not_promised():
     assert 1.11 < between.cost < 2.0
     assert not between.confirmed
     assert result.largest_stable_step("V2") == 0.008
-    assert "(5.0e-04)" in str(result)
-    assert "In brackets: a longer run" in str(result)
+    assert "1.5e-03*" in str(result)
 
 
 def test_an_error_out_of_reach_names_what_the_forces_may_set_before_the_floor_is_found():
@@ -214,23 +238,23 @@ def test_a_scheme_of_ones_own_comes_back_as_itself(droplet):
 # -- long ones --------------------------------------------------------------------------------------------------
 
 
-def tip3p_droplet():
+def tip3p_droplet(seed):
     _, system, positions = rb.rigid_water(64)
-    return system, equilibrated(system, positions, picoseconds=20.0), "Reference"
+    return system, equilibrated(system, positions, picoseconds=10.0, seed=seed), "Reference"
 
 
-def pme_box():
+def pme_box(seed):
     _, system, positions = rb.rigid_water(
         216, nonbondedMethod=app.PME, nonbondedCutoff=0.8, switchDistance=0.7, ewaldErrorTolerance=1e-5
     )
-    return system, equilibrated(system, positions, "CPU", picoseconds=20.0), "CPU"
+    return system, equilibrated(system, positions, "CPU", picoseconds=10.0, seed=seed), "CPU"
 
 
-def dipoles():
+def dipoles(first):
     _, system, positions = rb.dipole_fluid(n=125, seed=0, trap=0.5)
     integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="S2_2")
     context = context_of(system, integrator, positions)
-    for seed in range(10):
+    for seed in range(first, first + 10):
         integrator.setVelocitiesToTemperature(120.0, seed)
         integrator.step(50)
     return system, context.getState(positions=True, velocities=True), "Reference"
@@ -239,11 +263,14 @@ def dipoles():
 @pytest.mark.validate
 @pytest.mark.parametrize("target", [1e-3, 1e-4])
 @pytest.mark.parametrize("make", [tip3p_droplet, pme_box, dipoles])
-def test_the_advice_holds(make, target):
-    system, state, platform = make()
-    result = rb.tune(system, state, target=target, platform=platform)
+def test_promises_hold_for_other_starts(make, target):
+    """The median of three is at most 1.5 times what is promised, over the horizon of 30 ps for water."""
+    system, state, platform = make(1)
+    horizon = None if make is dipoles else 30.0
+    schemes = ["V2", "W2_4", "S2_2"] if make is dipoles else ["W4_4", "W2_1", "S2_2"]
+    result = rb.tune(system, state, target=target, platform=platform, horizon=horizon, schemes=schemes, budget=600.0)
     choice = result.best()
     assert choice.error <= target
-    actual = long_run(choice, result, system, state, platform)
-    print(f"\n{result}\npromised {choice.error:.2e}, ten times longer {actual:.2e}")
-    assert actual < 2.0 * choice.error
+    found = [long_run(choice, result, *make(seed)) for seed in (11, 12, 13)]
+    print(f"\n{result}\npromised {choice.error:.2e}, from other starts {found}")
+    assert np.median(found) < 1.5 * choice.error

@@ -13,10 +13,18 @@ from openmm_exactrb import schemes
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
+from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised
 from starts import simulation_of
 
 VERLET = Method()
+PLENTY = Budget(1e6)
+
+
+def error(bench, method, step, duration):
+    """Return the standard deviation of the energy of a run, infinite if it was unstable."""
+    run = bench.run(method, step, duration, bench.state)
+    return math.inf if run is None else np.std(run.values)
 
 
 def opencl():
@@ -32,38 +40,38 @@ def opencl():
 
 def test_verlet_starts_with_the_same_energy_and_is_read_at_full_steps(droplet):
     system, state = droplet
-    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"), PLENTY)
     v2 = Method(rb.SCHEMES["V2"])
     ours, theirs = bench.under_test(v2), bench.under_test(VERLET)
     energies = []
     for tested in (ours, theirs):
-        tested.begin(0.001)
+        tested.begin(0.001, bench.state)
         energies.append(tested.energy())
     assert energies[1] == pytest.approx(energies[0], abs=1e-6)
     # Velocity Verlet and SETTLE are of the same order and nearly the same method.
-    errors = [bench.error(method, 0.001, 0.5, 0.5) for method in (v2, VERLET)]
+    errors = [error(bench, method, 0.001, 0.5) for method in (v2, VERLET)]
     assert errors[1] == pytest.approx(errors[0], rel=0.5)
 
 
 def test_a_run_that_blows_up_is_unstable(droplet):
     system, state = droplet
-    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"), PLENTY)
     for method in (Method(rb.SCHEMES["SRKN4_6b"]), VERLET):
-        assert math.isinf(bench.error(method, 0.1, 1.0, 1.0))
+        assert bench.run(method, 0.1, 1.0, bench.state) is None
 
 
 def test_what_the_cpu_platform_finds_not_finite_is_unstable(droplet):
     system, state = droplet
-    bench = Benchmark(InitialState(system, *arrays(state), platform="CPU"))
-    assert math.isinf(bench.error(VERLET, 0.1, 1.0, 1.0))
+    bench = Benchmark(InitialState(system, *arrays(state), platform="CPU"), PLENTY)
+    assert bench.run(VERLET, 0.1, 1.0, bench.state) is None
 
 
 def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
     system, state = droplet
-    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"))
+    bench = Benchmark(InitialState(system, *arrays(state), platform="Reference"), PLENTY)
     strange = schemes.Scheme("strange", 2, schemes.spelled("A O A"))
     with pytest.raises(ValueError, match="contains a thermostat, but the integrator has none"):
-        bench.error(Method(strange), 0.001, 0.1, 0.1)
+        bench.run(Method(strange), 0.001, 0.1, bench.state)
 
 
 @pytest.mark.opencl
@@ -74,14 +82,15 @@ def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, e
     system, state = droplet
     forces = system.getNumForces()
     start = InitialState(system, *arrays(state), platform="OpenCL", properties={"Precision": "mixed"})
-    tested = Benchmark(start).under_test(Method(rb.SCHEMES["S2_2"]))
-    tested.begin(0.001)
+    bench = Benchmark(start, PLENTY)
+    tested = bench.under_test(Method(rb.SCHEMES["S2_2"]))
+    tested.begin(0.001, bench.state)
     before = tested.energy()
     tested.integrator.step(5)
     assert tested.integrator.getEngine() == engine
     assert system.getNumForces() == forces
     assert tested.energy() == pytest.approx(before, abs=0.01)
-    assert tested.seconds_per_evaluation(2) > 0.0
+    assert tested.taken()[0] > 0.0
     integrator = Choice("S2_2", 0.001, 1e-3, 1.0, True).integrator()
     context = start.context(integrator)
     assert context.getIntegrator().getEngine() == engine
@@ -92,8 +101,8 @@ def test_bodies_far_apart_have_the_time_in_which_they_turn():
     _, system, positions = rb.rigid_water(2)
     x = positions._value.copy()
     x[3:] += [3.0, 0.0, 0.0]
-    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
-    scales = Benchmark(start).characteristics
+    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, False, PLENTY)
+    scales = Benchmark(start, PLENTY).characteristics
     masses = np.array([system.getParticleMass(i)._value for i in range(3)])
     r = x[:3] - masses @ x[:3] / masses.sum()
     inertia = np.einsum(
@@ -115,9 +124,9 @@ def test_what_does_not_conserve_the_energy_is_left_out():
 def test_a_start_is_thermalised():
     _, system, positions = rb.rigid_water(27)
     x = positions._value
-    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=True)
+    start = thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, True, PLENTY)
     temperature = (
-        Benchmark(start).characteristics.kinetic
+        Benchmark(start, PLENTY).characteristics.kinetic
         / 3.0
         / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
     )
@@ -134,8 +143,8 @@ def test_bodies_named_by_hand_are_minimised():
     start = InitialState(
         system, x, np.zeros_like(x), platform="Reference", bodies=[[3 * i, 3 * i + 1, 3 * i + 2] for i in range(4)]
     )
-    warm = thermalised(start, 100.0, 1, minimise=True)
-    assert Benchmark(warm).characteristics.kinetic / 3.0 < 5.0 * 0.831
+    warm = thermalised(start, 100.0, 1, True, PLENTY)
+    assert Benchmark(warm, PLENTY).characteristics.kinetic / 3.0 < 5.0 * 0.831
     assert np.abs(warm.positions).max() < 3.0
     assert np.linalg.norm(warm.positions[1] - warm.positions[0]) == pytest.approx(0.09572, abs=1e-4)
 
@@ -149,7 +158,7 @@ def test_a_temperature_that_is_not_reached_is_reported():
     system.addForce(outwards)
     x = positions._value + np.array([0.5, 0.0, 0.0])
     with pytest.raises(ValueError, match="cannot be brought to 300 K"):
-        thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, minimise=False)
+        thermalised(InitialState(system, x, np.zeros_like(x), platform="Reference"), 300.0, 1, False, PLENTY)
 
 
 def test_bodies_named_in_a_simulation_are_those_that_are_measured():

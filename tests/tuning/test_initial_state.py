@@ -12,8 +12,11 @@ from openmm import app, unit
 import openmm_exactrb as rb
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
+from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import initial_state
 from starts import context_of, simulation_of
+
+PLENTY = Budget(1e6)
 
 
 def test_a_simulation_is_enough():
@@ -61,6 +64,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"target": 0.0}, "target must be a positive number"),
         ({"target": "small"}, "target must be a positive number"),
         ({"duration": -1.0}, "duration must be a positive number"),
+        ({"budget": 0.0}, "budget must be a positive number of s"),
         ({"horizon": 0.0}, "horizon must be a positive number"),
         ({"horizon": 30.0 * unit.kelvin}, "horizon must be a positive number"),
         ({"temperature": math.inf}, "temperature must be a positive number"),
@@ -108,15 +112,15 @@ def periodic():
 def test_positions_beside_a_simulation_have_the_box_parameters_and_forces_of_its_context(periodic):
     simulation, positions = periodic
     begin, _ = initial_state(simulation, positions, np.ones((81, 3)), None, None, None)
-    bench = Benchmark(begin)
+    bench = Benchmark(begin, PLENTY)
     tested = bench.under_test(Method(rb.SCHEMES["V2"]))
-    tested.begin(0.001)
+    tested.begin(0.001, bench.state)
     mine = tested.energy() - bench.characteristics.kinetic * bench.characteristics.n_bodies
     state = simulation.context.getState(energy=True, groups={0})
     assert mine == pytest.approx(state.getPotentialEnergy()._value, abs=1e-6)
     assert begin.parameters == {"lift": 7.0}
     verlet = bench.under_test(Method())
-    verlet.begin(0.001)
+    verlet.begin(0.001, bench.state)
     assert verlet.energy() == pytest.approx(tested.energy(), abs=1e-3)
 
 
@@ -132,10 +136,10 @@ def test_molecules_that_the_box_splits_are_made_whole(periodic):
     energies = []
     for wrapped in (x, np.mod(x + 0.3, 1.1) - 0.3):
         begin, _ = initial_state(simulation, wrapped, v, None, None, None)
-        bench = Benchmark(begin)
+        bench = Benchmark(begin, PLENTY)
         for method in (Method(rb.SCHEMES["V2"]), Method()):
             tested = bench.under_test(method)
-            tested.begin(0.0001)
+            tested.begin(0.0001, bench.state)
             energies.append(tested.energy())
     assert np.abs(np.mod(x + 0.3, 1.1) - 0.3 - x).max() > 1.0  # some are split
     np.testing.assert_allclose(energies, energies[0], atol=1e-3)

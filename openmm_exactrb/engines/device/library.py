@@ -198,7 +198,7 @@ def compiled() -> Path:
     if not path.exists():
         _log.warning("compiling the device engine for OpenMM %s, once: some seconds", openmm.__version__)
         build(path)
-    _refuse_others(path)
+    _check_owner(path)
     return path
 
 
@@ -259,11 +259,11 @@ def private_folder() -> Path:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise MissingLibraryError(f"the folder {folder} cannot be made: {error}; name another in {CACHE}") from error
-    _refuse_others(folder)
+    _check_owner(folder)
     return folder
 
 
-def _refuse_others(path: Path) -> None:
+def _check_owner(path: Path) -> None:
     """Raise MissingLibraryError for a file or folder that is not the user's alone: code is loaded from it."""
     if sys.platform == "win32":
         return  # a home folder there is its user's alone

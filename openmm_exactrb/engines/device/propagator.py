@@ -18,6 +18,7 @@ from openmm_exactrb.engines.device.flexible.molecules import bodies_of, molecule
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
+from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
 from openmm_exactrb.mechanics.state import State
@@ -76,6 +77,11 @@ class DevicePropagator:
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, which the device does not keep."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange."""
+        self.sync.pull()
+        return energy_at_exchange(self.sync, settings(), self._timings)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 

@@ -35,8 +35,8 @@ from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import through
-from openmm_exactrb.schemes.thermostatted import canonical_momenta
+from openmm_exactrb.schemes.sequence import inverse, through
+from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
 
 Array = NDArray[np.float64]
 
@@ -132,21 +132,10 @@ class HostPropagator:
         before the call.
         """
         self._left = None
-        changed = self.sync.pull()
-        if self._processed and self._surroundings != self._present_surroundings():
-            self.sync.keep(None)  # inner coordinates are those of other forces
-        self._clock.begin()
-        self._positions.moved()  # what else forces depend on may have changed, and cannot be seen
-        if version != self._version:
-            self._bind(settings())
-            self._version, changed = version, True
+        self._settle(version, settings)
         environment, integrator = self.environment, self._integrator()
         environment.key = key
         environment.numbers.load(integrator)
-        if changed:
-            environment.divergence.begin(self.sync.state)
-            if self._overheating is not None:
-                self._overheating.begin(self._clock.time)
         try:
             with np.errstate(all="ignore"):  # what is not finite is reported, with the bodies concerned
                 self._make(n)
@@ -163,6 +152,37 @@ class HostPropagator:
             self._overheating.see(self._clock.time, self.sync.state)
         if n:
             self._left = self.sync.state
+
+    def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
+        """Return the total energy (kJ/mol) at the last heat exchange, where its errors are of the scheme's order.
+
+        The drifts behind it are undone for as long as it takes. Arguments are those of `advance`.
+        """
+        self._settle(version, settings)
+        try:
+            with np.errstate(all="ignore"):
+                state = through(self._back, self.sync.state)
+            kinetic = sum(self.sync.bodies.kinetic_energies(state.rounded))
+            return kinetic + self.environment.all_forces.energy_at(state)
+        finally:
+            self._clock.restore()
+            self._positions.moved()
+            self.sync.push()
+
+    def _settle(self, version: object, settings: Callable[[], Settings]) -> None:
+        """Bring the state and the substeps up to date with what was set in the Context and in the integrator."""
+        changed = self.sync.pull()
+        if self._processed and self._surroundings != self._present_surroundings():
+            self.sync.keep(None)  # inner coordinates are those of other forces
+        self._clock.begin()
+        self._positions.moved()  # what else forces depend on may have changed, and cannot be seen
+        if version != self._version:
+            self._bind(settings())
+            self._version, changed = version, True
+        if changed:
+            self.environment.divergence.begin(self.sync.state)
+            if self._overheating is not None:
+                self._overheating.begin(self._clock.time)
 
     def _present_surroundings(self) -> object:
         return arrays.surroundings(self.sync.context.getState(parameters=True))
@@ -289,6 +309,7 @@ class HostPropagator:
         )
         step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
+        self._back = environment.bound(inverse(behind_exchange(step)), h)
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
         )

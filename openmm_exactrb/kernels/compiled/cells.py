@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import inner_reordered, reordered
-from openmm_exactrb.kernels.compiled.pair import pair, truncated
+from openmm_exactrb.kernels.compiled.pair import pair
 from openmm_exactrb.kernels.compiled.rows import add_columns
 from openmm_exactrb.kernels.threads import in_threads
 
@@ -46,7 +46,7 @@ def near_pairs(
     attraction: float,
     minimum: tuple[float, float] | None,
     alpha: float | None,
-    truncation: tuple[float, float, float, float, float, float],
+    truncation: tuple[float, float, float, float, float, float, float, float, float, float],
     threads: int,
 ) -> tuple[float, Array, Array]:
     """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation."""
@@ -136,8 +136,7 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
         r2, x, y, z = work[q], work[_CHUNK + q], work[2 * _CHUNK + q], work[3 * _CHUNK + q]
         vx, vy, vz = work[4 * _CHUNK + q], work[5 * _CHUNK + q], work[6 * _CHUNK + q]
         uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-        e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha)
-        e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
+        e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, truncation)
         s, t = c * ur, c * vr
         px, py, pz = a * x + s * vx + t * ux, a * y + s * vy + t * uy, a * z + s * vz + t * uz
         energy += e

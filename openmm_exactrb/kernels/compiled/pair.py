@@ -65,7 +65,7 @@ def screened(r2, i, alpha):
 
 
 @inlined
-def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha):
+def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, truncation):
     """Return energy, and a, b, c of the force a r + c (ur v + vr u) on the centre and c vr r - b v on the tip."""
     i = 1.0 / r2
     core = repulsion * (i * i * i) * (i * i * i)
@@ -83,17 +83,24 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha):
     else:
         b, c, d = screened(r2, i, alpha)
         b, c, d = coupling * b, coupling * c, coupling * d
-    return core + b * uv - c * ur * vr, i * slope + c * uv - d * ur * vr, b, c
+    if truncation is None:
+        return core + b * uv - c * ur * vr, i * slope + c * uv - d * ur * vr, b, c
+    return truncated(r2, uv, core, i * slope, b * uv - c * ur * vr, c * uv - d * ur * vr, b, c, coupling, truncation)
 
 
 @reordered
-def truncated(r2, uv, energy, a, b, c, coupling, truncation):
-    """Add the reaction field, and multiply by a switch S(r²) that is smooth to the sixth derivative."""
-    _, _, _, end, rate, reaction = truncation
+def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
+    """Add the reaction field to the dipoles' part, and multiply both parts by their switches.
+
+    A switch S(r²) is smooth to the sixth derivative. The spheres' energy is shifted before.
+    """
+    _, _, _, _, end, rate, reaction, end_of_core, rate_of_core, shift = truncation
     b -= coupling * reaction
     energy -= coupling * reaction * uv
-    S, slope = switched(r2, end, rate)
-    return S * energy, S * a - 2.0 * slope * energy, S * b, S * c
+    core -= shift
+    S, dS = switched(r2, end, rate)
+    T, dT = switched(r2, end_of_core, rate_of_core)
+    return S * energy + T * core, S * a - 2.0 * dS * energy + T * slope - 2.0 * dT * core, S * b, S * c
 
 
 @inlined

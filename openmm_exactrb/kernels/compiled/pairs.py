@@ -13,11 +13,11 @@ from openmm_exactrb.kernels.build import reordered
 from openmm_exactrb.kernels.compiled import mesh
 from openmm_exactrb.kernels.compiled.cells import cells, near_pairs
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
-from openmm_exactrb.kernels.compiled.pair import pair, truncated
+from openmm_exactrb.kernels.compiled.pair import pair
 from openmm_exactrb.kernels.threads import cores, in_threads
 
 Array = NDArray[np.float64]
-Truncation = tuple[float, float, float, float, float, float]
+Truncation = tuple[float, float, float, float, float, float, float, float, float, float]
 Ewald = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
 
 # Fewer pairs than this are not worth a second thread. Ten waves of a dipole cost as much as three pairs, and a screened
@@ -43,9 +43,10 @@ def soft_dipoles(
         Positions (nm): centre and tip of the first arrow, of the second, ...
     repulsion, coupling : float
         4 epsilon sigma^12 and (strength/length)².
-    truncation : tuple of six floats, optional
-        For periodic boundaries: edges of the box, squared cutoff, 1/(width of the switch in r²), strength of the
-        reaction field.
+    truncation : tuple of ten floats, optional
+        For periodic boundaries: edges of the box, square of the longer cutoff; squared cutoff of the dipoles, 1/(width
+        of their switch in r²), strength of the reaction field; squared cutoff of the spheres, 1/(width of their switch
+        in r²), and the energy that is subtracted from theirs.
     threads : int, optional
         By default all cores, where the pairs are worth it. Any number gives the same bits.
     attraction : float, optional
@@ -130,9 +131,7 @@ def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, 
                 z -= truncation[2] * np.rint(z / truncation[2])
             r2 = x * x + y * y + z * z if (j != i) & (j < n) else np.inf
             uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha)
-            if truncation is not None:
-                e, a, b, c = truncated(r2, uv, e, a, b, c, coupling, truncation)
+            e, a, b, c = pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, truncation)
             energy += e
             fx, fy, fz = fx + a * x + c * ur * vx, fy + a * y + c * ur * vy, fz + a * z + c * ur * vz
             gx, gy, gz = gx + c * vr * x - b * vx, gy + c * vr * y - b * vy, gz + c * vr * z - b * vz

@@ -138,7 +138,7 @@ def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Ex
 def _terms(excerpt: Excerpt, groups: int) -> Terms:
     """Return the terms of an excerpt in some groups (bits), numbered as in the whole System."""
     terms, number = terms_of(excerpt.system, groups), excerpt.particles
-    assert terms is not None  # all are known
+    assert terms is not None  # all of them are known
     maps = np.concatenate([number[terms.maps[:, :8]], terms.maps[:, 8:]], axis=1)
     names = ("bonds", "angles", "torsions", "pairs", "impropers")
     return terms._replace(maps=maps, **{name: number[getattr(terms, name)] for name in names})

@@ -1,0 +1,93 @@
+"""The cutoff of the spheres of dipole fluids, which is part of the model, and what lies beyond it.
+
+A switch, that of `openmm_exactrb.potentials.switching`, ends the energy of a pair smoothly. What it takes away is added
+in the mean, for spheres that are uniformly distributed where it acts:
+
+    U = 2 pi N²/V integral (u - S (u - u_c)) r² dr,    P = U/V,
+
+with u_c = u(cutoff) for a shifted potential, and 0 else. So energy and pressure hardly depend on the cutoff.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+
+from openmm_exactrb.potentials.switching import sharp_volume
+from openmm_exactrb.support import checks
+
+#: The customary cutoff, in diameters of a sphere.
+CUSTOMARY = 3.0
+
+
+class SphereCutoff(NamedTuple):
+    """Where the energy of two spheres ends: distances in nm."""
+
+    cutoff: float
+    switch: float
+    shifted: bool  #: whether the energy at the cutoff is subtracted first
+
+
+def sphere_cutoff(
+    edges: Sequence[float] | None, sigma: float, cutoff: float | None, switch: float | None, *, shifted: bool
+) -> SphereCutoff | None:
+    """Return the given or the default cutoff in a box of these edges (nm); ValueError if it does not fit."""
+    if edges is None:
+        if cutoff is not None or switch is not None or shifted:
+            raise ValueError(
+                "sphere_cutoff, sphere_switch and shifted are for a periodic box: add boundary=ReactionField() or "
+                "boundary=Ewald()"
+            )
+        return None
+    half = 0.5 * min(edges)
+    end = min(CUSTOMARY * sigma, half) if cutoff is None else checks.positive(cutoff, "sphere_cutoff", "nm")
+    if not end <= half * (1.0 + 1e-12):
+        raise ValueError(f"sphere_cutoff must be at most half the box, {half:g} nm, not {end:g}: use a larger box")
+    begin = 0.75 * end if switch is None else checks.not_negative(switch, "sphere_switch")
+    if not begin < end:
+        raise ValueError(f"sphere_switch must be between 0 and the sphere_cutoff {end:g}, not {begin:g}")
+    return SphereCutoff(float(end), float(begin), bool(shifted))
+
+
+def check_minimum(spheres: SphereCutoff | None, sigma: float, attraction: float) -> None:
+    """Raise ValueError if spheres that only repel would be cut off before they end, at the minimum of the potential."""
+    end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
+    if spheres is not None and spheres.switch < end:
+        raise ValueError(
+            f"the switch of the spheres, at {spheres.switch:g} nm, begins before the spheres end, at {end:g} nm: use a "
+            "larger box, or a larger sphere_cutoff"
+        )
+
+
+def long_range_correction(
+    n: int, spheres: SphereCutoff, *, sigma: float, epsilon: float, attraction: float
+) -> openmm.CustomVolumeForce:
+    """Return the mean energy of n spheres beyond their cutoff, which depends on the volume alone.
+
+    Its Context parameters are those of `soft_dipole_force`, `soft_repulsion` and with an attraction `soft_attraction`.
+    """
+    of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
+    attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""
+    force = openmm.CustomVolumeForce(f"({float(of_repulsion)!r}*soft_repulsion{attracts})/v")
+    force.addGlobalParameter("soft_repulsion", 4.0 * epsilon * sigma**12)
+    if attraction:
+        force.addGlobalParameter("soft_attraction", 4.0 * epsilon * sigma**6 * attraction)
+    force.setName("LongRangeCorrection")
+    return force
+
+
+def _beyond(spheres: SphereCutoff, p: int) -> float:
+    """Return the integral of (u - S (u - u_c)) r² for u = r^-p; within the switch by Gauss's rule."""
+    from scipy.special import betainc  # here, for a short import of the package
+
+    cutoff, switch, shifted = spheres
+    x, weights = np.polynomial.legendre.leggauss(60)
+    r = switch + 0.5 * (cutoff - switch) * (1.0 + x)
+    taken = betainc(7.0, 7.0, (r**2 - switch**2) / (cutoff**2 - switch**2))  # 1 - S, to all digits
+    within = 0.5 * (cutoff - switch) * float(weights @ (taken * r ** (2.0 - p)))
+    shift: float = cutoff ** float(-p) * sharp_volume(cutoff, switch) / 3.0 if shifted else 0.0
+    beyond: float = cutoff ** (3.0 - p) / (p - 3.0)
+    return within + beyond + shift

@@ -1,0 +1,30 @@
+"""The processor time that a tuning may take."""
+
+from __future__ import annotations
+
+import time
+
+# What is kept for the last samples of a run and for the result.
+_KEPT = 0.03
+
+
+class BudgetSpentError(RuntimeError):
+    """The budget does not allow the run that was to follow."""
+
+
+class Budget:
+    """Seconds of processor time of this process, all threads together, from now on."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+        self._begun = time.process_time()
+
+    @property
+    def left(self) -> float:
+        """Seconds that are left, but for a reserve."""
+        return (1.0 - _KEPT) * self.seconds - (time.process_time() - self._begun)
+
+    def require(self, seconds: float = 0.0) -> None:
+        """Raise BudgetSpentError if less is left."""
+        if self.left < seconds:
+            raise BudgetSpentError(f"the budget of {self.seconds:g} s of processor time is spent")

@@ -1,0 +1,126 @@
+"""From positions to an equilibrated start, by the minimiser and the integrator of this package.
+
+OpenMM's own lose rigid molecules that have more constraints than they need, such as CO2 or CH4.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.mechanics.minimise import MinimisationWarning
+from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
+
+Array = NDArray[np.float64]
+
+# Extent in nm that a particle is given, which has no shape.
+_EXTENT = 0.1
+# Of the Langevin dynamics: step, least and largest friction over the characteristic time, the shortest step over the
+# time of free bodies, and the steps after which the characteristic time is found again.
+_STEP, _WEAKEST, _STRONGEST, _SHORTEST, _STEPS = 0.07, 0.2, 1.0, 1e-3, 75
+# Times in which friction takes the momentum away, in a length that is named.
+_RELAXED = 10.0
+#: Parts of so many steps that bring a start to a temperature.
+PARTS = 16
+_ITERATIONS, _TOLERANCE = 100, 10.0  # enough to remove overlaps; the minimiser need not converge
+
+
+class Characteristics(NamedTuple):
+    """Size and characteristic times of a system."""
+
+    #: Rigid bodies, and other particles.
+    n_bodies: int
+    #: Kinetic energy in kJ/mol per body.
+    kinetic: float
+    #: 1/omega in ps, at most `free`. omega², the mean square frequency in equilibrium, is the mean of force²/mass and
+    #: torque²/inertia divided by kT.
+    time: float
+    #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
+    free: float
+
+
+def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
+    """Return size and characteristic times of the system in a Context; ValueError if nothing moves."""
+    bodies, state = integrator.bodyState()
+    context.computeVirtualSites()
+    groups = integrator.getIntegrationForceGroups()
+    forces = context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
+    if not np.isfinite(forces).all():
+        raise ValueError("the forces at the start are not finite: minimise the energy first")
+    (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
+    if not kinetic > 0.0:
+        raise ValueError("nothing moves: there is no energy error to measure")
+    moments = np.broadcast_to(bodies.inertia.T, torque.shape)
+    turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
+    square, free = float((force**2 / bodies.mass).sum() + turning.sum()), _free_time(bodies, kinetic)
+    time = math.sqrt(2.0 * kinetic / square) if square > 0.0 else math.inf
+    return Characteristics(len(bodies), kinetic / len(bodies), min(time, free), free)
+
+
+def _free_time(bodies: RigidBodies, kinetic: float) -> float:
+    """Return the time of a turn by a radian or a flight over an extent: 1/rms of the inverse times."""
+    kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
+    moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
+    moments = moments[moments > 0.0]
+    inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])
+    return float(1.0 / math.sqrt(kT * inverse.mean()))
+
+
+@contextlib.contextmanager
+def diverging() -> Iterator[None]:
+    """Turn OpenMM's exception for coordinates that are NaN into NonFiniteError; other exceptions pass."""
+    try:
+        yield
+    except openmm.OpenMMException as error:
+        if "NaN" not in str(error):
+            raise
+        raise NonFiniteError(str(error)) from error
+
+
+def minimise(integrator: ExactRigidBodyIntegrator) -> None:
+    """Remove the overlaps of a start; what is left of them is for the first short steps of `heat`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MinimisationWarning)
+        try:
+            integrator.minimizeEnergy(_TOLERANCE, _ITERATIONS)
+        except IntegrationError:
+            raise
+        except ArithmeticError:  # OpenMM's minimiser, which has molecules that are constrained but not rigid
+            pass
+
+
+def heat(
+    integrator: ExactRigidBodyLangevinIntegrator,
+    context: openmm.Context,
+    length: float | None = None,
+    may_continue: Callable[[], bool] = lambda: True,
+) -> Iterator[float]:
+    """Perform Langevin dynamics for a length in ps, by default in `PARTS` parts; yield the kinetic energy after each.
+
+    The step follows the forces, so that a start far from equilibrium is no obstacle.
+    """
+    left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
+    for part in itertools.count():
+        if left <= 1e-9 or (length is None and part == PARTS) or not may_continue():
+            return
+        scales = characteristics(integrator, context)
+        step = max(_STEP * scales.time, _SHORTEST * scales.free)
+        steps = math.ceil(min(_STEPS, left / step))
+        step = min(step, left / steps)
+        integrator.setStepSize(step)
+        integrator.setFriction(min(max(_WEAKEST / scales.time, least), _STRONGEST / scales.time))
+        with diverging():
+            integrator.step(steps)
+        left -= steps * step
+        yield float(sum(energy._value for energy in integrator.kineticEnergies()))

@@ -1,0 +1,91 @@
+"""Small rigid molecules, whose constraints are redundant or on a line, through all commands and from all files."""
+
+import numpy as np
+import openmm
+import pytest
+
+import small_molecules
+from openmm_exactrb.command.main import main
+from small_molecules import MOLECULES
+
+# Degrees of freedom of a molecule: of translation, and of rotation.
+FREEDOM = {"CO2": (3, 2), "N2": (3, 2), "CH4": (3, 3), "SF6": (3, 3), "C6H6": (3, 3), "MEOH": (3, 3)}
+CASES = [(name, "xml", "CPU") for name in MOLECULES]
+CASES += [("CH4", form, "CPU") for form in ("pdb", "gromacs", "amber")]
+CASES += [
+    ("CH4", "xml", "Reference"),
+    ("N2", "amber", "CPU"),
+    ("MEOH", "amber", "CPU"),
+    ("CO2", "gromacs", "CPU"),
+    ("C6H6", "pdb", "CPU"),
+]
+CASES += [(name, "xml", "OpenCL") for name in ("CO2", "CH4")]
+N = 27
+# Those of Amber, whose files have none.
+CONSTRAINTS = {"N2": "AllBonds", "CH4": "HAngles", "MEOH": "HAngles"}
+BRIEF = "--step", "2fs", "--duration", "8fs", "--interval", "4fs", "--no-picture", "--quiet"
+
+
+def files_of(name, form, folder):
+    """Return the arguments that name molecules."""
+    arguments = getattr(small_molecules, f"as_{form}")(MOLECULES[name], N, folder)
+    if form != "xml":
+        arguments += ["--cutoff", "0.7"]
+    if form == "amber":
+        arguments += ["--constraints", CONSTRAINTS[name]]
+    return [*map(str, arguments)]
+
+
+def skip_without(platform):
+    system = openmm.System()
+    system.addParticle(1.0)
+    try:
+        openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform(platform))
+    except openmm.OpenMMException as error:
+        pytest.skip(f"no {platform} device: {error}")
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves files open
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")  # decimals of files
+@pytest.mark.parametrize(
+    ("name", "form", "platform"),
+    [pytest.param(*case, marks=[pytest.mark.opencl] * (case[2] == "OpenCL"), id="-".join(case)) for case in CASES],
+)
+def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys):
+    skip_without(platform)
+    files = files_of(name, form, tmp_path)
+    assert main(["info", *files]) == 0
+    said = capsys.readouterr().out
+    translation, rotation = (N * freedom for freedom in FREEDOM[name])
+    assert f"degrees of freedom: {translation} of translation and vibration, {rotation} of rotation" in said
+    assert "everything is supported" in said
+    options = ["--ensemble", "nvt", "--temperature", "200", "--equilibrate", "0.3", "--platform", platform]
+    assert main(["run", *files, *BRIEF, *options, "--out", str(tmp_path / "out")]) == 0
+    table = np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)
+    kinetic = table[0, 2:4] / (0.5 * 0.00831446 * 200.0)
+    # Five standard deviations, and as much for what 0.3 ps leave of the start.
+    for energy, freedom in zip(kinetic, (translation, rotation), strict=True):
+        assert abs(energy / freedom - 1.0) < 10.0 * np.sqrt(2.0 / freedom)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")
+@pytest.mark.parametrize(("name", "form"), [("CH4", "xml"), ("CO2", "gromacs"), ("MEOH", "pdb"), ("N2", "amber")])
+def test_a_step_is_found_for_them(name, form, tmp_path, capsys):
+    files = files_of(name, form, tmp_path)
+    options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
+    options += ["--horizon", "0.1ps", "--budget", "20", "--platform", "CPU", "--quiet"]
+    assert main(["tune", *files, *options]) == 0
+    assert "target 0.05: W2_1 with a step of" in capsys.readouterr().out
+
+
+def test_a_mixture_with_water_of_four_sites_runs(tmp_path, capsys):
+    files = [*map(str, small_molecules.as_pdb(MOLECULES["MEOH"], 8, tmp_path))]
+    water = ["tip4pew.xml", "--solvate", "60", "--cutoff", "0.55", "--ewald-tolerance", "1e-3"]
+    assert main(["info", *files, *water]) == 0
+    said = capsys.readouterr().out
+    assert "60 virtual sites" in said
+    assert "68 rigid bodies of 3 particles (MEO, HOH)" in said
+    options = ["--platform", "CPU", "--equilibrate", "0.02", "--out", str(tmp_path / "out")]
+    assert main(["run", *files, *water, *BRIEF, *options]) == 0
+    assert np.isfinite(np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)).all()

@@ -1,0 +1,47 @@
+"""The temperature that OpenMM's reporters ask for on the device, and the energy balance of its thermostats."""
+
+import pytest
+from zoo import every_kind, pair, water
+
+import openmm_exactrb as rb
+
+pytestmark = pytest.mark.opencl
+
+
+def test_the_temperature_of_the_system_is_that_of_the_host():
+    system, positions, bodies = every_kind()
+    contexts = pair(
+        system, positions, lambda engine: rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine=engine, bodies=bodies)
+    )
+    found = []
+    for context in contexts:
+        context.getIntegrator().step(5)
+        found.append(context.getIntegrator().computeSystemTemperature()._value)
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["BAOA", "S2_2"])
+def test_the_balance_of_rescaling_is_that_of_the_host(scheme):
+    def make(engine):
+        integrator = rb.ExactRigidBodyRescalingIntegrator(300.0, 0.1, 0.002, scheme, engine=engine)
+        integrator.setRandomNumberSeed(11)
+        return integrator
+
+    contexts = pair(*water(), make)
+    host, device = (context.getIntegrator() for context in contexts)
+    for integrator in (host, device):
+        integrator.step(10)
+    assert device.effectiveEnergy()._value == pytest.approx(host.effectiveEnergy()._value, rel=1e-8)
+    for integrator in (host, device):
+        integrator.step(1)
+    assert device.totalEnergy()._value == pytest.approx(host.totalEnergy()._value, rel=1e-8)
+
+
+def test_friction_has_no_balance_there():
+    make = rb.ExactRigidBodyLangevinIntegrator
+    _, device = pair(*water(), lambda engine: make(300.0, 1.0, 0.002, engine=engine))
+    integrator = device.getIntegrator()
+    integrator.step(1)
+    for ask in (integrator.heat, integrator.effectiveEnergy):
+        with pytest.raises(ValueError, match="use engine='host' to monitor the energy balance"):
+            ask()

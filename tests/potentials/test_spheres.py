@@ -1,0 +1,205 @@
+"""The cutoff of the spheres belongs to the model: no tolerance, kernel or boundary of the dipoles changes it."""
+
+import numpy as np
+import openmm
+import pytest
+from scipy.integrate import quad
+from scipy.special import beta, betainc
+
+import openmm_exactrb as rb
+from force_laws import REFERENCE, context_of, evaluated, slope
+
+#: A Stockmayer fluid, and one whose dipoles are hardly there.
+STOCKMAYER = {"attraction": 1.0, "dipole": (0.0, 0.0, 1.0), "inertia": (0.3, 0.3, 0.3), "perturbation": 0.08, "seed": 3}
+LENNARD_JONES = STOCKMAYER | {"dipole": (0.0, 0.0, 1e-7)}
+FIELD = rb.ReactionField(dielectric=1.0)
+
+
+def edge_of(n):
+    return (n / 0.8) ** (1.0 / 3.0)
+
+
+def energy_of(n, boundary, kernel="compiled", **options):
+    """Return the energy and the places (n, 2, 3) of centres and tips."""
+    _, system, positions = rb.dipole_fluid(n, boundary=boundary, kernel=kernel, **STOCKMAYER | options)
+    energy, _ = evaluated(context_of(system, positions))
+    return energy, positions._value.reshape(n, -1, 3)[:, -2:]
+
+
+# -- an own sum -------------------------------------------------------------------------------------------------------
+
+
+def switch(r, cutoff, begin):
+    """Return S and dS/dr: in r², S is the distribution function of a beta variable."""
+    s = np.clip((cutoff**2 - r**2) / (cutoff**2 - begin**2), 0.0, 1.0)
+    return betainc(7.0, 7.0, s), -2.0 * r / (cutoff**2 - begin**2) * (s * (1.0 - s)) ** 6 / beta(7.0, 7.0)
+
+
+def spheres(r, cutoff, begin, *, shifted):
+    """Return energy and derivative of two spheres at distances r."""
+    u, du = 4.0 * (r**-12 - r**-6), 4.0 * (-12.0 * r**-13 + 6.0 * r**-7)
+    u = u - shifted * 4.0 * (cutoff**-12.0 - cutoff**-6.0)
+    S, dS = switch(r, cutoff, begin)
+    return S * u, S * du + dS * u
+
+
+def correction(n, cutoff, begin, *, shifted):
+    """Return energy times volume of what the cutoff takes from spheres that are uniformly distributed."""
+
+    def left_out(r):
+        return (4.0 * (r**-12 - r**-6) - spheres(r, cutoff, begin, shifted=shifted)[0]) * r**2
+
+    inner = shifted * 4.0 * (cutoff**-12.0 - cutoff**-6.0) * begin**3 / 3.0  # up to the switch the shift alone
+    middle = quad(left_out, begin, cutoff, epsabs=1e-13)[0]
+    return 2.0 * np.pi * n**2 * (inner + middle + 4.0 * (cutoff**-9.0 / 9.0 - cutoff**-3.0 / 3.0))
+
+
+def distances(centres, edge):
+    """Return the vectors and distances of all pairs, each once."""
+    d = (centres[:, None] - centres)[np.triu_indices(len(centres), 1)]
+    d -= edge * np.rint(d / edge)
+    return d, np.linalg.norm(d, axis=1)
+
+
+def dipoles(places, edge):
+    """Return the energy of truncated dipoles without a reaction field, switched from 3/8 to 1/2 of the box."""
+    d, r = distances(places[:, 0], edge)
+    mu = 2.0 * (places[:, 1] - places[:, 0])
+    u, v = (mu[index] for index in np.triu_indices(len(mu), 1))
+    energy = (u * v).sum(1) / r**3 - 3.0 * (u * d).sum(1) * (v * d).sum(1) / r**5
+    return (switch(r, 0.5 * edge, 0.375 * edge)[0] * energy).sum()
+
+
+@pytest.mark.parametrize("kernel", ["compiled", "bonds"])
+@pytest.mark.parametrize(
+    ("options", "shifted", "corrected"),
+    [
+        ({}, False, True),
+        ({"shifted": True}, True, False),
+        ({"shifted": True, "long_range_correction": True}, True, True),
+        ({"long_range_correction": False}, False, False),
+        ({"sphere_cutoff": 2.5, "sphere_switch": 1.5}, False, True),
+    ],
+    ids=["default", "shifted", "shifted and corrected", "not corrected", "own cutoff"],
+)
+def test_the_energy_is_that_of_an_own_sum(kernel, options, shifted, corrected):
+    for n in (125, 1000) if kernel == "compiled" and not options else (125,):
+        edge = edge_of(n)
+        cutoff = options.get("sphere_cutoff", min(3.0, 0.5 * edge))
+        begin = options.get("sphere_switch", 0.75 * cutoff)
+        energy, places = energy_of(n, FIELD, kernel, **options)
+        _, r = distances(places[:, 0], edge)
+        expected = spheres(r, cutoff, begin, shifted=shifted)[0].sum() + dipoles(places, edge)
+        if corrected:
+            expected += correction(n, cutoff, begin, shifted=shifted) / edge**3
+        assert energy == pytest.approx(expected, rel=1e-11, abs=1e-9)
+
+
+@pytest.mark.parametrize("options", [{}, {"shifted": True}], ids=["corrected", "shifted"])
+def test_the_pressure_is_that_of_an_own_virial(options):
+    """Minus the derivative of the energy by the volume, as a barostat sees it: centres move, bodies stay rigid."""
+    n, cutoff, shifted = 216, 2.6, bool(options)
+    boundary = rb.ReactionField(cutoff=2.0)
+    _, system, positions = rb.dipole_fluid(n, boundary=boundary, sphere_cutoff=cutoff, **LENNARD_JONES | options)
+    context, edge = context_of(system, positions), edge_of(n)
+    x = positions._value.reshape(n, -1, 3)
+
+    def energy_at(volume):
+        scale = np.cbrt(1.0 + volume / edge**3)
+        context.setPeriodicBoxVectors(*(scale * edge * np.eye(3)))
+        context.setPositions((x + (scale - 1.0) * x[:, -2:-1]).reshape(-1, 3))
+        return evaluated(context)[0]
+
+    _, r = distances(x[:, -2], edge)
+    virial = -(r * spheres(r, cutoff, 0.75 * cutoff, shifted=shifted)[1]).sum() / (3.0 * edge**3)
+    more = 0.0 if shifted else correction(n, cutoff, 0.75 * cutoff, shifted=False) / edge**6
+    assert -slope(energy_at, 0.02 * edge**3 / 100.0) == pytest.approx(virial + more, rel=1e-6)
+    assert shifted or abs(more) > 0.01 * abs(virial)
+
+
+# -- nothing else changes it ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("n", "tolerances"), [(125, (1e-3, 1e-4, 1e-6, 1e-9)), (1000, (1e-3, 1e-4, 1e-6, 1e-9)), (8000, (1e-3, 1e-4))]
+)
+def test_the_tolerance_of_an_ewald_sum_changes_its_own_error_alone(n, tolerances):
+    """The error of an energy is the tolerance times what fields and dipoles are worth, added up at random or not."""
+    energies = [energy_of(n, rb.Ewald(tolerance=tolerance))[0] for tolerance in tolerances]
+    mean_field = 4.0 * np.pi / 3.0 * 0.8  # of dipoles of 1 at this density
+    for tolerance, energy in zip(tolerances, energies[:-1], strict=False):
+        assert abs(energy - energies[-1]) < (tolerance + tolerances[-1]) * n * mean_field
+
+
+@pytest.mark.parametrize("n", [216, 512])
+def test_boundaries_and_kernels_have_the_same_spheres(n):
+    """With all kernels, and all cutoffs of the dipoles, which hardly have moments here."""
+    wanted = energy_of(n, rb.ReactionField(), **LENNARD_JONES)[0]
+    kinds = [
+        ("compiled", rb.ReactionField(cutoff=1.5)),
+        ("compiled", rb.Ewald(tolerance=1e-3)),
+        ("compiled", rb.Ewald(tolerance=1e-9)),
+        ("openmm", rb.ReactionField(cutoff=1.5)),
+        ("openmm", rb.Ewald(tolerance=1e-3)),
+    ]
+    kinds += [("bonds", rb.ReactionField()), ("bonds", rb.ReactionField(cutoff=1.5))] * (n < 300)
+    for kernel, boundary in kinds:
+        assert energy_of(n, boundary, kernel, **LENNARD_JONES)[0] == pytest.approx(wanted, rel=1e-9), (kernel, boundary)
+
+
+def test_rods_have_the_energy_of_point_dipoles_to_the_tolerance():
+    n, tolerance = 125, 1e-3
+    exact, places = energy_of(n, rb.Ewald(tolerance=1e-9))
+    energy, _ = energy_of(n, rb.Ewald(tolerance=tolerance), "openmm")
+    _, r = distances(places[:, 0], edge_of(n))
+    assert abs(energy - exact) < tolerance * n * 4.0 * np.pi / 3.0 * 0.8
+    assert r.max() > 0.5 * edge_of(n), "some pairs have their nearest image beyond the cutoff"
+
+
+def test_what_lies_beyond_hardly_depends_on_the_cutoff():
+    """Of 512 spheres, with the correction a fifth of what it does without, at most."""
+    settings = [{"sphere_cutoff": cutoff, **LENNARD_JONES} for cutoff in (2.0, 2.5, 3.0, 4.0)]
+    full = [energy_of(512, FIELD, **own)[0] for own in settings]
+    bare = [energy_of(512, FIELD, long_range_correction=False, **own)[0] for own in settings]
+    assert np.ptp(full) < 0.2 * np.ptp(bare)
+
+
+def test_other_platforms_and_integrators_have_the_same_energy():
+    _, system, positions = rb.dipole_fluid(125, boundary=rb.Ewald(), **STOCKMAYER)
+    found = []
+    for platform in (REFERENCE, openmm.Platform.getPlatform("CPU")):
+        for make in (lambda: openmm.VerletIntegrator(0.001), lambda: rb.ExactRigidBodyIntegrator(0.001)):
+            context = openmm.Context(system, make(), platform)
+            context.setPositions(positions)
+            found.append(evaluated(context)[0])
+    np.testing.assert_allclose(found, found[0], rtol=1e-5)
+
+
+def test_the_correction_follows_the_parameters_of_the_context():
+    _, system, positions = rb.dipole_fluid(125, boundary=FIELD, **LENNARD_JONES)
+    context = context_of(system, positions)
+    before = evaluated(context)[0]
+    for name, factor in (("soft_repulsion", 2.0), ("soft_attraction", 2.0)):
+        context.setParameter(name, factor * context.getParameter(name))
+    assert evaluated(context)[0] == pytest.approx(2.0 * before, rel=1e-9)
+
+
+# -- what is refused --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sphere_cutoff": 5.0}, "sphere_cutoff must be at most half the box, .* use a larger box"),
+        ({"sphere_cutoff": 0.0}, "sphere_cutoff must be a positive number of nm"),
+        ({"sphere_cutoff": 2.0, "sphere_switch": 2.0}, "sphere_switch must be between 0 and the sphere_cutoff 2"),
+        ({"wca": True, "shifted": True}, "wca shifts the energy .* omit shifted"),
+        ({"wca": True, "long_range_correction": True}, "that wca does not end: omit it"),
+        ({"wca": True, "sphere_cutoff": 1.2}, "begins before the spheres end, at 1.12246 nm"),
+        ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "are for a periodic box"),
+        ({"boundary": rb.Open(), "long_range_correction": True}, "spheres in a periodic box"),
+    ],
+)
+def test_wrong_options_get_one_sentence(options, message):
+    with pytest.raises(ValueError, match=message):
+        rb.dipole_fluid(64, **STOCKMAYER | {"boundary": FIELD} | options)
