@@ -146,6 +146,7 @@ def test_water_is_made_in_a_box(tmp_path, capsys):
     assert topology.getUnitCellDimensions()[0]._value == pytest.approx(3 * 0.3104, abs=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")  # of water of a file with three digits
 def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
     options = *BOX, "--solvate", 40
     status, _, errors = carry_out(
@@ -240,15 +241,12 @@ def test_an_equilibration_has_units(droplet, tmp_path, capsys):
 
 def test_an_equilibration_is_told_before_it_begins_and_is_a_fifth_of_the_run(droplet, tmp_path, capsys):
     command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT[:-1], "--no-picture"
-    for duration, told in ((0.05, "equilibrating for 0.01 ps (--equilibrate)"), (1e-3, None)):
-        out = tmp_path / str(duration)
-        status, _, errors = carry_out(capsys, *command, "--duration", duration, "--out", out)
-        assert status == 0
-        assert errors.startswith("equilibrating") == bool(told)
-        if told:
-            assert errors.splitlines()[0] == told
-            longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
-            assert carry_out(capsys, *command, *longer)[0] == 0
+    out = tmp_path / "out"
+    status, _, errors = carry_out(capsys, *command, "--duration", 0.05, "--out", out)
+    assert status == 0
+    assert errors.splitlines()[0] == "equilibrating for 0.01 ps (--equilibrate)"
+    longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
+    assert carry_out(capsys, *command, *longer)[0] == 0
 
 
 @pytest.mark.validate
