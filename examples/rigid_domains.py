@@ -152,7 +152,7 @@ def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
 
 def start() -> np.ndarray:
     """Return positions (nm): residues 11 to 179 as they are predicted, and two coils that keep away from them."""
-    known = np.loadtxt(Path(__file__).parent / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
+    known = np.loadtxt(Path(sys.argv[0]).resolve().parent / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
     before = coil(known, known[0], 10)[::-1]
     known = np.vstack([before, known])
     return np.vstack([known, coil(known, known[-1], len(SEQUENCE) - len(known))])
