@@ -11,6 +11,7 @@ from openmm_exactrb.mechanics.state import Flow
 from openmm_exactrb.substeps import Sequence as Sequence
 from openmm_exactrb.substeps import Substep, of_symbol
 
+#: A state, of any kind.
 S = TypeVar("S")
 
 

@@ -15,7 +15,7 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
-# Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
+#: Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
 
 

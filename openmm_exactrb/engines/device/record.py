@@ -100,6 +100,7 @@ def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Set
     return DevicePropagator(context, integrator, settings, timings)
 
 
+#: The record of the device engine.
 DEVICE = Engine(
     name="device",
     unsupported=_unsupported,
