@@ -21,7 +21,7 @@ class Timings:
         All that steps have OpenMM evaluate, but for nested forces: forces, with or without the energy, and energies
         alone, which barostats, Metropolis's rule and now and then the check for divergence need.
     fast_evaluations : int
-        Evaluations of the forces that are nested in the drifts, on the host; a device does not count them.
+        Evaluations of the forces that are nested in the drifts.
     """
 
     forces: float = 0.0

@@ -241,12 +241,15 @@ def test_an_equilibration_has_units(droplet, tmp_path, capsys):
 
 def test_an_equilibration_is_told_before_it_begins_and_is_a_fifth_of_the_run(droplet, tmp_path, capsys):
     command = "run", droplet, "--forcefield", "tip3p.xml", *SHORT[:-1], "--no-picture"
-    out = tmp_path / "out"
-    status, _, errors = carry_out(capsys, *command, "--duration", 0.05, "--out", out)
-    assert status == 0
-    assert errors.splitlines()[0] == "equilibrating for 0.01 ps (--equilibrate)"
-    longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
-    assert carry_out(capsys, *command, *longer)[0] == 0
+    for duration, told in ((0.05, "equilibrating for 0.01 ps (--equilibrate)"), (1e-3, None)):
+        out = tmp_path / str(duration)
+        status, _, errors = carry_out(capsys, *command, "--duration", duration, "--out", out)
+        assert status == 0
+        assert errors.startswith("equilibrating") == bool(told)
+        if told:
+            assert errors.splitlines()[0] == told
+            longer = "--duration", 0.06, "--out", out, "--resume", "--quiet"  # no other start
+            assert carry_out(capsys, *command, *longer)[0] == 0
 
 
 @pytest.mark.validate

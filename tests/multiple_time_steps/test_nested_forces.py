@@ -242,6 +242,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         integrator.step(1)
 
 
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -250,7 +251,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
     ],
 )
-def test_groups_without_bonded_forces_have_nothing_to_nest_and_say_so(options, message):
+def test_groups_without_bonded_forces_have_nothing_to_nest_and_say_so(options, message, engine):
     """As a script for any molecule names the group that `separate_bonded` returns, and is given water."""
     ends = []
     for fast in (options, {"fast": None}):
@@ -265,7 +266,7 @@ def test_groups_without_bonded_forces_have_nothing_to_nest_and_say_so(options, m
         system.addForce(field)
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always")
-            integrator, context = moving(system, positions, 0.001, "S2_2", **fast)
+            integrator, context = moving(system, positions, 0.001, "S2_2", engine=engine, **fast)
             integrator.step(5)
         assert integrator.timings.fast_evaluations == 0
         assert len(told) == (fast is options)
