@@ -81,8 +81,8 @@ class AverageReporter:
         frames = self._frames or self._begin(simulation)
         if _changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat or a parameter of the Context was changed: averages need one of each, so "
-                "report other settings to another file"
+                "the step size, the thermostat or a parameter of the Context was changed: averages need one of each, "
+                "so report other settings to another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
