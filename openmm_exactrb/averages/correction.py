@@ -36,7 +36,6 @@ Array = NDArray[np.float64]
 _BLOCKS, _FEWEST = 20, 40
 # kg/m³ per Da/nm³.
 _DENSITY = 1.66053906660
-_R = 0.00831446261815324  # kJ/mol/K
 
 
 @dataclass(frozen=True)
@@ -305,7 +304,7 @@ def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
     scale = 1.0 / (settings.kT * settings.temperature)
     outer, inner = (2.0 * scale * off * slope for slope in slopes)
     value, of = _mean(scale * off**2, outer, inner)
-    return value + 0.5 * settings.freedom * _R, of
+    return value + 0.5 * settings.freedom * settings.kT / settings.temperature, of
 
 
 def _compressibility(settings: Settings, columns: Columns) -> _Estimate:
