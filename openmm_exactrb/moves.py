@@ -82,5 +82,5 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     """Return the moves of a substep over a part of the step; ValueError if a device does not support it."""
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
-        raise ValueError(f"the substep {substep!r} has no part for a device: define its method device_moves()")
+        raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     return moves
