@@ -4,6 +4,7 @@ import importlib
 import os
 import re
 import sys
+from importlib.metadata import metadata
 from importlib.metadata import version as version_of
 from itertools import accumulate
 from pathlib import Path
@@ -43,7 +44,7 @@ extensions = [
     "sphinx-mathjax-offline",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_static", "joss.md", "examples/**/*.ipynb"]
+exclude_patterns = ["_build", "_static", "_templates", "joss.md", "examples/**/*.ipynb"]
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
@@ -81,11 +82,16 @@ import sys
 
 sys.argv = ["notebook"]"""
 
+#: Examples that the build does not execute: their pages show stored pictures, with the commands that made them.
+LONG_RUNS = "dielectric_constant", "ellipsoids", "ferrofluid", "stockmayer_fluid"
+#: Their pages are without the code, which is there to download.
+PROGRAMS = {f"examples/{name}" for name in LONG_RUNS}
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "examples",
-    # Executes all but four, whose runs are long: their pages show stored pictures, with the commands that made them.
-    "filename_pattern": r"^(?!.*(dielectric_constant|stockmayer_fluid|ferrofluid|ellipsoids)\.py)",
+    "filename_pattern": rf"^(?!.*({'|'.join(LONG_RUNS)})\.py)",
+    "remove_config_comments": True,
     "ignore_pattern": r"(^|[\\/])(sphere|dipole_runs)\.py",  # which others import
     "parallel": joblib.cpu_count(),
     "run_stale_examples": True,  # the package may have changed since
@@ -108,8 +114,15 @@ html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
+html_js_files = ["versions.js"]
+templates_path = ["_templates"]
+_SIDEBAR = ("brand", "versions", "search", "scroll-start", "navigation", "scroll-end", "variant-selector")
+html_sidebars = {"**": [f"sidebar/{part}.html" for part in _SIDEBAR]}
 html_favicon = "_static/favicon.svg"
-html_theme_options = {"source_directory": "docs/"}
+html_theme_options = {"source_directory": "docs/", "source_branch": "main"}
+_ADDRESSES = dict(line.split(", ", 1) for line in metadata("openmm-exactrb").get_all("Project-URL") or ())
+if "Repository" in _ADDRESSES:
+    html_theme_options["source_repository"] = _ADDRESSES["Repository"]
 
 linkcheck_ignore = [r"https://doi\.org/.*"]  # publishers refuse robots; the numbers are checked by hand
 
@@ -138,6 +151,8 @@ def in_the_pages(app: Sphinx, page: str, source: list[str]) -> None:
         lambda found: f"]({found[1]}{found[2]}{found[3] or '/index'}.rst)",
         source[0],
     )
+    if page in PROGRAMS:
+        source[0] = re.sub(r"^\.\. code-block:: Python\n(?:\n|[ \t]+.*\n)*", "", source[0], flags=re.MULTILINE)
 
 
 def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:

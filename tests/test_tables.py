@@ -15,7 +15,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 def test_figures_that_are_typed_are_those_that_were_measured():
     """Pages that are also read as plain Markdown have no substitutions."""
-    readme, which = (" ".join((ROOT / page).read_text().split()) for page in ("README.md", "docs/which.md"))
+    pages = "README.md", "docs/which.md", "docs/joss.md"
+    readme, which, joss = (" ".join((ROOT / page).read_text().split()) for page in pages)
     figures = tables.figures()
     gain = f"{figures['W4_4_gain']} ± {figures['W4_4_gain_error']}"
     assert f"fluctuates {gain} times less than with `VerletIntegrator`" in readme
@@ -24,6 +25,8 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     assert f"{figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in readme
     assert f"{figures['protein_time']} of the time of `LangevinMiddleIntegrator(4 fs)`" in which
     assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
+    assert f"energy errors of `W2_1` and `W4_4` are {1.0 / tables.over_verlet('W2_1'):.1f} and {gain} times" in joss
+    assert f"at {figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in joss
     assert f"| {figures['W4_4_gain']} times less energy error over 30 ps" in which
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
     assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
