@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from openmm import unit
 
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
+from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -86,8 +87,6 @@ class PressureOffset:
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
         """Return a barostat that keeps the density of a pressure (in bar if it has no unit) at zero step size."""
-        from openmm_exactrb.openmm_access.units import plain
-
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
@@ -104,6 +103,7 @@ def corrected(
     observable: str | ArrayLike,
     slope: ArrayLike | Sequence[ArrayLike] | None = None,
     local: bool = False,
+    pressure: float | unit.Quantity | None = None,
 ) -> Average:
     """Return the average of an observable without the second-order error of the step size.
 
@@ -120,6 +120,9 @@ def corrected(
         them. Not needed for values that depend on the volume alone.
     local : bool, optional
         Whether to take the curvature of the potential around the particles that the reporter was given.
+    pressure : float or Quantity, optional
+        The pressure that the average is for, in bar if it has no unit, near that of the barostat, which is the default.
+        After a run with the barostat of a `PressureOffset`, give the pressure without the offset.
 
     Returns
     -------
@@ -131,6 +134,14 @@ def corrected(
         If the file has not what the correction needs, or the theory does not hold for the run.
     """
     settings, columns = _checked(file)
+    excess = 0.0
+    if pressure is not None:
+        if not settings.barostat:
+            raise ValueError(
+                f"{file} is of a run at constant volume, to which no pressure belongs: leave out pressure="
+            )
+        wanted = plain(pressure, unit.bar, "a pressure")
+        settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
         raise ValueError(f"corrections at constant pressure need the pressure: report {file} with pressure=True")
     if local and "square around" not in columns:
@@ -141,7 +152,7 @@ def corrected(
 
     def result(some: Columns) -> _Result:
         value, observable_of = of(some)
-        return value, *_errors(settings, some, observable_of, local)
+        return value, *_errors(settings, some, observable_of, local, excess)
 
     return _jackknife(columns, result)
 
@@ -183,8 +194,8 @@ _Result = tuple[float, float, float]
 _Estimate = tuple[float, _Observable]
 
 
-def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool) -> tuple[float, float]:
-    """Return the errors of an average for weak and for strong friction."""
+def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, excess: float) -> tuple[float, float]:
+    """Return the errors of an average for weak and for strong friction; the barostat may have an excess (bar)."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]
@@ -192,7 +203,7 @@ def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool) 
     own = _at_fixed_volume(settings, columns, of, local, volume)
     offset = _at_fixed_volume(settings, columns, pressure, False, volume)
     response = _covariance(of.values, volume) / (settings.kT * BAR)
-    return own[0] + response * offset[0], own[1] + response * offset[1]
+    return own[0] + response * (offset[0] - excess), own[1] + response * (offset[1] - excess)
 
 
 def _at_fixed_volume(

@@ -230,6 +230,12 @@ def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp
     energy = rb.corrected(file, "potential energy")
     assert -energy.correction == pytest.approx(own - 300.0 * 0.02**2 * offset / (KT * BAR), rel=0.05)
     assert rb.pressure_offset(file).bar == pytest.approx(offset, rel=0.05)
+    # A barostat that has the offset needs the correction at a fixed volume only.
+    without = 1.0 - rb.pressure_offset(file).bar
+    assert rb.corrected(file, "volume", pressure=without).correction == pytest.approx(0.0, abs=1e-12)
+    assert -rb.corrected(file, "potential energy", pressure=without).correction == pytest.approx(own, rel=0.05)
+    less = rb.corrected(file, "volume", pressure=101.0 * unit.bar).mean - volume.mean
+    assert less == pytest.approx(-(0.02**2) * 100.0 / (KT * BAR), rel=0.1)
     assert rb.corrected(file, "compressibility").mean == pytest.approx(0.02**2 / (2.0 * KT * BAR), rel=0.1)
     density = rb.corrected(file, "density")
     assert density.correction / density.mean == pytest.approx(-volume.correction / volume.mean, rel=1e-2)
@@ -300,6 +306,8 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, np.zeros(99))
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
+    with pytest.raises(ValueError, match="at constant volume, to which no pressure belongs"):
+        rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text().splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
