@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
@@ -86,9 +86,19 @@ def found(context: Any, settings: Any) -> Found:
     if not len(whole.clusters) and fast is None:
         return Found(whole, whole, None)
     bodies = find_bodies(system, x, settings.named, box, pairs=True)
-    if fast is None or fast.excerpt is not None:  # which bodies are in an excerpt depends on pairs
-        fast = fast_forces(system, bodies, settings.fast)
+    if fast is not None and fast.excerpt is not None:
+        fast = replace(fast, excerpt=_of_bodies(fast.excerpt, bodies))
     return Found(bodies, whole, fast)
+
+
+def _of_bodies(excerpt: Excerpt, bodies: RigidBodies) -> Excerpt:
+    """Return an excerpt with other bodies of the same particles."""
+    number = np.full(len(bodies.owner), -1)
+    number[excerpt.particles] = np.arange(len(excerpt.particles))
+    chosen = np.zeros(len(bodies) + 1, dtype=bool)  # the last one is no body
+    chosen[bodies.owner[excerpt.particles]] = True
+    chosen = chosen[:-1]
+    return replace(excerpt, part=Part(bodies.chosen(chosen, number, len(excerpt.particles)), chosen))
 
 
 def molecules_of(
@@ -109,7 +119,7 @@ def molecules_of(
     NotServedError
         If a cluster is too large, or fast forces are of other kinds, or act on rigid bodies.
     """
-    _refuse_large(bodies)
+    _require_small_clusters(bodies)
     scheme, h = settings.splitting, settings.h
     excerpt = None if fast is None or not fast.acts(scheme, h) else _excerpt(system, bodies, fast)
     masses = np.array([mass._value for mass in map(system.getParticleMass, range(system.getNumParticles()))])
@@ -128,7 +138,7 @@ def molecules_of(
     )
 
 
-def _refuse_large(bodies: RigidBodies) -> None:
+def _require_small_clusters(bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
