@@ -111,6 +111,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         const int own = row[OWN], first_atom = block_atoms[row[FIRST_PLACE]], end = first_move+count;
         for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)
             xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
+        SYNC_THREADS
         for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
             bool kicks = false;
             for (stop = begin; stop < end && OF_MOVE(stop, OP) != DRIFT; stop++)
