@@ -28,6 +28,8 @@ from openmm_exactrb.mathematics import quaternions
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
+_HERE = Path(globals().get("__file__", sys.argv[0])).resolve().parent  # the gallery sets no __file__
+
 # Of each residue the mass (amu), the stickiness lambda, the diameter sigma (nm) and the charge (e).
 RESIDUES = {
     "R": (156.19, 0.7307624767517166, 0.656, 1.0),
@@ -152,7 +154,7 @@ def calvados2(sequence: str, temperature: float, ionic: float) -> openmm.System:
 
 def start() -> np.ndarray:
     """Return positions (nm): residues 11 to 179 as they are predicted, and two coils that keep away from them."""
-    known = np.loadtxt(Path(__file__).parent / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
+    known = np.loadtxt(_HERE / "data" / "hnrnpa1_domains.csv", delimiter=",")[:, 1:]
     before = coil(known, known[0], 10)[::-1]
     known = np.vstack([before, known])
     return np.vstack([known, coil(known, known[-1], len(SEQUENCE) - len(known))])

@@ -31,7 +31,7 @@ _STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of Ope
 class Factors(NamedTuple):
     """The kernel that makes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
 
-    Its defines come with it, and how many persistent numbers it has: first those of `Thermostat.numbers`, then the
+    Its defines come with it, and how many persistent numbers it has: first those of ``Thermostat.numbers``, then the
     thermostat's own.
     """
 

@@ -8,6 +8,7 @@ import openmm
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from on_device import platform_for
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
 from starts import context_of, positions_of
 
@@ -74,10 +75,11 @@ def in_water(constraints="HBonds", waters=6):
     return topology, openmm.XmlSerializer.clone(system), x.copy()
 
 
-def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, **options):
-    """Return our integrator and its Context, with momenta of a temperature."""
+def moving(system, x, h=0.0005, scheme="S2_2", temperature=300.0, beside=None, **options):
+    """Return our integrator and its Context where its engine runs, or another engine, with momenta of a temperature."""
     integrator = rb.ExactRigidBodyIntegrator(h, scheme=scheme, **options)
-    context = context_of(system, integrator, x)
+    platform, properties = platform_for(beside or options.get("engine"))
+    context = context_of(system, integrator, x, platform=platform, properties=properties)
     integrator.setVelocitiesToTemperature(temperature, 3)
     return integrator, context
 

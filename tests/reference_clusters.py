@@ -22,10 +22,10 @@ class ReferenceClusters(Clusters):
         self._advance = advance
 
 
-def advance(x: Array, p: Array, t: float, moves: bool, first: int, count: int, *graph_and_results: Array) -> None:
+def advance(
+    x: Array, p: Array, t: float, moves: bool, first: int, count: int, graph: Graph, x1: Array, p1: Array
+) -> None:
     """Write where the clusters of a kind are after the time t, and their momenta."""
-    *fields, x1, p1 = graph_and_results
-    graph = Graph(*fields)
     X, P = _of_kind(x, first, count, graph), _of_kind(p, first, count, graph)
     with np.errstate(all="ignore"):  # what is not finite stays in its own cluster
         X, P = _moved(graph, X, P, t, HALVINGS) if moves else (X, _projected(graph, X, P))

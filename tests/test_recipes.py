@@ -260,8 +260,7 @@ def test_a_reporter_asks_the_integrator():
 FADING = """
 import copy, sys
 import numpy as np, openmm, openmm_exactrb as rb
-from openmm_exactrb.moves import Move, Op
-names, method = {}, {"Move": Move, "Op": Op}
+names, method = {}, {}
 exec(sys.argv[1], names)
 exec(sys.argv[2], method)
 names["Friction"].device_moves = method["device_moves"]

@@ -128,7 +128,8 @@ def test_a_default_evaluates_forces_once_a_step(name):
     simulation.step(500)
     assert integrator.getScheme().forces == (2 if name == "hybrid" else 1)
     if name != "hybrid":
-        assert integrator.timings.evaluations <= 515
+        kicks_twice = integrator.getScheme().name == "BAOAB"  # again at the start of each call, which has ten steps
+        assert integrator.timings.evaluations <= (550 if kicks_twice else 515)
 
 
 @pytest.mark.parametrize("steps", [-1, 1.5, "ten", None])

@@ -88,8 +88,9 @@ def candidates(args: argparse.Namespace) -> Sequence[str] | None:
 
 
 def length_of(args: argparse.Namespace) -> float:
-    """Return the length of the equilibration in ps."""
-    return float(min(_PART * args.duration, _LONGEST) if args.equilibrate is None else args.equilibrate)
+    """Return the length of the equilibration in ps: none that is shorter than a step of the run."""
+    length = float(min(_PART * args.duration, _LONGEST) if args.equilibrate is None else args.equilibrate)
+    return length if args.step is None or length >= args.step else 0.0
 
 
 def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:

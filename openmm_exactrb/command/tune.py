@@ -15,7 +15,7 @@ _TEMPERATURE = 300.0
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files of `exactrb run`, and the arguments of `tune`."""
+    """Add the files of ``exactrb run``, and the arguments of ``tune``."""
     inputs.add_options(parser)
     positive, time = arguments.positive, arguments.time
     add = parser.add_argument_group("tuning").add_argument

@@ -1,4 +1,4 @@
-"""Velocities that a Context draws, `Context.setVelocitiesToTemperature`, where its integrator is one of this package.
+"""Velocities that a Context draws, ``Context.setVelocitiesToTemperature``, where its integrator is one of this package.
 
 OpenMM draws those of particles, and its solver of constraints makes them fit. The momenta of rigid bodies are canonical
 then, for no impulse along a constraint changes them. But where constraints are redundant the solver does not converge,

@@ -1,7 +1,7 @@
 """What an engine is: a record of what carries out the steps of an integrator in its Context.
 
 An engine says of itself everything that the rest of the package needs to know, so that a new one is a folder with a
-record and an entry in `openmm_exactrb.engines.ENGINES`. Reasons and advice are sentences without a full stop.
+record and an entry in `openmm_exactrb.engines.catalogue.ENGINES`. Reasons and advice are sentences without a full stop.
 """
 
 from __future__ import annotations

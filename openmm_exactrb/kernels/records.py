@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 
 #: Arrays of floats and of integers, with the number of their axes as `build.compiled` reads it.
 F1 = Annotated[NDArray[np.float64], "F1"]
+#: The same with two axes.
 F2 = Annotated[NDArray[np.float64], "F2"]
+#: With three axes.
 F3 = Annotated[NDArray[np.float64], "F3"]
+#: Of integers.
 I1 = Annotated[NDArray[np.int64], "I1"]
+#: Of integers, with two axes.
 I2 = Annotated[NDArray[np.int64], "I2"]
 
 

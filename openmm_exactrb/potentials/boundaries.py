@@ -1,8 +1,8 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S on the energy of pairs of nearest images ends it at the cutoff; that of spheres has its own (`spheres`). S is
-proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1 to 0 in r² between `switch` and `cutoff`:
-forces have five continuous derivatives, as schemes of order 6 need them.
+A switch S on the energy of pairs of nearest images ends it at the cutoff; that of the spheres is another one, see
+`openmm_exactrb.potentials.spheres`. S is proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1
+to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, as schemes of order 6 need them.
 """
 
 from __future__ import annotations

@@ -15,8 +15,7 @@ from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
-from openmm_exactrb.potentials.spheres import SphereCutoff, check_minimum
-from openmm_exactrb.potentials.spheres import sphere_cutoff as sphere_cutoff_in
+from openmm_exactrb.potentials.spheres import SphereCutoff, check_minimum, cutoff_in
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -131,7 +130,7 @@ def spheres_of(
     wca: bool,
 ) -> SphereCutoff | None:
     """Return the cutoff of the spheres, None without a box; a ValueError if it does not fit."""
-    found = sphere_cutoff_in(edges, checks.positive(sigma, "sigma", "nm"), cutoff, switch, shifted=shifted)
+    found = cutoff_in(edges, checks.positive(sigma, "sigma", "nm"), cutoff, switch, shifted=shifted)
     if wca and attraction > 0.0:
         if shifted:
             raise ValueError("wca shifts the energy of the spheres to zero at its minimum already: omit shifted")
@@ -212,6 +211,8 @@ class SoftDipoles:
 
     # Pickles in System XML name this module and the attributes.
     __module__ = "openmm_exactrb.potentials"
+    #: Of Systems that were written before the spheres had a cutoff of their own.
+    spheres: tuple[float, float, bool] | None = None
 
     def __init__(
         self,
@@ -224,7 +225,8 @@ class SoftDipoles:
         self.truncation = truncation
         self.ewald = ewald
         self.wca = wca
-        self.spheres = None if spheres is None else tuple(spheres)
+        if spheres is not None:
+            self.spheres = spheres.cutoff, spheres.switch, spheres.shifted
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
         """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""

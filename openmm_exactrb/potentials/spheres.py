@@ -31,7 +31,7 @@ class SphereCutoff(NamedTuple):
     shifted: bool  #: whether the energy at the cutoff is subtracted first
 
 
-def sphere_cutoff(
+def cutoff_in(
     edges: Sequence[float] | None, sigma: float, cutoff: float | None, switch: float | None, *, shifted: bool
 ) -> SphereCutoff | None:
     """Return the given or the default cutoff in a box of these edges (nm); ValueError if it does not fit."""
@@ -63,12 +63,25 @@ def check_minimum(spheres: SphereCutoff | None, sigma: float, attraction: float)
 
 
 def long_range_correction(
-    n: int, spheres: SphereCutoff, *, sigma: float, epsilon: float, attraction: float
+    n: int,
+    edges: Sequence[float] | None,
+    *,
+    sigma: float,
+    epsilon: float,
+    attraction: float,
+    wca: bool,
+    sphere_cutoff: float | None,
+    sphere_switch: float | None,
+    shifted: bool,
 ) -> openmm.CustomVolumeForce:
     """Return the mean energy of n spheres beyond their cutoff, which depends on the volume alone.
 
-    Its Context parameters are those of `soft_dipole_force`, `soft_repulsion` and with an attraction `soft_attraction`.
+    Arguments and Context parameters, `soft_repulsion` and with an attraction `soft_attraction`, are those of
+    `soft_dipole_force`. A ValueError for spheres that have no cutoff.
     """
+    spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
+    if spheres is None:
+        raise ValueError("long_range_correction is for spheres in a periodic box that wca does not end: omit it")
     of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
     attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""
     force = openmm.CustomVolumeForce(f"({float(of_repulsion)!r}*soft_repulsion{attracts})/v")

@@ -70,7 +70,7 @@ class Orbit:
 
 #: third_kind(orbit, nc): the difference over the step of Legendre's integral of the third kind, with 1 - n = nc.
 ThirdKind = Callable[[Orbit, Array], Array]
-#: `attitude(orbit)`: the rotation of the step as a quaternion (4, N), not yet renormalised.
+#: Of an orbit: the rotation of the step as a quaternion (4, N), not yet renormalised.
 Attitude = Callable[[Orbit], Array]
 
 

@@ -11,7 +11,7 @@ from openmm_exactrb.mechanics.state import Flow
 from openmm_exactrb.substeps import Sequence as Sequence
 from openmm_exactrb.substeps import Substep, of_symbol
 
-S = TypeVar("S")
+_S = TypeVar("_S")
 
 
 def inverse(sequence: Sequence) -> Sequence:
@@ -61,18 +61,18 @@ def spelled(text: str) -> Sequence:
     return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
 
 
-def bound(sequence: Sequence, flows: Mapping[Substep, Flow[S]], h: float) -> list[tuple[Flow[S], float]]:
+def bound(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], h: float) -> list[tuple[Flow[_S], float]]:
     """Return the flows of a sequence with their times, in a step of size h."""
     return [(flows[substep], part * h) for substep, part in sequence]
 
 
-def through(rows: Iterable[tuple[Flow[S], float]], state: S) -> S:
+def through(rows: Iterable[tuple[Flow[_S], float]], state: _S) -> _S:
     """Return a state after flows with their times, one after the other: the loop of every step."""
     for flow, tau in rows:
         state = flow(state, tau)
     return state
 
 
-def run(sequence: Sequence, flows: Mapping[Substep, Flow[S]], state: S, h: float) -> S:
+def run(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], state: _S, h: float) -> _S:
     """Return a state after a sequence with a step of size h, with these flows of its substeps."""
     return through(bound(sequence, flows, h), state)

@@ -15,8 +15,7 @@ from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength, rod_length, soft_dipole_force
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
-from openmm_exactrb.potentials.spheres import long_range_correction as correction_of_spheres
-from openmm_exactrb.potentials.spheres import sphere_cutoff as cutoff_of_spheres
+from openmm_exactrb.potentials.spheres import long_range_correction as correction_of
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -198,7 +197,8 @@ def dipole_fluid(
         arrows = [(centre, tip) for centre, tip in added]
         system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
     if long_range_correction if long_range_correction is not None else box is not None and not (shifted or wca):
-        system.addForce(_correction(n, box, spheres))
+        law = {name: own for name, own in spheres.items() if name not in ("strength", "boundary", "box")}
+        system.addForce(correction_of(n, spheres["box"], **law))
     if box is not None:
         spacing = box / _places_a_side(n)
         vectors = box * np.eye(3)
@@ -211,17 +211,6 @@ def dipole_fluid(
     lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
-
-
-def _correction(n: int, box: float | None, spheres: Mapping[str, Any]) -> openmm.CustomVolumeForce:
-    """Return the mean energy of spheres beyond their cutoff; a ValueError without any."""
-    if box is None or spheres["wca"]:
-        raise ValueError("long_range_correction is for spheres in a periodic box that wca does not end: omit it")
-    law = {name: float(spheres[name]) for name in ("sigma", "epsilon", "attraction")}
-    edges, given = spheres["box"], (spheres["sphere_cutoff"], spheres["sphere_switch"])
-    end = cutoff_of_spheres(edges, law["sigma"], *given, shifted=spheres["shifted"])
-    assert end is not None
-    return correction_of_spheres(n, end, **law)
 
 
 def _places_a_side(n: int) -> int:

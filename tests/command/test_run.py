@@ -146,6 +146,7 @@ def test_water_is_made_in_a_box(tmp_path, capsys):
     assert topology.getUnitCellDimensions()[0]._value == pytest.approx(3 * 0.3104, abs=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")  # of water of a file with three digits
 def test_water_is_put_around_what_is_in_a_file(droplet, tmp_path, capsys):
     options = *BOX, "--solvate", 40
     status, _, errors = carry_out(

@@ -77,15 +77,3 @@ def test_a_step_is_found_for_them(name, form, tmp_path, capsys):
     options += ["--horizon", "0.1ps", "--budget", "60", "--platform", "CPU", "--quiet"]
     assert main(["tune", *files, *options]) == 0
     assert "target 0.05: W2_1 with a step of" in capsys.readouterr().out
-
-
-def test_a_mixture_with_water_of_four_sites_runs(tmp_path, capsys):
-    files = [*map(str, small_molecules.as_pdb(MOLECULES["MEOH"], 8, tmp_path))]
-    water = ["tip4pew.xml", "--solvate", "60", "--cutoff", "0.55", "--ewald-tolerance", "1e-3"]
-    assert main(["info", *files, *water]) == 0
-    said = capsys.readouterr().out
-    assert "60 virtual sites" in said
-    assert "68 rigid bodies of 3 particles (MEO, HOH)" in said
-    options = ["--platform", "CPU", "--equilibrate", "0.02", "--out", str(tmp_path / "out")]
-    assert main(["run", *files, *water, *BRIEF, *options]) == 0
-    assert np.isfinite(np.loadtxt(tmp_path / "out" / "energies.csv", delimiter=",", skiprows=1)).all()

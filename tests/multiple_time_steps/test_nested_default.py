@@ -10,6 +10,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from on_device import platform_for
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from peptides import bonded_apart, end_of, moving, peptide, positions_of
@@ -206,12 +207,13 @@ def test_bonds_between_rigid_and_frozen_particles_are_nested_with_their_bodies()
     np.testing.assert_allclose(ends[1], ends[0], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.opencl
 def test_the_device_has_inner_steps_exactly_where_the_host_has_them():
-    """Asked on Reference, since what decides is the System and the step."""
+    platform, properties = platform_for("device")
     _, system, x = peptide("None")
     for h, fast, nested in ((0.004, "auto", True), (0.0005, "auto", False), (0.004, None, False)):
         integrator = rb.ExactRigidBodyIntegrator(h, "S2_2", fast=fast, engine="device")
-        _context = context_of(openmm.XmlSerializer.clone(system), integrator, x)
+        _context = context_of(system, integrator, x, platform=platform, properties=properties)
         integrator.step(1)
         assert (integrator.timings.fast_evaluations > 0) == nested
 

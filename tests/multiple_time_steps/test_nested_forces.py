@@ -242,7 +242,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
         integrator.step(1)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize(
     ("options", "message"),
     [

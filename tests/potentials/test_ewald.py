@@ -225,7 +225,7 @@ def test_a_dipole_feels_its_images():
 
 
 def test_the_sum_follows_the_box_of_the_context():
-    context, _ = fluid(27, boundary=rb.Ewald(cutoff=1.7, tolerance=1e-12), density=0.5)
+    context, _ = fluid(27, boundary=rb.Ewald(cutoff=1.7, tolerance=1e-12), density=0.5, sphere_cutoff=1.7)
     edges = np.array([3.6, 3.7, 3.9])
     context.setPeriodicBoxVectors(*np.diag(edges))
     context.setParameter("soft_repulsion", 0.0)
@@ -236,7 +236,7 @@ def test_the_sum_follows_the_box_of_the_context():
 
 @pytest.mark.parametrize("boundary", [{"cutoff": 1.9}, {"method": "mesh", "cutoff": 1.5, "tolerance": 1e-3}], ids=str)
 def test_a_barostat_changes_the_box_of_the_sum(boundary):
-    _, system, positions = rb.dipole_fluid(64, 3, density=0.6, boundary=rb.Ewald(**boundary))
+    _, system, positions = rb.dipole_fluid(64, 3, density=0.6, sphere_cutoff=1.9, boundary=rb.Ewald(**boundary))
     barostat = openmm.MonteCarloBarostat(20.0, 120.0, 2)
     barostat.setRandomNumberSeed(1)
     system.addForce(barostat)

@@ -48,9 +48,8 @@ def test_both_kernels_follow_the_parameters_of_the_context(wca, attraction):
 def test_both_kernels_agree_in_a_box_whose_edges_are_changed():
     results = []
     for kernel in KERNELS:
-        context, _ = fluid(
-            27, kernel=kernel, boundary=rb.ReactionField(cutoff=1.7, switch=1.0, dielectric=7.0), density=0.5
-        )
+        around = rb.ReactionField(cutoff=1.7, switch=1.0, dielectric=7.0)
+        context, _ = fluid(27, kernel=kernel, boundary=around, density=0.5, sphere_cutoff=1.7)
         edges = np.array([3.6, 3.7, 3.9])
         context.setPeriodicBoxVectors(*np.diag(edges))
         if kernel == "bonds":
@@ -74,7 +73,7 @@ def test_donors_and_acceptors_agree_with_the_compiled_kernel(own):
 def test_donors_and_acceptors_follow_the_box_and_the_parameters_of_the_context():
     results = []
     for kernel in ("openmm", "compiled"):
-        context, _ = fluid(64, kernel=kernel, attraction=0.5, **WIDE)
+        context, _ = fluid(64, kernel=kernel, attraction=0.5, sphere_cutoff=2.5, **WIDE)
         context.setPeriodicBoxVectors(*np.diag([5.3, 5.4, 5.6]))
         for name, value in (("soft_attraction", 2.7), ("soft_repulsion", 1.3), ("dipole_coupling", 2.1)):
             context.setParameter(name, value)

@@ -31,11 +31,11 @@ def test_bodies_are_lists_of_particles(bodies):
 
 
 def test_a_scheme_is_a_name_that_the_integrator_accepts():
-    for wrong in ("", "S3", ["V2"]):
+    for wrong in ("", "S3", "W4", ["V2"]):
         with pytest.raises(ValueError, match="scheme") as caught:
             rb.ExactRigidBodyIntegrator(0.002, scheme=wrong)
         offered = [name for name in str(caught.value).replace(",", " ").replace(":", " ").split() if name in rb.SCHEMES]
-        assert len(offered) > 10
+        assert offered or "openmm_exactrb.SCHEMES" in str(caught.value)
         for name in offered:
             integrator = rb.ExactRigidBodyIntegrator(0.0001, scheme=name)
             if "gradient" in name:  # whether OpenMM can serve it shows in a step

@@ -8,6 +8,7 @@ import pytest
 
 import openmm_exactrb as rb
 import starts
+from on_device import platform_for
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -45,7 +46,8 @@ def context_of(engine, flexible=FLEXIBLE, kelvin=0.0, **options):
         kelvin, FRICTION, H, "BAOAB", rotationalFriction=TURNING, flexibleFriction=flexible, engine=engine, **options
     )
     integrator.setRandomNumberSeed(5)
-    return starts.context_of(system, integrator, x, kelvin=300.0, seed=2)
+    platform, properties = platform_for(engine)
+    return starts.context_of(system, integrator, x, kelvin=300.0, seed=2, platform=platform, properties=properties)
 
 
 def momenta(context):
@@ -58,7 +60,7 @@ def norm(m):
     return np.linalg.norm(m, axis=0)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     """Without noise, at 0 K; what is free turns with an angular momentum of the same norm."""
     context = context_of(engine)
@@ -71,7 +73,7 @@ def test_momenta_fade_with_the_friction_of_their_molecule(engine):
     np.testing.assert_allclose(norm(m1), norm(m) * np.exp(-rates * 4 * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 def test_it_can_be_changed_and_taken_back(engine):
     context = context_of(engine, None)
     integrator = context.getIntegrator()
@@ -84,7 +86,7 @@ def test_it_can_be_changed_and_taken_back(engine):
         np.testing.assert_allclose(P1, P * np.exp(-np.where(flexible, expected, FRICTION) * H), rtol=1e-12)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 def test_a_checkpoint_of_a_run_with_one_friction_is_continued_with_two(engine):
     one = context_of(engine, None)
     one.getIntegrator().step(1)
@@ -104,7 +106,7 @@ def test_the_same_friction_given_twice_has_the_bits_of_one():
     np.testing.assert_array_equal(*(momenta(context)[2] for context in runs))
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     """Momenta drawn anew in each step, with hardly a friction or a huge one."""
     context = context_of(engine, 1e6, kelvin=300.0)
@@ -128,6 +130,7 @@ def test_the_temperature_is_that_of_the_thermostat_in_both(engine):
     np.testing.assert_allclose(P[:, still], before[2][:, still], atol=1e-2 * np.abs(before[2]).max())
 
 
+@pytest.mark.opencl
 def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
     """Next to an atom that fast forces act on, the program of a device moves the atoms of pairs one by one."""
     system = openmm.System()
@@ -146,7 +149,10 @@ def test_a_rigid_pair_of_atoms_is_one_body_on_every_engine():
         integrator = rb.ExactRigidBodyLangevinIntegrator(
             0.0, FRICTION, 0.004, "BAOAB", flexibleFriction=FLEXIBLE, engine=engine
         )
-        context = starts.context_of(system, integrator, x, kelvin=300.0, seed=2)
+        platform, properties = platform_for(engine)
+        context = starts.context_of(
+            system, integrator, x, kelvin=300.0, seed=2, platform=platform, properties=properties
+        )
         before = squared_velocity(context, (0, 1))
         integrator.step(5)
         assert integrator.timings.fast_evaluations > 0

@@ -13,6 +13,7 @@ from scipy import stats
 
 import openmm_exactrb as rb
 from forked import FORKED
+from on_device import platform_for
 from peptides import R, moving, peptide, positions_of, violations
 from starts import REFERENCE, context_of, velocities_of
 
@@ -277,7 +278,7 @@ def test_a_cluster_that_finds_no_way_along_its_constraints_is_a_refusal_on_any_p
     assert np.isfinite(positions_of(context)).all()
 
 
-def stretched(scheme, h, engine):
+def stretched(scheme, h, engine, beside=None):
     """Return the mean momentum along a bond that slow forces of 500 kJ/mol/nm stretch, and the place of a rigid body.
 
     Nothing but friction: after 1 ps the bond is at rest but for what a step does to it. Both in OpenMM's units.
@@ -296,7 +297,8 @@ def stretched(scheme, h, engine):
     system.addForce(pull)
     options = {"scheme": scheme, "fast": "bonded", "engine": engine, "checkDivergence": False}
     integrator = rb.ExactRigidBodyLangevinIntegrator(1e-25, 100.0, h, **options)
-    context = openmm.Context(system, integrator, REFERENCE)
+    platform, properties = platform_for(beside or engine)
+    context = openmm.Context(system, integrator, platform, properties)
     apex = (2.0, 2.0, 2.0)
     context.setPositions([(0.0, 0.0, 0.0), (0.12, 0.0, 0.0), apex, (2.08, 2.06, 2.0), (1.92, 2.06, 2.0)])
     integrator.step(round(1.0 / h))
@@ -304,7 +306,7 @@ def stretched(scheme, h, engine):
     return 0.5 * (momentum[1] - momentum[0]), positions_of(context)
 
 
-@pytest.mark.parametrize("engine", ["host", "device"])
+@pytest.mark.parametrize("engine", ["host", pytest.param("device", marks=pytest.mark.opencl)])
 @pytest.mark.parametrize(("scheme", "h"), [("W2_3m", 0.024), ("BAOA", 0.006)])
 def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
     """The bond pulls throughout a step, what stretches it in kicks alone: where a step ends both must have done alike.
@@ -315,7 +317,8 @@ def test_a_balance_of_fast_and_slow_forces_adds_no_momentum(scheme, h, engine):
     assert abs(momentum) < 1e-3
 
 
+@pytest.mark.opencl
 def test_devices_end_a_step_where_the_host_does():
-    host, device = (stretched("W2_3m", 0.024, engine)[1] for engine in ("host", "device"))
+    host, device = (stretched("W2_3m", 0.024, engine, "device")[1] for engine in ("host", "device"))
     assert abs(host[2, 2] - 2.0) > 0.01  # the body has fallen
     np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-10)

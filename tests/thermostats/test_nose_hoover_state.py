@@ -8,9 +8,7 @@ from chains import FREQUENCY, H, nose_hoover
 from openmm_exactrb.thermostats import NoseHooverChain
 from thermostatted import (
     droplet_of,
-    simulation_of,
     snapshot,
-    trapped,
 )
 
 # -- bits, and what persists ------------------------------------------------------------------------------------------
@@ -104,7 +102,6 @@ OTHERS = {
     "Langevin, auto": lambda: langevin("auto"),
     "constant energy": lambda: rb.ExactRigidBodyIntegrator(H, scheme="S2_2"),
     "processed": lambda: rb.ExactRigidBodyIntegrator(H, scheme="W4_4"),
-    "device": lambda: langevin("device"),
     "shorter": lambda: nose_hoover(chainLength=2),
     "longer": lambda: nose_hoover(chainLength=4),
     "together": lambda: nose_hoover(together=True),
@@ -121,10 +118,7 @@ def test_a_chain_is_never_read_from_other_numbers(other, there, kind):
     States have names, and OpenMM itself refuses those of variables that an integrator does not have.
     """
     makers = (nose_hoover, OTHERS[other]) if there else (OTHERS[other], nose_hoover)
-    if other == "device":  # on Reference it has no virtual sites
-        source, target = (simulation_of(make(), *trapped(1, 1, 2)) for make in makers)
-    else:
-        source, target = (droplet_of(make()) for make in makers)
+    source, target = (droplet_of(make()) for make in makers)
     for run in (source, target):
         run.integrator.step(4)
     good, bad = saved(target.context, kind), saved(source.context, kind)

@@ -30,7 +30,7 @@ def tuned(system, state, **options):
 
 @pytest.fixture(scope="module")
 def nested(peptide):
-    return tuned(*peptide, schemes=["S2_2"], levels=3)
+    return tuned(*peptide, schemes=["S2_2"], levels=6)
 
 
 def test_nested_schemes_are_tried_where_bonded_forces_move_something(nested):

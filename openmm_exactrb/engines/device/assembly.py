@@ -15,7 +15,7 @@ from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.thermostatted import canonical_momenta
 from openmm_exactrb.thermostat import Factors
 
-# Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
+#: Numbers of a heat exchange in addition to its time: see kernels/rigid.cl.
 EXCHANGE_NUMBERS = 8
 
 
@@ -28,6 +28,8 @@ class Assembly:
     table : Table
     program : Program
     scheme : Scheme
+    fast_evaluations : int
+        Evaluations of fast forces in a step.
     """
 
     def __init__(
@@ -42,6 +44,10 @@ class Assembly:
         self.scheme, processed = scheme, bool(scheme.processor)
         late = flexible is not None and flexible.molecules.late
         rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
+        inner = None if flexible is None else flexible.molecules.inner
+        moves = [move for row in rows for move in of_substep(*row)]
+        drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
+        self.fast_evaluations = 0 if inner is None else sum(map(inner.evaluations, drifts))
         step = Step.of(rows, splits_exchanges=factors is not None, remembers=any(scheme.memory))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered

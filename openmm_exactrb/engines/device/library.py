@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 _log = logging.getLogger("openmm_exactrb")
 
+#: The C++ source of the library.
 SOURCE = Path(__file__).with_name("program_integrator.cpp")
 #: The library that a wheel brings along.
 BUNDLED = SOURCE.with_suffix(".so")

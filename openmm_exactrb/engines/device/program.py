@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+#: The folder of the text of kernels.
 KERNELS = Path(__file__).parent / "kernels"
 
 

@@ -14,7 +14,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.flexible.molecules import bodies_of, molecules_of
+from openmm_exactrb.engines.device.flexible.molecules import found, molecules_of
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
@@ -22,7 +22,6 @@ from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -51,13 +50,11 @@ class DevicePropagator:
 
     def __init__(self, context: Any, integrator: Any, settings: Any, timings: Timings) -> None:
         system = context.getSystem()
-        self.sync, self.updates = (
-            DeviceState(context, integrator, settings.named, bodies=bodies_of(context, settings)),
-            ContextUpdates(context, settings.named or []),
-        )
+        bodies, self._whole, self._fast = found(context, settings)
+        self.sync = DeviceState(context, integrator, settings.named, bodies=bodies)
+        self.updates = ContextUpdates(context, settings.named or [])
         self.device = Device(library(), integrator)
         self._integrator, self._timings, self._settings = weakref.ref(integrator), timings, settings
-        self._fast = fast_forces(system, self.sync.bodies, settings.fast)
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
@@ -124,7 +121,8 @@ class DevicePropagator:
         self.device.upload("numbers", numbers)
         thermostat = settings.thermostat
         if thermostat is not None and getattr(thermostat, "flexibleFriction", None) is not None:
-            flexible = in_flexible_molecules(self.sync.context, self.sync.bodies, settings.named)
+            whole, first = self._whole, self.sync.bodies.first_particle
+            flexible = in_flexible_molecules(self.sync.context, whole, settings.named)[whole.owner[first]]
             for part in self._assembly.parts:
                 part.flag(self.device, flexible)
 
@@ -220,6 +218,7 @@ class DevicePropagator:
             self._refuse(n)
         finally:
             self._timings.evaluations += device.evaluations - before + self.updates.trial_energies(n)
+            self._timings.fast_evaluations += n * self._assembly.fast_evaluations
             self.sync.moved_on()
 
     def _report(self) -> tuple[float, bool]:

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.engines.device.flexible.molecules import NotServedError, bodies_of, molecules_of
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, molecules_of
 from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
 from openmm_exactrb.moves import Op, of_substep
-from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
@@ -45,9 +45,11 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         return f"the device engine needs the platform CUDA, HIP or OpenCL, not {name}"
     if "," in platform.getPropertyValue(context, "DeviceIndex"):
         return "the device engine needs a Context on one device, not on several"
-    system, bodies = context.getSystem(), bodies_of(context, settings)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the propagator, or that of another engine, says what there is to say
+        bodies, _, fast = found(context, settings)
     try:
-        molecules = molecules_of(system, bodies, fast_forces(system, bodies, settings.fast), settings)
+        molecules = molecules_of(context.getSystem(), bodies, fast, settings)
     except NotServedError as error:
         return str(error)
     if molecules is not None:
@@ -100,6 +102,7 @@ def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Set
     return DevicePropagator(context, integrator, settings, timings)
 
 
+#: The record of the device engine.
 DEVICE = Engine(
     name="device",
     unsupported=_unsupported,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -48,8 +49,9 @@ class DeviceState(Synchronisation):
             state = State.of(fit(self.bodies, self._joined(x), v))
         else:
             state = self.compared(known, self._joined(x), v)
-        self._take(known, state)
+        elsewhere = bool((x != self.particles)[self._fixed].any())
         self.particles[:], self._v[:] = x, v
+        self._take(known, state, elsewhere)
         if np.abs(x - self.bodies.positions(self.state.rounded, self.particles)).max() > self._rigid:
             self.push()
         return True
@@ -66,10 +68,16 @@ class DeviceState(Synchronisation):
         """Note that the device has moved the bodies, or was brought back."""
         self._behind = True
 
-    def _take(self, known: State | None, state: State) -> None:
-        """Take a state: what the device has follows where it is another one."""
+    @functools.cached_property
+    def _fixed(self) -> NDArray[np.intp]:
+        """The particles without mass that are no virtual sites."""
+        system = self.context.getSystem()
+        return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
+
+    def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
+        """Take a state: the device follows if it is another one, or particles without mass are `elsewhere`."""
         self.state, self._behind = state, False
-        if state is not known:
+        if elsewhere or state is not known:
             self.inner = None if known is None or not self._processed else self._inner()
             if known is not None:
                 self._follow(known, state)

@@ -35,6 +35,7 @@ def _propagator(
     return HostPropagator(context, integrator, settings, timings)
 
 
+#: The record of the host engine.
 HOST = Engine(
     name="host",
     unsupported=lambda settings: None,

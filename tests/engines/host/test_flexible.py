@@ -237,6 +237,7 @@ def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     assert slip < 1e-13
 
 
+@pytest.mark.opencl
 def test_the_device_makes_the_inner_steps_of_the_host():
     system, bond, charges = openmm.System(), openmm.HarmonicBondForce(), openmm.NonbondedForce()
     for i, mass in enumerate((12.0, 1.0, 12.0, 1.0)):
@@ -250,7 +251,7 @@ def test_the_device_makes_the_inner_steps_of_the_host():
     x = np.array([[0.0, 0, 0], [0.109, 0, 0], [0, 0.5, 0], [0.109, 0.5, 0]])
     ends = []
     for engine in ("host", "device"):
-        integrator, context = moving(openmm.XmlSerializer.clone(system), x, engine=engine)
+        integrator, context = moving(openmm.XmlSerializer.clone(system), x, engine=engine, beside="device")
         for h in (0.0005, 0.002, 0.004):
             integrator.setStepSize(h)
             integrator.step(2)

@@ -26,6 +26,11 @@ class InnerSteps:
         ops = ((Op.FAST_KICK if substep == KICK else Op.DRIFT, part) for substep, part in repeated(self.sequence, n))
         return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
 
+    def evaluations(self, part: float) -> int:
+        """Return the evaluations of fast forces in a drift: kicks at its ends share theirs with its neighbours."""
+        kicks = [substep == KICK for substep, _ in repeated(self.sequence, self.repetitions(part))]
+        return sum(kicks) - (kicks[0] and kicks[-1])
+
 
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.

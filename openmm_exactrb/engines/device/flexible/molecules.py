@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
@@ -59,14 +59,36 @@ class Molecules:
     late: bool = False
 
 
-def bodies_of(context: Any, settings: Any) -> RigidBodies:
-    """Return the bodies of a Context; if it has flexible molecules, two particles with a constraint are a cluster."""
+class Found(NamedTuple):
+    """The bodies of a Context and its fast forces.
+
+    Attributes
+    ----------
+    bodies : RigidBodies
+        With flexible molecules, two particles with a constraint between them are a cluster.
+    whole : RigidBodies
+        The same as the host has them: such a pair is a linear body.
+    fast : FastForces or None
+    """
+
+    bodies: RigidBodies
+    whole: RigidBodies
+    fast: FastForces | None
+
+
+def found(context: Any, settings: Any) -> Found:
+    """Return the bodies of a Context and its fast forces."""
     require_positions(context)
     system, x = context.getSystem(), arrays.positions(context.getState(positions=True))
     box = arrays.periodic_box(context)
-    bodies = find_bodies(system, x, settings.named, box)
-    flexible = len(bodies.clusters) or fast_forces(system, bodies, settings.fast) is not None
-    return find_bodies(system, x, settings.named, box, pairs=True) if flexible else bodies
+    whole = find_bodies(system, x, settings.named, box)
+    fast = fast_forces(system, whole, settings.fast)
+    if not len(whole.clusters) and fast is None:
+        return Found(whole, whole, None)
+    bodies = find_bodies(system, x, settings.named, box, pairs=True)
+    if fast is None or fast.excerpt is not None:  # which bodies are in an excerpt depends on pairs
+        fast = fast_forces(system, bodies, settings.fast)
+    return Found(bodies, whole, fast)
 
 
 def molecules_of(
@@ -78,9 +100,8 @@ def molecules_of(
     ----------
     system : openmm.System
     bodies : RigidBodies
-        As `bodies_of` returns them.
     fast : FastForces or None
-        Theirs.
+        Both as `found` returns them.
     settings : Settings
 
     Raises

@@ -164,7 +164,7 @@ class FlexiblePart:
         """Return what does not change, by the names of arrays."""
         of_atoms = {
             "atoms": self.blocks.particles.astype(np.int32),
-            "bodies": self.columns.astype(np.int32),
+            "bodies": self._bodies(np.ones(self.n, dtype=bool)),
             "inverse": np.divide(1.0, self._mass, out=np.zeros(self.n), where=self._mass > 0.0),
         }
         every = of_atoms | self._of_clusters | self._of_terms
@@ -189,7 +189,12 @@ class FlexiblePart:
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Do nothing: all are in flexible molecules."""
+        """Write which of all bodies (N,) are in flexible molecules: a pair of atoms alone is not."""
+        device.upload("flexible_bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
+
+    def _bodies(self, flexible: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return the body of each atom, and whether it is in a flexible molecule."""
+        return np.stack([self.columns, flexible]).astype(np.int32)
 
     @property
     def bodies(self) -> Indices:

@@ -15,8 +15,9 @@
 
 // Kick an atom and exchange its heat: the moves from `first` to `last`.
 DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* moves, GLOBAL const double* numbers, LOCAL_ARG const mm_ulong* sum,
-        GLOBAL const mm_long* force, int slot, int body, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
+        GLOBAL const mm_long* force, int slot, int body, int flexible, double inverse, GLOBAL const double* factors, mm_long key, mm_long step, mm_long turns,
         GLOBAL double* memory, GLOBAL double* v) {
+    const int fade = flexible ? FADE_OF_FLEXIBLE : FADE;
     double V[3], fast[3], slow[3], n[4];
     read_force(force, slot, slow);
     for (int e = 0; e < 3; e++) {
@@ -43,7 +44,7 @@ DEVICE inline void move_atom(int atom, int first, int last, GLOBAL const int* mo
 #else
             normals(key, step+late, 16*which, body, n);
             for (int e = 0; e < 3; e++)
-                V[e] += number[FADE]*V[e]+number[SPREAD]*sqrt(inverse)*n[e];
+                V[e] += number[fade]*V[e]+number[fade+1]*sqrt(inverse)*n[e];
 #endif
             break;
 #if MEMORY > 0
@@ -132,7 +133,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
             }
             for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {
                 const int atom = first_atom+i;
-                move_atom(atom, begin, stop, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], inverse[atom], factors, (mm_long) key,
+                move_atom(atom, begin, stop, moves, numbers, sums+3*i, force, places[atoms[atom]].x, bodies[atom], bodies[ALL_ATOMS+atom], inverse[atom], factors, (mm_long) key,
                     step, (mm_long) turns, memory, v);
             }
             SYNC_THREADS

@@ -8,8 +8,8 @@ typedef FINE fine;
 // Moves, as openmm_exactrb.moves has them, and the columns of their table.
 enum { DRIFT = 0, KICK = 1, EXCHANGE = 2, LAST_KICK = 3, REMEMBER = 4, FAST_KICK = 7 };
 enum { OP, NUMBER_OF_MOVE, FIRST_NUMBER, NUMBERS_OF_MOVE, MOVE_ROW };
-// Of a heat exchange: friction and noise of bodies in flexible molecules.
-enum { FADE = 5, SPREAD = 6 };
+// Of a heat exchange: where friction and noise of translation are, of ordinary bodies and of those in flexible molecules.
+enum { FADE = 1, FADE_OF_FLEXIBLE = 5 };
 // What a launch does besides, as bits.
 enum { MOVES_ATOMS = 1, PLACES_ATOMS = 2, PROJECTS = 4, SHOWS_VELOCITIES = 8 };
 
