@@ -78,7 +78,9 @@ def test_replica_exchange_samples_each_temperature(name, rounds, redraw):
 
 
 def tempering(simulation, weights, _):
-    sampler = app.SimulatedTempering(simulation, LADDER * unit.kelvin, weights=weights, tempChangeInterval=10, reportFile=None)
+    sampler = app.SimulatedTempering(
+        simulation, LADDER * unit.kelvin, weights=weights, tempChangeInterval=10, reportFile=None
+    )
     return sampler, lambda: sampler.currentTemperature
 
 
