@@ -44,7 +44,7 @@ class Move:
     bodies : str
         "all", "inner" or "others", as those of `openmm_exactrb.substeps.Drift`.
     text : str
-        Of a user's: the function `DEVICE inline void NAME(Body* body, double tau)` of kernels in OpenMM's dialect.
+        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect.
     late : bool
         Whether it belongs to the step after the one that a segment ends.
     """
@@ -82,5 +82,5 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     """Return the moves of a substep over a part of the step; ValueError if a device does not support it."""
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
-        raise ValueError(f"the substep {substep!r} has no part for a device: define its method device_moves()")
+        raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     return moves

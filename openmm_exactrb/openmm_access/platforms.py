@@ -54,7 +54,7 @@ def why_not_by_default(platform: openmm.Platform) -> str | None:
     try:
         why = no_gpu(openmm.Context(system, openmm.VerletIntegrator(0.001), platform))
     except openmm.OpenMMException as error:
-        return f"no Context can be made: {error}"
+        return f"cannot create a Context: {error}"
     return why and f"{why}, where OpenMM's minimiser may crash"
 
 
@@ -91,6 +91,6 @@ def warn_of_single_precision(context: Any) -> None:
     """Warn where rounding hides what an integrator is chosen for."""
     if is_single(context):
         warn(
-            "the Context is in single precision, whose rounding hides the errors and the drift of the energy that "
-            'schemes differ in: make it with the platform properties {"Precision": "mixed"}'
+            "the Context is in single precision, whose rounding hides the differences between schemes: create it with "
+            'the platform properties {"Precision": "mixed"}'
         )

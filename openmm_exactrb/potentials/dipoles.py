@@ -65,8 +65,8 @@ def soft_dipole_force(
         boundary are those of the dipoles.
     sphere_cutoff, sphere_switch : float, optional
         Where the energy of two spheres in a box ends, and its switch begins, in nm. By default 3 sigma, or half the
-        shortest edge of the box if that is less, and three quarters of the cutoff. A barostat that shrinks the box below
-        twice a cutoff ends the run: pass shorter ones with it.
+        shortest edge of the box if that is less, and three quarters of the cutoff. A barostat that shrinks the box
+        below twice a cutoff ends the run: pass shorter ones with it.
     shifted : bool
         Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
