@@ -49,8 +49,8 @@ class Move:
     bodies : str
         "all", "inner" or "others", as those of `openmm_exactrb.substeps.Drift`.
     text : str
-        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect, the
-        last of such if there are several.
+        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect,
+        the last of such if there are several.
     late : bool
         Whether it belongs to the step after the one that a segment ends.
     """
