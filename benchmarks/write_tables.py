@@ -31,7 +31,7 @@ def all_tables() -> dict[str, str]:
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
         *(averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
-        *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants),
+        *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
     )
     return {function.__name__: function() for function in functions} | dict(_equipartition())
 

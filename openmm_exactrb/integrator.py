@@ -302,7 +302,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
         if (size is None) == (interval is None):
-            raise ValueError("give either stepSize=, the time of a whole step, or forceInterval=, that between forces")
+            raise ValueError(
+                "give either stepSize=, that of a whole step, or forceInterval=, that between force evaluations"
+            )
         if interval is None:
             return picoseconds(size)
         if not self.forceEvaluationsPerStep:

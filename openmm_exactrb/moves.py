@@ -88,9 +88,7 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     """Return the moves of a substep over a part of the step; ValueError if a device does not support it."""
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
-        raise ValueError(f"the substep {substep!r} has no part for a device: define its method device_moves()")
+        raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
-        raise ValueError(
-            f"the text of {substep!r} has no `DEVICE inline void NAME(Body* body, double tau)` for a device"
-        )
+        raise ValueError(f"the code of {substep!r} has no `DEVICE inline void NAME(Body* body, double tau)`")
     return moves

@@ -7,7 +7,7 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks import tables, write_tables
-from benchmarks.dipoles.tables import dipole_memory
+from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import reading_points
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -80,6 +80,13 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
             run for run in runs if (run["integrator"], run["fs"], run["ensemble"]) == (integrator, fs, "NPT")
         ]
         assert f"{tables.mean_of(at_pressure, 'density', 1)} kg/m³ in" in tutorial
+
+
+def test_the_gain_of_dipoles_is_that_of_the_record():
+    least, most = droplet_gains()
+    for page in ("which.md", "should-i-use-this.md"):
+        words = f"{round(least, -1):g} to {round(most, -1):g} times less energy error"
+        assert words in (ROOT / "docs" / page).read_text(encoding="utf-8")
 
 
 def test_the_memory_of_dipoles_is_that_of_the_record():

@@ -143,9 +143,11 @@ def corrected(
         wanted = plain(pressure, unit.bar, "a pressure")
         settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
-        raise ValueError(f"at constant pressure corrections need the pressure: report {file} with pressure=True")
+        raise ValueError(f"corrections at constant pressure need the pressure: report {file} with pressure=True")
     if local and "square around" not in columns:
-        raise ValueError(f"{file} has no curvature around particles: report with around=(particles, distance)")
+        raise ValueError(
+            f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"
+        )
     of = _named(settings, observable) if isinstance(observable, str) else _given(observable, slope, columns)
 
     def result(some: Columns) -> _Result:
@@ -170,7 +172,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     """
     settings, columns = _checked(file)
     if "pressure" not in columns:
-        raise ValueError(f"{file} has no pressure: report with pressure=True")
+        raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
 
     def result(some: Columns) -> _Result:
         value, of = _pressure(settings, some)
@@ -251,7 +253,7 @@ def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
     if name not in _READY:
         known = ", ".join([*_READY, *settings.observables])
-        raise ValueError(f"there is no observable {name!r}: choose one of {known}, or give a value for each frame")
+        raise ValueError(f"unknown observable {name!r}: choose one of {known}, or give one value for each frame")
     needs, ensemble, of = _READY[name]
     if ensemble == "constant pressure" and not settings.barostat:
         raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
@@ -271,7 +273,7 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
     slopes = [np.broadcast_to(np.asarray(s, dtype=np.float64), (frames,)) for s in given]
     if array.shape != (frames,) or len(slopes) != 2:
-        raise ValueError(f"an observable has a value, and a slope, for each of the {frames} frames of the file")
+        raise ValueError(f"an observable needs one value, and one slope, for each of the {frames} frames of the file")
     steps = columns["step"]
 
     def estimate(some: Columns) -> _Estimate:
@@ -344,7 +346,7 @@ def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
-        raise ValueError(f"{file} has {frames} frames, and errors need at least {_FEWEST}: run longer")
+        raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: run longer")
     if settings.barostat not in ("", "MonteCarloBarostat"):
         raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
     return settings, columns

@@ -172,14 +172,14 @@ def langevin_of(integrator: object) -> ExactRigidBodyIntegrator:
     """Return an integrator for which the theory holds; ValueError for any other."""
     if not isinstance(integrator, ExactRigidBodyIntegrator) or not isinstance(integrator.getThermostat(), Langevin):
         raise ValueError(
-            "averages can be corrected for Langevin dynamics of this package only: use "
+            "averages can be corrected only for Langevin dynamics of this package: use "
             f"ExactRigidBodyLangevinIntegrator instead of {type(integrator).__name__}"
         )
     thermostat: Any = integrator.getThermostat()
     if not any((*thermostat.frictions, *thermostat.flexible_frictions)):
-        raise ValueError("averages can be corrected for Langevin dynamics with a friction only: set one above 0")
+        raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
     if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
-        raise ValueError("averages can be corrected if all force groups act only: set all integration force groups")
+        raise ValueError("averages can be corrected only if all force groups act: set all integration force groups")
     return integrator
 
 

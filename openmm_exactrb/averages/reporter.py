@@ -81,8 +81,8 @@ class AverageReporter:
         frames = self._frames or self._begin(simulation)
         if _changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat or a parameter of the Context was changed: averages need one of each, "
-                "so report other settings to another file"
+                "the step size, the thermostat or a parameter of the Context has changed: report the new settings to "
+                "another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -101,7 +101,7 @@ class AverageReporter:
         if continued:
             text = self._file.read_text(encoding="utf-8")
             if not text.startswith(first):
-                raise ValueError(f"{self._file} is of a run with other settings: give another file")
+                raise ValueError(f"{self._file} belongs to a run with other settings: give another file")
             if not text.endswith("\n"):
                 raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
         self._out = self._file.open("a" if continued else "w", encoding="utf-8")

@@ -179,8 +179,8 @@ class BodyAccess:
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
                 raise ArithmeticError(
-                    "OpenMM's minimiser lost the constraints, for which its solver does not converge; positions are "
-                    "unchanged: remove overlaps by short steps with high friction and checkDivergence=False"
+                    "OpenMM's minimiser could not satisfy the constraints; positions are unchanged: remove overlaps "
+                    "with short steps at high friction and checkDivergence=False"
                 ) from error
             sync.push()
             return

@@ -72,14 +72,14 @@ class ContextUpdates:
         """Raise ValueError for what would bring bodies to another temperature (K) than the integrator's thermostat."""
         if self.pushes:
             raise ValueError(
-                "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
-                "System, or use ExactRigidBodyIntegrator"
+                "the System has an AndersenThermostat, but this integrator has a thermostat of its own: remove it "
+                "from the System, or use ExactRigidBodyIntegrator"
             )
         for parameter, name in self.temperatures.items():
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same, with "
+                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same value with "
                     f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
                 )
 
@@ -161,8 +161,8 @@ def warn_of_removed_motion(system: openmm.System) -> None:
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
         warnings.warn(
-            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that "
-            "the energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            "the CMMotionRemover removes the momentum that frozen particles (mass 0) transfer to the others, which "
+            "causes energy errors of order 1 in the step size: create the System with removeCMMotion=False",
             RemovedMotionWarning,
             stacklevel=2,
         )
@@ -188,8 +188,8 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
     for number, body in enumerate(named):
         if len({molecule[particle] for particle in body}) > 1:
             raise ValueError(
-                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
-                "molecule for OpenMM: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which OpenMM does not "
+                f"treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
             )
 
 

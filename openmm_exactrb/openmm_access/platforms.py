@@ -52,7 +52,7 @@ def why_not_by_default(platform: openmm.Platform) -> str | None:
     try:
         why = no_gpu(openmm.Context(system, openmm.VerletIntegrator(0.001), platform))
     except openmm.OpenMMException as error:
-        return f"no Context can be made: {error}"
+        return f"cannot create a Context: {error}"
     return why and f"{why}, where OpenMM's minimiser may crash"
 
 

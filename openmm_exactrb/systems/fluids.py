@@ -70,7 +70,8 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
         raise ValueError(
-            f"no body has the moments of inertia {moments.tolist()}: none may be larger than the sum of the others"
+            f"there is no body with the moments of inertia {moments.tolist()}: none may be larger than the sum of "
+            f"the others"
         )
     if not flat.any():
         return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))
@@ -236,7 +237,7 @@ def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Bou
         return None
     density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
     if trap > 0.0:
-        raise ValueError("a trap holds a droplet: a periodic liquid needs none")
+        raise ValueError("trap is for a droplet: omit it for a periodic liquid")
     return float((n / density) ** (1.0 / 3.0))
 
 

@@ -265,7 +265,7 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
     with reporting(simulation, file, 2, append=True):
         simulation.step(2)
         integrator.setFriction(2.0)
-        with pytest.raises(ValueError, match="averages need one of each"):
+        with pytest.raises(ValueError, match="report the new settings to another file"):
             simulation.step(2)
     with file.open("a") as out:
         out.write("10,0.02")
@@ -276,9 +276,12 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: rb.ExactRigidBodyIntegrator(0.002), "Langevin dynamics of this package only"),
-        (lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002), "Langevin dynamics of this package only"),
-        (lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002), "with a friction only: set one above 0"),
+        (lambda: rb.ExactRigidBodyIntegrator(0.002), "only for Langevin dynamics of this package"),
+        (
+            lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002),
+            "only for Langevin dynamics of this package",
+        ),
+        (lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002), "with friction: set one above 0"),
         (
             lambda: rb.ExactRigidBodyLangevinIntegrator(
                 300.0, 1.0, 0.002, scheme=Scheme("twice", 2, spelled("B A O A B O")), fast=None
@@ -301,13 +304,13 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, "density")
     with pytest.raises(ValueError, match="for each of the 100 frames"):
         rb.corrected(file, np.zeros(99))
-    with pytest.raises(ValueError, match=r"report with around=\(particles, distance\)"):
+    with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
     with pytest.raises(ValueError, match="at constant volume, to which no pressure belongs"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text().splitlines(keepends=True)[:20]))
-    with pytest.raises(ValueError, match="18 frames, and errors need at least 40: run longer"):
+    with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
     other = made(tmp_path, np.random.default_rng(7), frames=100, barostat="MonteCarloMembraneBarostat")
     with pytest.raises(ValueError, match="with a MonteCarloMembraneBarostat: use a MonteCarloBarostat"):

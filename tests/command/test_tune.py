@@ -12,7 +12,7 @@ def test_it_prints(serialised, capfd):
     out, errors = capfd.readouterr()
     assert "target 0.01: S2_2 with a step of " in out
     assert "S2_2, " in errors
-    assert "errors are promised for 0.3 ps (budget: 120 s of processor time)" in errors
+    assert "errors hold for 0.3 ps (budget: 120 s of processor time)" in errors
     assert "Warning" not in errors
 
 
