@@ -1,7 +1,7 @@
 """OpenMM's samplers of several temperatures, on small molecules with all distances constrained.
 
-The centre of each molecule is in a harmonic trap, so that energies at a temperature are gamma distributed: a molecule has
-3/2 kT of potential and f/2 kT of kinetic energy, and the partition functions of the states are known.
+The centre of each molecule is in a harmonic trap, so that energies at a temperature are gamma distributed: a molecule
+has 3/2 kT of potential and f/2 kT of kinetic energy, and the partition functions of the states are known.
 """
 
 import itertools
@@ -11,9 +11,9 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
+from test_temperatures import KB, MOLECULES, simulation_of
 
 import openmm_exactrb as rb
-from test_temperatures import KB, MOLECULES, simulation_of
 
 LADDER = np.array([200.0, 260.0])
 STATES = [{"temperature": kelvin * unit.kelvin} for kelvin in LADDER]
@@ -99,7 +99,7 @@ def test_tempering_and_expanded_ensembles_sample_each_temperature(kind, redraw, 
     """With the weights of the partition functions, which go as T^(3N/2), both states are equally likely."""
     random.seed(2)
     simulation = trapped(name)
-    sampler, state = kind(simulation, list(-1.5 * COUNT * np.log(LADDER / LADDER[0])), redraw)
+    _sampler, state = kind(simulation, list(-1.5 * COUNT * np.log(LADDER / LADDER[0])), redraw)
     potential, kinetic = ([], []), ([], [])
     for _ in range(rounds):
         simulation.step(9)
