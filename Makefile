@@ -62,7 +62,7 @@ dist: $(VENV)/.dist
 	$(BIN)/check-wheel-contents dist
 	$(BIN)/validate-pyproject pyproject.toml
 	$(BIN)/cffconvert --validate
-	$(BIN)/python -c "from rattler_build import Stage0Recipe as R, VariantConfig; print(R.from_file('packaging/conda/recipe.yaml').render(VariantConfig()))"
+	$(BIN)/python -c "from rattler_build import Stage0Recipe as R, VariantConfig; print(R.from_file('packaging/conda/recipe.yaml').render(VariantConfig({'c_stdlib': ['sysroot']})))"
 
 clean:
 	rm -rf $(VENV) $(LOWEST) dist out examples/out docs/_build docs/examples

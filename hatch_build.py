@@ -1,7 +1,7 @@
 """Metadata that depends on where the package is published, and the library of the device engine in wheels.
 
-The release workflow names its repository in `REPOSITORY`. Then links of the README are made absolute, since the page of
-a package index has no files beside it, and the project has its addresses. In a checkout nothing of it is claimed.
+The addresses are those of `[tool.hatch.metadata.hooks.custom]` in pyproject.toml. With them, links of the README are
+absolute, since the page of a package index has no files next to it. Without them nothing is claimed.
 """
 
 from __future__ import annotations
@@ -9,6 +9,8 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import sys
+import sysconfig
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,6 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from hatchling.metadata.plugin.interface import MetadataHookInterface
 
-#: The environment variable with the address of the repository, such as https://github.com/owner/openmm-exactrb.
-REPOSITORY = "OPENMM_EXACTRB_REPOSITORY"
 _PAPER = "https://doi.org/10.1137/070704393"
 _LINK = re.compile(r"(!?)\[([^\]]*)\]\((?![a-z]+:|#)([^)]+)\)")
 
@@ -36,7 +36,6 @@ class DeviceLibrary(BuildHookInterface):
         if self.target_name != "wheel" or version == "editable" or not os.environ.get(PLATFORM_WHEEL):
             return
         import openmm
-        from packaging.tags import sys_tags
 
         source = Path(self.root) / _DEVICE / "library.py"
         spec = importlib.util.spec_from_file_location("device_library", source)
@@ -50,12 +49,22 @@ class DeviceLibrary(BuildHookInterface):
         built.chmod(0o755)
         made_for.write_text(openmm.__version__, encoding="utf-8")
         build_data["force_include"] |= {str(file): f"{_DEVICE}/{file.name}" for file in (built, made_for)}
-        build_data["pure_python"], build_data["tag"] = False, f"py3-none-{next(sys_tags()).platform}"
+        build_data["pure_python"], build_data["tag"] = False, f"py3-none-{_platform()}"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove what was compiled."""
         if hasattr(self, "_folder"):
             self._folder.cleanup()
+
+
+def _platform() -> str:
+    """Return the tag of this platform: the newest that package indexes accept, or the system that macOS builds for."""
+    from packaging.tags import sys_tags
+
+    if sys.platform == "darwin":
+        return re.sub(r"[-.]", "_", sysconfig.get_platform())  # with MACOSX_DEPLOYMENT_TARGET
+    platforms = [tag.platform for tag in sys_tags()]
+    return next((name for name in platforms if name.startswith(("manylinux", "musllinux"))), platforms[0])
 
 
 class PublishedMetadata(MetadataHookInterface):
@@ -64,25 +73,29 @@ class PublishedMetadata(MetadataHookInterface):
     def update(self, metadata: dict[str, Any]) -> None:
         """Add `readme` and `urls`."""
         text = (Path(self.root) / "README.md").read_text(encoding="utf-8")
-        repository = os.environ.get(REPOSITORY, "").rstrip("/")
+        repository, pages = (self.config[name].rstrip("/") for name in ("repository", "documentation"))
         metadata["readme"] = {
             "content-type": "text/markdown",
-            "text": absolute(text, repository, f"v{metadata['version']}") if repository else text,
+            "text": absolute(text, f"v{metadata['version']}", repository, pages) if repository else text,
         }
-        metadata["urls"] = addresses(repository)
+        metadata["urls"] = addresses(repository, pages)
 
 
-def absolute(text: str, repository: str, tag: str) -> str:
-    """Return Markdown whose links and pictures lead to the files of a tag."""
+def absolute(text: str, tag: str, repository: str, pages: str = "") -> str:
+    """Return Markdown whose links lead to the pages, if there are any, and otherwise to files of a tag."""
 
     def link(found: re.Match[str]) -> str:
         picture, words, target = found.groups()
+        page = re.fullmatch(r"docs/(.*)\.md(#.*)?", target)
+        if page and pages:
+            return f"[{words}]({pages}/{page[1]}.html{page[2] or ''})"
         return f"{picture}[{words}]({repository}/{'raw' if picture else 'blob'}/{tag}/{target})"
 
     return _LINK.sub(link, text)
 
 
-def addresses(repository: str) -> dict[str, str]:
+def addresses(repository: str, pages: str = "") -> dict[str, str]:
     """Return the addresses of the project: the paper's alone where there is no repository."""
     own = {"Repository": "", "Issues": "/issues", "Changelog": "/blob/main/CHANGELOG.md"}
-    return {"Paper": _PAPER} | ({name: repository + path for name, path in own.items()} if repository else {})
+    found = {"Documentation": pages} if pages else {}
+    return found | {"Paper": _PAPER} | ({name: repository + path for name, path in own.items()} if repository else {})

@@ -10,17 +10,24 @@ import numpy as np
 from benchmarks.common.markdown import distinct, rows, table, with_error
 from benchmarks.common.records import Row
 from benchmarks.common.starts import R
-from benchmarks.dipoles.tables import dipole_costs, dipole_energies, dipole_errors, dipole_memory
-from benchmarks.water.averages import averages
 from benchmarks.water.equipartition_record import LFM
 from openmm_exactrb import SCHEMES
+from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 THEIRS = {"Verlet": "`VerletIntegrator`", LFM: "`LangevinMiddleIntegrator`"}
 
 
-def angular_momentum() -> dict[str, str]:
-    """Return the change of the angular momentum by scheme."""
-    return {row["scheme"]: row["change"] for row in rows("angular_momentum")}
+def scheme_table() -> str:
+    """Return the catalogue of schemes, with the change of the angular momentum."""
+    of_a_step = ("orders", "forces per step", "more per call", "starts with", "kind", "stable step per force")
+    changes, body = {row["scheme"]: row["change"] for row in rows("angular_momentum")}, []
+    for name, scheme in CATALOGUE.items():
+        orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
+        stable = stability_limit(scheme) / scheme.forces
+        more = scheme.output_forces if scheme.processor else int(scheme.first == "kick")
+        numbers = (f"{scheme.forces}", f"{more}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
+        body.append((f"`{name}`", orders, *numbers))
+    return table(("name", *of_a_step, "change of L"), body)
 
 
 # -- the default at constant energy: benchmarks/proteins/default_energies.py -----------------------------------------
@@ -225,6 +232,25 @@ def mean_of(some: list[Row], name: str, digits: int) -> str:
     return with_error(float(held.mean()), float(held.std(ddof=1) / np.sqrt(len(held))), digits) + lost
 
 
+def protein_energies() -> str:
+    """Return energy errors of villin with a nonbonded evaluation every 4 fs, and bonded evaluations in between."""
+    labels = {"Verlet": "`VerletIntegrator`", "MTSIntegrator": "`MTSIntegrator`, bonded forces every 1 fs"}
+    found, body = rows("protein"), []
+    verlet = {row["method"]: float(row["std_2_ps_kJ_mol"]) for row in found}["Verlet"]
+    for row in found:
+        name = row["method"]
+        half, whole = row["std_half_ps_kJ_mol"], row["std_2_ps_kJ_mol"]
+        gain = "" if name == "Verlet" else f"{verlet / float(whole):.1f}"
+        body.append((labels.get(name, f"`{name}`"), half, whole, gain, row["bonded_per_force"]))
+    head = (
+        "std in 0.5 ps, kJ/mol",
+        "in 2 ps",
+        "times less than Verlet in 2 ps",
+        "bonded evaluations per slow one",
+    )
+    return table(("", *head), body)
+
+
 # -- physical_validation: benchmarks/water/validation.py -------------------------------------------------------------
 
 TESTS = {  # without those of the ensemble, which need longer runs
@@ -319,10 +345,11 @@ def one_line() -> str:
     """Return the times of steps over those of OpenMM's integrators."""
     body = []
     for row in rows("one_line"):
-        if row["with"] == "2 fs":
-            least, most = row["least"], row["most"]
-            body.append((row["system"], f"`{row['relative_to']}`", least if least == most else f"{least} to {most}"))
-    return table(("system", "relative to", "time"), body)
+        name, _, step = row["relative_to"].partition(", ")
+        least, most = row["least"], row["most"]
+        theirs = f"`{name}`, {step}" if step else f"`{name}`"
+        body.append((row["system"], row["with"], theirs, least if least == most else f"{least} to {most}"))
+    return table(("system", "forces every", "relative to", "time"), body)
 
 
 def asked(scheme: str) -> float:
@@ -333,14 +360,3 @@ def asked(scheme: str) -> float:
 def rounded(value: float) -> str:
     """Return a number with two digits, below one with one."""
     return f"{float(f'{value:.{1 + (value >= 1.0)}g}'):g}"
-
-
-def all_tables() -> dict[str, str]:
-    """Return the tables by the names that pages call them by."""
-    functions = (
-        *(default_energies, default_stability, default_temperatures, one_line),
-        *(protein_steps, protein_limits, villin_steps, heating, populations),
-        *(outputs, validation, ensembles, earlier_schemes, averages),
-        *(dipole_costs, dipole_memory, dipole_errors, dipole_energies),
-    )
-    return {function.__name__: function() for function in functions}

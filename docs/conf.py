@@ -1,17 +1,13 @@
 """Sphinx settings. Nothing here needs a network; `make linkcheck` does."""
 
-import ast
 import importlib
-import inspect
 import os
-import pkgutil
 import re
 import sys
-from collections.abc import Iterator
+from importlib.metadata import metadata
 from importlib.metadata import version as version_of
 from itertools import accumulate
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import joblib
@@ -19,19 +15,15 @@ from docutils import nodes
 from numpydoc.numpydoc import mangle_signature
 from sphinx import addnodes
 from sphinx.application import Sphinx
-from sphinx.domains.python import PythonDomain
 from sphinx.util import logging
 from sphinx.util.nodes import make_refnode
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks, of which some pictures are made too
+sys.path.insert(0, str(Path(__file__).parents[1]))  # for benchmarks, which a picture needs
 
 import droplet
 
 import openmm_exactrb
-from benchmarks import tables
-from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
-from openmm_exactrb.schemes import CATALOGUE, stability_limit
 
 log = logging.getLogger(__name__)
 
@@ -46,16 +38,25 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.doctest",
+    "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
     "sphinx.ext.viewcode",
     "sphinx-mathjax-offline",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "_static", "joss.md", "examples/**/*.ipynb"]
-myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath", "substitution"]
+exclude_patterns = ["_build", "_static", "_templates", "joss.md", "examples/**/*.ipynb"]
+myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 
 highlight_language = "none"  # of blocks that do not name theirs
+
+# Links into the documentation of others, where a build has a network.
+if os.environ.get("CI") or os.environ.get("READTHEDOCS"):
+    intersphinx_mapping = {
+        "numpy": ("https://numpy.org/doc/stable/", None),
+        "openmm": ("https://docs.openmm.org/latest/api-python/", None),
+        "scipy": ("https://docs.scipy.org/doc/scipy/", None),
+    }
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings tell the types, with shapes and units
@@ -64,7 +65,7 @@ numpydoc_xref_param_type = False
 default_role = "py:obj"
 nitpicky = True
 nitpick_ignore_regex = [
-    # Of OpenMM and others, whose inventories a build without network cannot read.
+    # Of OpenMM and others, whose inventories a build without a network cannot read.
     (
         r"py:.*",
         r"(openmm|State|Simulation|[A-Z]\w*Force|numpy|scipy|argparse|matplotlib|functools|collections)(\..*)?",
@@ -81,10 +82,16 @@ import sys
 
 sys.argv = ["notebook"]"""
 
+#: Examples that the build does not execute: their pages show stored pictures, with the commands that made them.
+LONG_RUNS = "dielectric_constant", "ellipsoids", "ferrofluid", "stockmayer_fluid"
+#: Their pages are without the code, which is there to download.
+PROGRAMS = {f"examples/{name}" for name in (*LONG_RUNS, "rigid_domains")}
+
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "examples",
-    "filename_pattern": "",  # executes all of them
+    "filename_pattern": rf"^(?!.*({'|'.join(LONG_RUNS)})\.py)",
+    "remove_config_comments": True,
     "ignore_pattern": r"(^|[\\/])(sphere|dipole_runs)\.py",  # which others import
     "parallel": joblib.cpu_count(),
     "run_stale_examples": True,  # the package may have changed since
@@ -107,8 +114,15 @@ html_title = f"openmm-exactrb {release}"
 html_show_sphinx = False
 html_static_path = ["_static"]
 html_css_files = ["custom.css"]
+html_js_files = ["versions.js"]
+templates_path = ["_templates"]
+_SIDEBAR = ("brand", "versions", "search", "scroll-start", "navigation", "scroll-end", "variant-selector")
+html_sidebars = {"**": [f"sidebar/{part}.html" for part in _SIDEBAR]}
 html_favicon = "_static/favicon.svg"
-html_theme_options = {"source_directory": "docs/"}
+html_theme_options = {"source_directory": "docs/", "source_branch": "main"}
+_ADDRESSES = dict(line.split(", ", 1) for line in metadata("openmm-exactrb").get_all("Project-URL") or ())
+if "Repository" in _ADDRESSES:
+    html_theme_options["source_repository"] = _ADDRESSES["Repository"]
 
 linkcheck_ignore = [r"https://doi\.org/.*"]  # publishers refuse robots; the numbers are checked by hand
 
@@ -122,79 +136,27 @@ def by_last_name(app: Sphinx, env: Any, node: nodes.Element, shown: nodes.Elemen
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, shown, name)
 
 
-class Python(PythonDomain):
-    """Names of the modules for contributors, which the search does not find."""
-
-    def get_objects(self) -> Iterator[tuple[str, str, str, str, str, int]]:
-        """Yield all names with their pages and priorities; below zero is left out."""
-        for *entry, page, anchor, priority in super().get_objects():
-            yield *entry, page, anchor, -1 if page.startswith("internals/") else priority
-
-
-def scheme_table() -> str:
-    """Return the catalogue of schemes as a table, for the guide."""
-    of_a_step = ("orders", "forces per step", "more per call", "starts with", "kind", "stable step per force")
-    head = ("name", *of_a_step, "change of L")
-    changes, body = tables.angular_momentum(), []
-    for name, scheme in CATALOGUE.items():
-        orders = ", ".join(map(str, scheme.generalised or (scheme.order,)))
-        stable = stability_limit(scheme) / scheme.forces
-        more = scheme.output_forces if scheme.processor else int(scheme.first == "kick")
-        numbers = (f"{scheme.forces}", f"{more}", scheme.first, scheme.kind, f"{stable:.2f}", changes.get(name, ""))
-        body.append((f"`{name}`", orders, *numbers))
-    return tables.table(head, body)
-
-
-def equipartition_tables() -> dict[str, str]:
-    """Return what was measured of equipartition as tables, for the page on temperature."""
-    record = read(RECORD)
-    models = ("spce", "tip4p2005")
-    tables = {
-        f"{model}_{name}": over_steps(record, quantity, model, kind)
-        for model in models
-        for name, quantity, kind in (
-            ("temperatures", "T_rot - T_tr", "NVT"),
-            ("temperatures_at_pressure", "T_rot - T_tr", "NPT"),
-            ("energies", "U", "NVT"),
-            ("densities", "density", "NPT"),
-        )
-    }
-    tables |= {f"{model}_frictions": over_frictions(record, model, 6.0) for model in models}
-    tables |= {f"{model}_goals": over_goals(record, model) for model in models}
-    return tables | {"equipartition_models": over_models(record)}
-
-
-myst_substitutions = {"scheme_table": scheme_table()} | equipartition_tables() | tables.all_tables()
-
-
 def undocumented(app: Sphinx, env: Any) -> None:
-    """Warn of modules and public names that are on no page of the API."""
+    """Warn of public names that are on no page of the API."""
     shown = env.domains["py"].objects
-    for info in pkgutil.walk_packages(openmm_exactrb.__path__, "openmm_exactrb."):
-        module = importlib.import_module(info.name)
-        if info.name not in shown:
-            log.warning("%s is on no page of docs/internals", info.name)
-        packages = list(accumulate(info.name.split("."), "{}.{}".format))  # one of them may show its names
-        for name in public_names(module):
-            if not any(f"{package}.{name}" in shown for package in packages):
-                log.warning("%s.%s is on no page of docs/internals", info.name, name)
+    for name in openmm_exactrb.__all__:
+        if f"openmm_exactrb.{name}" not in shown:
+            log.warning("openmm_exactrb.%s is on no page of docs/reference/api", name)
 
 
-def public_names(module: ModuleType) -> list[str]:
-    """Return the functions, classes and constants that a module defines: those of its `__all__`, if it has one."""
-    names = []
-    for node in ast.parse(inspect.getsource(module)).body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            names.append(node.name)
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            names += [target.id for target in targets if isinstance(target, ast.Name) and target.id.isupper()]
-    public = getattr(module, "__all__", names)
-    return [name for name in names if name in public and not name.startswith("_")]
+def in_the_pages(app: Sphinx, page: str, source: list[str]) -> None:
+    """Let links to examples, which lead to scripts on a forge, lead to the pages that are made from them."""
+    source[0] = re.sub(
+        r"\]\(((?:\.\./)*)\.\./(examples)(?:(/[\w/]+)\.py)?\)",
+        lambda found: f"]({found[1]}{found[2]}{found[3] or '/index'}.rst)",
+        source[0],
+    )
+    if page in PROGRAMS:
+        source[0] = re.sub(r"^\.\. code-block:: Python\n(?:\n|[ \t]+.*\n)*", "", source[0], flags=re.MULTILINE)
 
 
 def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:
-    """Give names of the API the addresses that pages of source use: in each package that shows them."""
+    """Give names of the API the addresses that pages of source use: in each package above their module."""
     for node in doctree.findall(addnodes.desc_signature):
         if not (node.get("module") and node.get("fullname")):
             continue
@@ -203,7 +165,7 @@ def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:
         home = getattr(shown, "__module__", None) or node["module"]
         for package in accumulate(home.split("."), "{}.{}".format):
             address = f"{package}.{node['fullname']}"
-            if getattr(sys.modules.get(package), outer, None) is shown and address not in node["ids"]:
+            if address not in node["ids"]:
                 node["ids"].append(address)
 
 
@@ -232,12 +194,12 @@ def breakable(app: Sphinx, tree: nodes.document, name: str) -> None:
 
 def setup(app: Sphinx) -> None:
     """Connect what is above."""
-    app.add_domain(Python, override=True)
     app.connect("builder-inited", moving_droplet)
     for listener in tuple(app.events.listeners["autodoc-process-signature"]):
         if listener.handler is mangle_signature:
             app.disconnect(listener.id)
     app.connect("autodoc-process-signature", signature)
+    app.connect("source-read", in_the_pages)
     app.connect("missing-reference", by_last_name)
     app.connect("env-check-consistency", undocumented)
     app.connect("doctree-read", reachable_from_source)

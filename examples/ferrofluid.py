@@ -10,8 +10,13 @@ The picture shows the box at the end, with a colour for each of the largest clus
 size. Units are reduced: diameter, epsilon and mass of a particle are 1 nm, 1 kJ/mol and 1 amu, and times are in ps.
 After Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
-This page shows ``python examples/ferrofluid.py -n 125 --duration 20``.
+The picture is from ``python examples/ferrofluid.py -n 500 --duration 30``.
+
+.. image:: /ferrofluid_chains.png
+   :alt: Chains and rings of dipoles in a box, and the mean size of clusters, which grows over 30 ps
 """
+
+# sphinx_gallery_thumbnail_path = "ferrofluid_chains.png"
 
 from __future__ import annotations
 
@@ -124,25 +129,22 @@ def draw(
     largest = np.argsort(-members)[: len(COLOURS)]
     colours = np.full(count, "#BBBBBB", dtype=object)
     colours[largest] = COLOURS[: len(largest)]
-    figure = plt.figure(figsize=(10.0, 6.2), layout="constrained")
-    left, right = figure.add_gridspec(1, 2, width_ratios=(2.2, 1.0))
+    figure = plt.figure(figsize=(7.0, 4.0), layout="constrained")
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.5, 1.0))
     axes = figure.add_subplot(left, projection="3d")
     for i, j in pairs:
         step = nearest(centres[j] - centres[i], edge)
-        axes.plot(*np.array([centres[i], centres[i] + step]).T, color=colours[of[i]], lw=2.2)
-    axes.scatter(*centres.T, c=list(colours[of]), s=9, depthshade=False)
+        axes.plot(*np.array([centres[i], centres[i] + step]).T, color=colours[of[i]], lw=1.8)
+    axes.scatter(*centres.T, c=list(colours[of]), s=5, depthshade=False)
     axes.set(xlim=(0.0, edge), ylim=(0.0, edge), zlim=(0.0, edge))
-    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=0.95)
-    axes.set_xlabel("x (sigma)")
-    axes.set_ylabel("y (sigma)")
-    axes.set_zlabel("z (sigma)")
-    axes.set_title(
-        f"{args.n} particles after {args.duration:g} ps; the largest cluster has {members.max()}", fontsize=11
-    )
+    axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.15)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_ticklabels([])
+    axes.set_title(f"after {args.duration:g} ps; the largest of {count} clusters has {members.max()}", fontsize=10)
     growth = figure.add_subplot(right)
     growth.plot(times, sizes, color="#0072B2", lw=1.8)
     growth.set_xlabel("time (ps)")
-    growth.set_ylabel("particles per cluster, mean")
+    growth.set_title("particles per cluster, mean", fontsize=10)
     growth.grid(True, alpha=0.3)
     figure.savefig(file, dpi=150)
 

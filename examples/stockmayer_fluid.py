@@ -14,8 +14,13 @@ constant is about that of water. A box of thousands of dipoles contains correlat
 Units are reduced: sigma, epsilon and the mass of a sphere are 1 nm, 1 kJ/mol and 1 amu, and times are in ps. After
 Ctrl-C, a kill or a full disk the same command with ``--resume`` continues.
 
-This page shows ``python examples/stockmayer_fluid.py -n 125 --duration 20``.
+The picture is from ``python examples/stockmayer_fluid.py --duration 467``, whose dielectric constant is 66.9 ± 3.6.
+
+.. image:: /stockmayer_fluid.png
+   :alt: Left, g(r) and h110(r) of 8000 dipoles. Right, the sum of cosines grows to that of the whole box, 7.3
 """
+
+# sphinx_gallery_thumbnail_path = "stockmayer_fluid.png"
 
 from __future__ import annotations
 

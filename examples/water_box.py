@@ -109,7 +109,7 @@ def read_box(file: Path) -> app.PDBFile:
     """Read a PDB file that is whole."""
     try:
         if not any(line.startswith("END") for line in file.read_text(encoding="utf-8").splitlines()):
-            raise ValueError("there is no line END")
+            raise ValueError("it has no END line")
         return app.PDBFile(str(file))
     except OSError:
         raise

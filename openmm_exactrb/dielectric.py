@@ -70,8 +70,11 @@ def dielectric_constant(
     run would be too small.
     """
     M = checks.array(moments, "moments", _ASKED)
-    if M.ndim != 2 or M.shape[1] != 3 or not (np.abs(M) < _LARGEST).all():
-        raise ValueError(f"moments must be rows of three finite numbers below {_LARGEST:g}, not of shape {M.shape}")
+    if M.ndim != 2 or M.shape[1] != 3:
+        raise ValueError(f"moments must be rows of three numbers, not of shape {M.shape}")
+    if not (fine := (np.abs(M) < _LARGEST).all(axis=1)).all():
+        row = int(np.argmin(fine))
+        raise ValueError(f"moments must be finite numbers below {_LARGEST:g}, but row {row} is {M[row].tolist()}")
     if not 2 <= checks.whole(blocks, "blocks", least=0) <= len(M):
         raise ValueError(f"blocks must be at least 2 and at most the number of moments, {len(M)}, not {blocks}")
     volume, kT = checks.positive(volume, "volume", "nm³"), checks.positive(kT, "kT", "kJ/mol")

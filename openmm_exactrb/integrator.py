@@ -69,9 +69,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         once per twentieth of the shortest period of bonds and angles, in schemes that contain a heat exchange once per
         12.5th, with SRKN4_6b once per eightieth.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed. "host": by kernels of this package. "device": by a program of OpenMM's
-        CustomIntegrator, on CUDA, HIP or OpenCL in mixed or double precision (docs: On a GPU). "auto": on the device if
-        it is a GPU, supports the System, and there are no inner steps; otherwise on the host (see `engineNote`).
+        Where steps are performed. "host": by kernels of this package. "device": by its kernels for CUDA, HIP and OpenCL
+        (docs: On a GPU). "auto": on the device if it is a GPU and supports the System (see `engineNote`).
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
@@ -104,6 +103,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         innerSteps: int | None = None,
         engine: str = "auto",
         thermostat: Thermostat | None = None,
+        *,
         forceInterval: float | unit.Quantity | None = None,
         checkDivergence: bool = True,
     ) -> None:
@@ -293,24 +293,23 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             )
 
     def _settings(self) -> Settings:
-        thermostat, scheme = self._thermostat, self._steps()
-        splitting, splits = (scheme, 1) if thermostat is None else thermostat.splitting(self._scheme)
-        parts = scheme, self._scheme, splitting, splits, self._h, self._groups
+        thermostat, steps, splitting, splits = self._thermostat, self._scheme, self._scheme, 1
+        if thermostat is not None:
+            steps, (splitting, splits) = thermostat.steps(self._scheme), thermostat.splitting(self._scheme)
+        parts = steps, self._scheme, splitting, splits, self._h, self._groups
         return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
         """Return the step size in ps, given itself or by the time between force evaluations."""
         if (size is None) == (interval is None):
-            raise ValueError("give either stepSize=, the time of a whole step, or forceInterval=, that between forces")
+            raise ValueError(
+                "give either stepSize=, that of a whole step, or forceInterval=, that between force evaluations"
+            )
         if interval is None:
             return picoseconds(size)
         if not self.forceEvaluationsPerStep:
             raise ValueError(f"scheme {self._scheme.name} evaluates no forces: give stepSize=, not forceInterval=")
         return picoseconds(interval) * self.forceEvaluationsPerStep
-
-    def _steps(self) -> Scheme:
-        """Return the scheme with all substeps of a step."""
-        return self._scheme if self._thermostat is None else self._thermostat.steps(self._scheme)
 
     def _changed(self) -> None:  # substeps are bound to the new settings before the next step
         self._version += 1

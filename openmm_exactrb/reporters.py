@@ -39,7 +39,7 @@ class _Lines:
         if isinstance(file, (str, os.PathLike)):
             path = Path(file)
             if append and path.is_file() and path.read_bytes()[-1:] not in (b"", b"\n"):
-                raise ValueError(f"{file} ends within a line: delete this line, or give another file")
+                raise ValueError(f"{file} ends with an incomplete line: delete this line, or give another file")
             self._out: TextIO = path.open("a" if append else "w")
         elif hasattr(file, "write"):
             self._out = file
@@ -94,7 +94,7 @@ class EnergyReporter(_Lines):
         """
         if not isinstance(simulation.integrator, ExactRigidBodyIntegrator):
             raise ValueError(
-                f"EnergyReporter writes the energies of an ExactRigidBodyIntegrator, and this Simulation has a "
+                f"EnergyReporter needs an ExactRigidBodyIntegrator, but this Simulation has a "
                 f"{type(simulation.integrator).__name__}: use openmm.app.StateDataReporter"
             )
         return {"steps": self._steps_left(simulation), "periodic": None, "include": ["energy"]}
@@ -181,7 +181,7 @@ def _elementary(charges: Any) -> Array:
         raise ValueError(f"charges must be {asked}, not {reprlib.repr(charges)}")
     if not np.isfinite(values).all():
         first = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(f"charges must be finite numbers, and that of particle {first} is {values[first]}")
+        raise ValueError(f"charges must be finite numbers, but that of particle {first} is {values[first]}")
     return values
 
 
@@ -192,7 +192,7 @@ def _check_ions(charges: Array, molecule: NDArray[np.integer[Any]]) -> None:
     if abs(total[worst]) > _NEUTRAL:
         first = int(np.flatnonzero(molecule == worst)[0])
         raise ValueError(
-            f"charges must add up to 0 in every molecule, and those of the molecule with particle {first} add up to "
+            f"charges must add up to 0 in every molecule, but those of the molecule with particle {first} add up to "
             f"{total[worst]:.6g}: correct them, or give 0 for the particles of an ion"
         )
 

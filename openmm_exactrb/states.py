@@ -9,6 +9,8 @@ from typing import Any
 import openmm
 from openmm import app
 
+from openmm_exactrb.openmm_access import arrays
+
 
 def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike[str] | openmm.State) -> None:
     """Load a State that was saved under another integrator.
@@ -35,7 +37,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     """
     context = target.context if isinstance(target, app.Simulation) else target
     if not isinstance(context, openmm.Context):
-        raise ValueError(f"the State goes into a Simulation or a Context, not into a {type(target).__name__}")
+        raise ValueError(f"a State is loaded into a Simulation or a Context, not into a {type(target).__name__}")
     if not isinstance(source, (str, os.PathLike, openmm.State)):
         raise ValueError(f"give a State, or a file that simulation.saveState wrote, not a {type(source).__name__}")
     state = source if isinstance(source, openmm.State) else read_xml(source, openmm.State, "simulation.saveState")
@@ -53,10 +55,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     if context.getSystem().usesPeriodicBoundaryConditions():
         context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
     if kinds & openmm.State.Parameters:
-        known = set(context.getParameters())
-        for name, value in state.getParameters().items():
-            if name in known:
-                context.setParameter(name, value)
+        arrays.take_parameters(context, state)
     context.setPositions(x)
     if kinds & openmm.State.Velocities:
         context.setVelocities(state.getVelocities(asNumpy=True))

@@ -162,7 +162,7 @@ def as_xml(molecule, n, folder, cutoff=0.7):
 
 
 def as_pdb(molecule, n, folder):
-    """Write a PDB file and a force field whose script constrains all distances; return what names them."""
+    """Write a PDB file and a force field that constrains all distances; return what names them."""
     x, edge = placed(molecule, n)
     topology = topology_of(molecule, n)
     topology.setPeriodicBoxVectors(edge * np.eye(3) * unit.nanometer)
@@ -179,17 +179,38 @@ def as_pdb(molecule, n, folder):
         f'<Atom type="{a}" sigma="{molecule.lennard_jones[e][0]}" epsilon="{molecule.lennard_jones[e][1]}"/>'
         for a, e, _, _ in atoms
     )
+    constraints = "".join(
+        f'<Constraint atomName1="{molecule.atoms[i]}" atomName2="{molecule.atoms[j]}" distance="{distance}"/>'
+        for i, j, distance in molecule.distances
+    )
     files[1].write_text(
         f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{molecule.name[:3]}">{own}{bonds}'
-        '</Residue></Residues><NonbondedForce coulomb14scale="0.833333" lj14scale="0.5">'
-        f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce><Script>\n'
-        "for residue in topology.residues():\n"
-        "    first = next(residue.atoms()).index\n"
-        f"    for i, j, distance in {molecule.distances}:\n"
-        "        sys.addConstraint(first + i, first + j, distance)\n"
-        "</Script></ForceField>\n"
+        f'{constraints}</Residue></Residues><NonbondedForce coulomb14scale="0.833333" lj14scale="0.5">'
+        f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce></ForceField>\n'
     )
     return [files[0], "--forcefield", files[1]]
+
+
+def as_mixture(molecule, n, folder):
+    """Write the same with every other molecule replaced by TIP4P water, whose sites the force field adds."""
+    files = as_pdb(molecule, n, folder)
+    content = app.PDBFile(str(files[0]))
+    modeller = app.Modeller(content.topology, content.positions)
+    replaced = list(content.topology.residues())[::2]
+    centres = np.array(content.positions._value)[[next(residue.atoms()).index for residue in replaced]]
+    modeller.delete(replaced)
+    water = app.Topology()
+    chain, oxygen, hydrogen = water.addChain(), app.element.oxygen, app.element.hydrogen
+    for _ in replaced:
+        residue = water.addResidue("HOH", chain)
+        o, *h = (water.addAtom(name, e, residue) for name, e in (("O", oxygen), ("H1", hydrogen), ("H2", hydrogen)))
+        for atom in h:
+            water.addBond(o, atom)
+    places = np.array([[0.0, 0.0, 0.0], [0.07569, 0.0, 0.05859], [-0.07569, 0.0, 0.05859]])
+    modeller.add(water, (centres[:, None] + places).reshape(-1, 3) * unit.nanometer)
+    with files[0].open("w") as out:
+        app.PDBFile.writeFile(modeller.topology, modeller.positions, out)
+    return [*files, "tip4pew.xml"]
 
 
 def as_gromacs(molecule, n, folder):
@@ -231,106 +252,81 @@ def _section(flag, form, values):
 def as_amber(molecule, n, folder):
     """Write a prmtop and an inpcrd file without constraints, which options add; return their names."""
     x, edge = placed(molecule, n)
+    lines = ["%VERSION  VERSION_STAMP = V0001.000  DATE = 01/01/00  00:00:00"]
+    for section in _prmtop(molecule, n, edge):
+        lines += _section(*section)
+    files = folder / "box.prmtop", folder / "box.inpcrd"
+    files[0].write_text("\n".join([*lines, ""]))
+    numbers = [f"{10.0 * value:12.7f}" for value in x.ravel()]
+    rows = ["".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
+    box = "".join(f"{v:12.7f}" for v in [10.0 * edge] * 3 + [90.0] * 3)
+    files[1].write_text("\n".join(["box", f"{len(x):5d}", *rows, box, ""]))
+    return list(files)
+
+
+def _prmtop(molecule, n, edge):
+    """Return the sections that OpenMM reads; all terms are among those without hydrogen."""
     k, kinds = len(molecule.elements), list(dict.fromkeys(molecule.elements))
-    angles = [
-        (i, m, j)
-        for (a, m), (b, o) in itertools.permutations([*molecule.bonds, *((j, i) for i, j in molecule.bonds)], 2)
-        for i, j in [(a, b)]
-        if m == o and i < j
-    ]
-    p = molecule.places
-
-    def angle(i, m, j):
-        a, b = p[i] - p[m], p[j] - p[m]
-        return float(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
-
-    hydrogen = [element == "H" for element in molecule.elements]
-    bonds = {
-        with_h: [b for b in enumerate(molecule.bonds) if any(hydrogen[i] for i in b[1]) == with_h]
-        for with_h in (True, False)
-    }
-    bends = {
-        with_h: [b for b in enumerate(angles) if any(hydrogen[i] for i in b[1]) == with_h] for with_h in (True, False)
-    }
+    angles = _angles(molecule)
+    lengths = [float(np.linalg.norm(molecule.places[i] - molecule.places[j])) * 10.0 for i, j in molecule.bonds]
+    pairs = [(a, b) for b in range(len(kinds)) for a in range(b + 1)]
+    number = {pair: i + 1 for i, pair in enumerate(pairs)}
+    table = [number[min(a, b), max(a, b)] for a in range(len(kinds)) for b in range(len(kinds))]
+    of_pairs = [_lennard_jones(molecule, kinds[a], kinds[b]) for a, b in pairs]
+    excluded = [m * k + j + 1 for m in range(n) for i in range(k) for j in ([*range(i + 1, k)] or [-m * k - 1])]
+    pointers = {0: n * k, 1: len(kinds), 3: n * len(lengths), 5: n * len(angles), 10: len(excluded), 11: n}
+    pointers |= {12: n * len(lengths), 13: n * len(angles), 15: len(lengths), 16: len(angles), 18: len(kinds)}
+    pointers |= {27: 1, 28: k}
 
     def terms(chosen):
-        return [v for m in range(n) for t, of in chosen for v in (*(3 * (m * k + i) for i in of), t + 1)]
+        return [v for m in range(n) for t, of in enumerate(chosen) for v in (*(3 * (m * k + i) for i in of), t + 1)]
 
-    pairs = [(a, b) for b in range(len(kinds)) for a in range(b + 1)]
-    coefficients = []
-    for a, b in pairs:
-        (s, e), (t, f) = molecule.lennard_jones[kinds[a]], molecule.lennard_jones[kinds[b]]
-        radius, depth = 5.0 * (s + t), math.sqrt(e * f) / 4.184  # sigma of both in Å
-        coefficients.append((4.0 * depth * radius**12, 4.0 * depth * radius**6))
-    number = {pair: i + 1 for i, pair in enumerate(pairs)}
-    excluded = [m * k + j + 1 for m in range(n) for i in range(k) for j in ([*range(i + 1, k)] or [-m * k - 1])]
-    with_h, without = bonds[True], bonds[False]
-    pointers = [n * k, len(kinds), n * len(with_h), n * len(without), n * len(bends[True]), n * len(bends[False]), 0, 0]
-    pointers += [
-        0,
-        0,
-        len(excluded),
-        n,
-        n * len(without),
-        n * len(bends[False]),
-        0,
-        len(molecule.bonds),
-        len(angles),
-        0,
-    ]
-    pointers += [len(kinds), 0, 0, 0, 0, 0, 0, 0, 0, 1, k, 0, 0]
-    lengths = [float(np.linalg.norm(p[i] - p[j])) * 10.0 for i, j in molecule.bonds]
-    sections = [
+    return [
         ("TITLE", "a", ["box"]),
-        ("POINTERS", "I", pointers),
+        ("POINTERS", "I", [pointers.get(i, 0) for i in range(31)]),
         ("ATOM_NAME", "a", n * molecule.atoms),
         ("CHARGE", "E", n * [18.2223 * q for q in molecule.charges]),
         ("ATOMIC_NUMBER", "I", n * [app.Element.getBySymbol(e).atomic_number for e in molecule.elements]),
         ("MASS", "E", n * molecule.mass),
         ("ATOM_TYPE_INDEX", "I", n * [kinds.index(e) + 1 for e in molecule.elements]),
         ("NUMBER_EXCLUDED_ATOMS", "I", n * [max(1, k - i - 1) for i in range(k)]),
-        (
-            "NONBONDED_PARM_INDEX",
-            "I",
-            [number[min(a, b), max(a, b)] for a in range(len(kinds)) for b in range(len(kinds))],
-        ),
+        ("NONBONDED_PARM_INDEX", "I", table),
         ("RESIDUE_LABEL", "a", n * [molecule.name[:3]]),
         ("RESIDUE_POINTER", "I", [m * k + 1 for m in range(n)]),
         ("BOND_FORCE_CONSTANT", "E", len(lengths) * [400.0]),
         ("BOND_EQUIL_VALUE", "E", lengths),
         ("ANGLE_FORCE_CONSTANT", "E", len(angles) * [50.0]),
-        ("ANGLE_EQUIL_VALUE", "E", [angle(*of) for of in angles]),
+        ("ANGLE_EQUIL_VALUE", "E", [_bend(molecule.places[list(of)]) for of in angles]),
         *((f"DIHEDRAL_{name}", "E", []) for name in ("FORCE_CONSTANT", "PERIODICITY", "PHASE")),
-        *((name, "E", []) for name in ("SCEE_SCALE_FACTOR", "SCNB_SCALE_FACTOR")),
-        ("SOLTY", "E", len(kinds) * [0.0]),
-        ("LENNARD_JONES_ACOEF", "E", [a for a, _ in coefficients]),
-        ("LENNARD_JONES_BCOEF", "E", [b for _, b in coefficients]),
-        ("BONDS_INC_HYDROGEN", "I", terms(bonds[True])),
-        ("BONDS_WITHOUT_HYDROGEN", "I", terms(bonds[False])),
-        ("ANGLES_INC_HYDROGEN", "I", terms(bends[True])),
-        ("ANGLES_WITHOUT_HYDROGEN", "I", terms(bends[False])),
-        ("DIHEDRALS_INC_HYDROGEN", "I", []),
+        *((name, "E", []) for name in ("SCEE_SCALE_FACTOR", "SCNB_SCALE_FACTOR", "HBOND_ACOEF", "HBOND_BCOEF")),
+        ("LENNARD_JONES_ACOEF", "E", [a for a, _ in of_pairs]),
+        ("LENNARD_JONES_BCOEF", "E", [b for _, b in of_pairs]),
+        ("BONDS_WITHOUT_HYDROGEN", "I", terms(molecule.bonds)),
+        ("ANGLES_WITHOUT_HYDROGEN", "I", terms(angles)),
+        *((f"{kind}_INC_HYDROGEN", "I", []) for kind in ("BONDS", "ANGLES", "DIHEDRALS")),
         ("DIHEDRALS_WITHOUT_HYDROGEN", "I", []),
         ("EXCLUDED_ATOMS_LIST", "I", excluded),
-        *((name, "E", []) for name in ("HBOND_ACOEF", "HBOND_BCOEF", "HBCUT")),
         ("AMBER_ATOM_TYPE", "a", n * list(molecule.elements)),
-        ("TREE_CHAIN_CLASSIFICATION", "a", n * k * ["M"]),
-        ("JOIN_ARRAY", "I", n * k * [0]),
-        ("IROTAT", "I", n * k * [0]),
         ("SOLVENT_POINTERS", "I", [0, n, 1]),
         ("ATOMS_PER_MOLECULE", "I", n * [k]),
         ("BOX_DIMENSIONS", "E", [90.0, 10.0 * edge, 10.0 * edge, 10.0 * edge]),
-        ("RADII", "E", n * k * [0.0]),
-        ("SCREEN", "E", n * k * [0.0]),
     ]
-    lines = ["%VERSION  VERSION_STAMP = V0001.000  DATE = 01/01/00  00:00:00"]
-    for section in sections:
-        lines += _section(*section)
-    files = folder / "box.prmtop", folder / "box.inpcrd"
-    files[0].write_text("\n".join([*lines, ""]))
-    numbers = [f"{10.0 * value:12.7f}" for value in x.ravel()]
-    rows = ["".join(numbers[i : i + 6]) for i in range(0, len(numbers), 6)]
-    files[1].write_text(
-        "\n".join(["box", f"{n * k:5d}", *rows, "".join(f"{v:12.7f}" for v in [10.0 * edge] * 3 + [90.0] * 3), ""])
-    )
-    return list(files)
+
+
+def _angles(molecule):
+    """Return the three atoms of each angle between two bonds."""
+    directed = [*molecule.bonds, *((j, i) for i, j in molecule.bonds)]
+    pairs = itertools.permutations(directed, 2)
+    return [(i, m, j) for (i, m), (j, o) in pairs if m == o and i < j]
+
+
+def _bend(places):
+    a, b = places[0] - places[1], places[2] - places[1]
+    return float(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
+
+
+def _lennard_jones(molecule, one, other):
+    """Return the coefficients of r⁻¹² and r⁻⁶ in kcal/mol and Å."""
+    (s, e), (t, f) = molecule.lennard_jones[one], molecule.lennard_jones[other]
+    radius, depth = 5.0 * (s + t), math.sqrt(e * f) / 4.184  # sigma of both in Å
+    return 4.0 * depth * radius**12, 4.0 * depth * radius**6

@@ -72,8 +72,8 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"moments": np.zeros((40, 2))}, "rows of three finite numbers"),
-        ({"moments": np.full((40, 3), np.nan)}, "rows of three finite numbers"),
+        ({"moments": np.zeros((40, 2))}, "rows of three numbers, not of shape"),
+        ({"moments": np.full((40, 3), np.nan)}, "finite numbers below .* row 0 is .nan"),
         ({"volume": 0.0}, "volume must be a positive number of nm³"),
         ({"kT": -1.0}, "kT must be a positive number of kJ/mol"),
         ({"dielectric": 0.5}, "dielectric must be at least 1"),
@@ -84,7 +84,7 @@ def test_fluctuations_that_no_dielectric_has_give_infinity():
         ({"moments": [row * E_NM for row in np.ones((40, 3))]}, "without a unit"),
         ({"moments": np.ones((40, 3)) * 1j}, "moments must be rows of three numbers"),
         ({"moments": [[1.0, 2.0, 3.0], [1.0, 2.0]]}, "moments must be rows of three numbers"),
-        ({"moments": np.full((40, 3), 1e170)}, "rows of three finite numbers"),
+        ({"moments": np.full((40, 3), 1e170)}, "finite numbers below .* row 0 is"),
     ],
 )
 def test_wrong_values_get_one_sentence(changes, message):

@@ -108,11 +108,14 @@ def test_goals_are_differences_from_the_smallest_steps():
     assert "| SPC/E | 1005.0 ± 0.2 | 1000.0 ± 0.2 at 0.5 fs | 0.50 ± " in over_models(found)
 
 
-STUDY = "docs/explanation/measured-temperatures.md"
+EXAMPLE = "examples/equipartition.py"
+STUDY = "docs/explanation/temperature.md"
 FIGURES = [
-    ("README.md", "translation and rotation of SPC/E differ by {} K", ("NVT", "W2_3m", 6.0), 5.0),
-    ("README.md", "where `LangevinMiddleIntegrator` reports {} K", ("NVT", LFM, 6.0), 5.0),
-    ("README.md", "K ({} K without velocities along constraints", ("NVT", LFM, 6.0), 5.0),
+    ("README.md", "rotation and translation of SPC/E differ by {} K", ("NVT", "W2_3m", 6.0), 5.0),
+    ("README.md", "and by {} K as `LangevinMiddleIntegrator` reports", ("NVT", LFM, 6.0), 5.0),
+    ("README.md", "({} K after projection on the constraints", ("NVT", LFM, 6.0), 5.0),
+    (EXAMPLE, "differ by {} K after this projection", ("NVT", LFM, 6.0), 5.0),
+    (EXAMPLE, "and by {} K with the scheme ``W2_3m``", ("NVT", "W2_3m", 6.0), 5.0),
     (STUDY, "BAOA is {} K apart at 20/ps", ("NVT", "BAOA", 6.0), 20.0),
     (STUDY, "apart at 20/ps and {} K at 30/ps", ("NVT", "BAOA", 6.0), 30.0),
     (STUDY, "the rotation that it reports is {} K hotter", ("NVT", LFM, 6.0), 20.0),
@@ -121,7 +124,7 @@ FIGURES = [
 
 @pytest.mark.parametrize(("page", "words", "point", "friction"), FIGURES)
 def test_figures_in_prose_are_those_of_the_record(page, words, point, friction):
-    projected = "other " * ("without velocities along constraints" in words)
+    projected = "other " * ("projection" in words)
     mean = whole(read(RECORD))["spce", *point, friction][f"{projected}T_rot - T_tr"]
     text = " ".join((RECORD.parents[1] / page).read_text().split())
     assert words.format(with_error(*mean, 1)) in text

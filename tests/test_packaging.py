@@ -1,5 +1,6 @@
 """What is said about the package in several places is the same in all of them."""
 
+import json
 import re
 import runpy
 import tomllib
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from publish import publish
 
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -51,17 +53,44 @@ def test_the_citation_is_of_this_version():
     assert (citation["version"], citation["license"]) == (PROJECT["version"], PROJECT["license"])
 
 
-def test_links_of_the_readme_lead_to_files():
-    targets = re.findall(r"\]\((?![a-z]+:|#)([^)]+)\)", (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert targets
-    assert [target for target in targets if not (ROOT / target.partition("#")[0]).exists()] == []
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 90
+
+
+def test_addresses_are_the_same_everywhere():
+    """Empty until an owner fills them in: packaging/README.md."""
+    tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    addresses = tool["hatch"]["metadata"]["hooks"]["custom"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    for name, in_citation in (("repository", "repository-code"), ("documentation", "url")):
+        assert RECIPE["about"].get(name, "") == citation.get(in_citation, "") == addresses[name]
+
+
+def test_a_site_has_all_versions_and_leads_to_the_newest_release(tmp_path):
+    html, site = tmp_path / "html", tmp_path / "site"
+    html.mkdir()
+    (html / "index.html").write_text("first", encoding="utf-8")
+    site.mkdir()
+    assert publish(html, site, "dev") == ["dev"]
+    assert 'url=dev/index.html"' in (site / "index.html").read_text(encoding="utf-8")
+    for name in ("v0.9.0", "v0.10.0"):
+        publish(html, site, name)
+    (html / "index.html").write_text("second", encoding="utf-8")
+    assert publish(html, site, "dev") == ["v0.10.0", "v0.9.0", "dev"]
+    assert (site / "dev" / "index.html").read_text(encoding="utf-8") == "second"
+    assert json.loads((site / "versions.json").read_text(encoding="utf-8")) == ["v0.10.0", "v0.9.0", "dev"]
+    assert 'url=v0.10.0/index.html"' in (site / "index.html").read_text(encoding="utf-8")
 
 
 def test_links_are_absolute_where_the_repository_is_known():
     pytest.importorskip("hatchling", reason="it builds the package, and is not needed to run it")
     hook = runpy.run_path(str(ROOT / "hatch_build.py"))
-    text = "![a](docs/a.png) [b](docs/b.md#c) [d](https://e.org) [f](#g)"
-    assert hook["absolute"](text, "https://x.org/y", "v1") == (
-        "![a](https://x.org/y/raw/v1/docs/a.png) [b](https://x.org/y/blob/v1/docs/b.md#c) [d](https://e.org) [f](#g)"
-    )
+    text = "![a](docs/a.png) [b](docs/b.md#c) [d](https://e.org) [f](#g) [h](LICENSE)"
+    picture, rest = "![a](https://x.org/y/raw/v1/docs/a.png)", "[d](https://e.org) [f](#g)"
+    licence = "[h](https://x.org/y/blob/v1/LICENSE)"
+    page = "[b](https://x.org/y/blob/v1/docs/b.md#c)"
+    assert hook["absolute"](text, "v1", "https://x.org/y") == f"{picture} {page} {rest} {licence}"
+    page = "[b](https://p.org/b.html#c)"
+    assert hook["absolute"](text, "v1", "https://x.org/y", "https://p.org") == f"{picture} {page} {rest} {licence}"
     assert list(hook["addresses"]("")) == ["Paper"]
+    assert list(hook["addresses"]("https://x.org/y", "https://p.org"))[:3] == ["Documentation", "Paper", "Repository"]

@@ -77,3 +77,20 @@ def test_files_that_pages_name_exist():
         if not (ROOT / name).exists() and name not in MADE
     ]
     assert missing == []
+
+
+LINK = re.compile(r"\]\((?![a-z]+:|#)([^)#\s]+)")
+MARKDOWN = [*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md"), *(ROOT / "packaging").rglob("*.md")]
+
+
+def test_links_lead_to_files_of_the_repository():
+    """As a forge shows the pages: nothing that only a build makes, and no substitutions of Sphinx."""
+    wrong, made = [], {ROOT / "docs" / "examples", ROOT / "docs" / "_build"}
+    left_out = () if (ROOT / ".github").exists() else (".png", ".gif", ".yml")  # of an sdist
+    for page in (page for page in MARKDOWN if not made & {*page.parents}):
+        text = re.sub(r"^(```+).*?^\1$|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        targets = {target: (page.parent / target).resolve() for target in LINK.findall(text)}
+        targets = {name: target for name, target in targets.items() if not name.endswith(left_out)}
+        wrong += [(name_of(page), name) for name, t in targets.items() if not t.exists() or made & {t, *t.parents}]
+        wrong += [(name_of(page), name) for name in re.findall(r"\{\{ \w+ \}\}", text)]
+    assert wrong == []

@@ -289,7 +289,7 @@ def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
 
 def test_a_substep_without_a_device_stage_is_left_to_the_host():
     damped = typed("A substep")["damped"]
-    with pytest.raises(ValueError, match="has no part for a device"):
+    with pytest.raises(ValueError, match="has no code for a device"):
         rb.ExactRigidBodyIntegrator(0.001, damped, engine="device")
 
 

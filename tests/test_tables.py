@@ -6,14 +6,17 @@ from pathlib import Path
 import pytest
 
 import openmm_exactrb as rb
-from benchmarks import tables
+from benchmarks import tables, write_tables
+from benchmarks.dipoles.tables import dipole_memory, droplet_gains
+from benchmarks.water.tables import reading_points
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_figures_that_are_typed_are_those_that_were_measured():
     """Pages that are also read as plain Markdown have no substitutions."""
-    readme, which = (" ".join((ROOT / page).read_text().split()) for page in ("README.md", "docs/which.md"))
+    pages = "README.md", "docs/which.md", "docs/joss.md"
+    readme, which, joss = (" ".join((ROOT / page).read_text().split()) for page in pages)
     figures = tables.figures()
     gain = f"{figures['W4_4_gain']} ± {figures['W4_4_gain_error']}"
     assert f"fluctuates {gain} times less than with `VerletIntegrator`" in readme
@@ -22,7 +25,9 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     assert f"{figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in readme
     assert f"{figures['protein_time']} of the time of `LangevinMiddleIntegrator(4 fs)`" in which
     assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
-    assert f"| {figures['W4_4_gain']} times less energy error over 30 ps" in which
+    assert f"energy errors of `W2_1` and `W4_4` are {1.0 / tables.over_verlet('W2_1'):.1f} and {gain} times" in joss
+    assert f"at {figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in joss
+    assert f"{gain} times less energy error over 30 ps" in which
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
     assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
     assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
@@ -36,13 +41,23 @@ def test_the_default_has_at_most_two_fifths_of_the_energy_error_of_verlet_for_on
         assert float(ratio) < 0.4
 
 
-PAGES = "".join(page.read_text() for page in (ROOT / "docs").rglob("*.md"))
-SHOWN = [name for name in tables.all_tables() if f"\n{{{{ {name} }}}}\n" in PAGES]
+KNOWN = write_tables.all_tables()
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("page", write_tables.pages(), ids=lambda page: page.name)
+def test_tables_of_a_page_are_those_of_the_records(page):
+    text = page.read_text(encoding="utf-8")
+    assert text == write_tables.written(text, KNOWN), "run python benchmarks/write_tables.py"
+
+
+def test_a_table_is_written_again_below_its_name():
+    page = "a\n\n<!-- table: t -->\n| old |\n| - |\n\nb\n"
+    assert write_tables.written(page, {"t": "| new |\n| --- |"}) == page.replace("| old |\n| - |", "| new |\n| --- |")
+
+
+@pytest.mark.parametrize("name", KNOWN)
 def test_each_table_has_rows_as_wide_as_its_head(name):
-    head, _, *body = tables.all_tables()[name].splitlines()
+    head, _, *body = KNOWN[name].splitlines()
     assert body
     assert {len(re.findall(r"\|", line)) for line in body} == {head.count("|")}
 
@@ -65,3 +80,22 @@ def test_figures_of_the_protein_tutorial_are_those_of_the_records():
             run for run in runs if (run["integrator"], run["fs"], run["ensemble"]) == (integrator, fs, "NPT")
         ]
         assert f"{tables.mean_of(at_pressure, 'density', 1)} kg/m³ in" in tutorial
+
+
+def test_the_gain_of_dipoles_is_that_of_the_record():
+    least, most = droplet_gains()
+    for page in ("which.md", "should-i-use-this.md"):
+        words = f"{round(least, -1):g} to {round(most, -1):g} times less energy error"
+        assert words in " ".join((ROOT / "docs" / page).read_text(encoding="utf-8").split())
+
+
+def test_the_memory_of_dipoles_is_that_of_the_record():
+    page = (ROOT / "docs" / "explanation" / "dipoles-measured.md").read_text(encoding="utf-8")
+    assert f"A process takes {dipole_memory()}." in page
+
+
+def test_the_potential_energy_of_the_readme_is_that_at_the_reading_point():
+    (spce,) = (row for row in reading_points().splitlines() if row.startswith("| SPC/E, above"))
+    assert f"is then {spce.split('|')[-2].strip()} kJ/mol per molecule too high" in " ".join(
+        (ROOT / "README.md").read_text(encoding="utf-8").split()
+    )

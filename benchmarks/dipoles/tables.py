@@ -1,6 +1,8 @@
-"""Tables of Ewald sums of dipoles: dipole_scale.py and dipole_energy.py."""
+"""Tables of dipoles: dipole_scale.py, dipole_energy.py, and dielectric constants of examples/dielectric_constant.py."""
 
 from __future__ import annotations
+
+import math
 
 from benchmarks.common.markdown import distinct, rows, table
 from benchmarks.common.records import Row
@@ -68,3 +70,53 @@ def dipole_energies() -> str:
         body.append((f"`{scheme}`", f"{1e3 * float(step):g} fs", *stds, *drifts))
     head = ("mesh, 1.2 ps", "direct, 1.2 ps", "mesh, 20 ps", "direct, 20 ps", "drift a ps, mesh", "drift a ps, direct")
     return table(("scheme", "step", *head), body)
+
+
+def stockmayer_constants() -> str:
+    """Return dielectric constants of the Stockmayer fluid, with the mean of six equal runs."""
+    return _constants("stockmayer")
+
+
+def ferrofluid_constants() -> str:
+    """Return those of the ferrofluid."""
+    return _constants("ferrofluid")
+
+
+def _constants(fluid: str) -> str:
+    found, body = [row for row in rows("dielectric") if row["fluid"] == fluid], []
+    what = ("mu2_over_kT", "program", "boundary", "dipoles", "ps")
+    for point in distinct(found, *what):
+        some = [row for row in found if tuple(row[name] for name in what) == point]
+        seeds = [row for row in some if row["options"].startswith("--seed")]
+        for row in [row for row in some if row not in seeds]:
+            body.append((*point[:4], " ".join((point[4], row["options"])).strip(), _constant([row])))
+        if seeds:
+            body.append((*point[:4], f"{len(seeds)} × {point[4]}", _constant(seeds)))
+    return table(("mu²/kT", "program", "boundary", "dipoles", "ps", "dielectric constant"), body)
+
+
+def _constant(some: list[Row]) -> str:
+    """Return the mean of a dielectric constant over independent runs, and its error."""
+    value = sum(float(row["epsilon"]) for row in some) / len(some)
+    digits = len(some[0]["epsilon"].partition(".")[2])
+    if not some[0]["error"]:
+        return f"{value:.{digits}f}"
+    return f"{value:.{digits}f} ± {math.hypot(*(float(row['error']) for row in some)) / len(some):.{digits}f}"
+
+
+def dipole_droplets() -> str:
+    """Return the largest relative energy errors of a droplet of dipoles, by examples/dipole_fluid.py."""
+    found, body = rows("dipole_droplet"), []
+    for point in distinct(found, "scheme", "rotor", "step"):
+        some = [row for row in found if (row["scheme"], row["rotor"], row["step"]) == point]
+        forces = round(sum(int(row["forces"]) for row in some) / len(some), -2)
+        errors = ", ".join(row["max_error"].replace("e-0", "e-") for row in some)
+        body.append((f"{point[0]} + {point[1]}", f"{float(point[2]):.2g}", f"{forces:g}", errors))
+    return table(("scheme + rotor", "step", "force evaluations", "largest relative energy error"), body)
+
+
+def droplet_gains() -> tuple[float, float]:
+    """Return by how many times the error of W4_4 is below that of velocity Verlet, at least and at most."""
+    errors = {(row["scheme"], row["seed"]): float(row["max_error"]) for row in rows("dipole_droplet")}
+    gains = [errors["V2", seed] / errors["W4_4", seed] for scheme, seed in errors if scheme == "W4_4"]
+    return min(gains), max(gains)

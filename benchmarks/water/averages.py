@@ -93,7 +93,7 @@ def row_of(run: dict[str, Any]) -> dict[str, Any]:
         if (name in ("density", "enthalpy")) != (run["ensemble"] == "NPT"):
             values: tuple[float, ...] = (np.nan,) * 4
         else:
-            found = rb.corrected(file, name)
+            found = rb.corrected(file, name, pressure=1.0 if run["ensemble"] == "NPT" else None)
             per = MOLECULES if name in ("potential energy", "enthalpy") else 1
             values = found.mean - found.correction, found.mean, found.error, found.correction_error
             values = tuple(value / per for value in values)

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from benchmarks.common.records import DOCS, Record
 
 Array = NDArray[np.float64]
 
 KELVIN, WEAK = 300.0, 1e-9
 MOLECULES, DURATION, EVERY = 27, 0.4, 0.004
 STEPS = 0.002, 0.001, 0.0005
+RECORD = Record(DOCS / "energy_balance.csv", ("integrator", "fs"), ("sum", "balance"))
 CASES = {
     "Langevin, BAOA": lambda h: rb.ExactRigidBodyLangevinIntegrator(KELVIN, WEAK, h),
     "Langevin, S2_2": lambda h: rb.ExactRigidBodyLangevinIntegrator(KELVIN, WEAK, 2.0 * h, "S2_2"),
@@ -67,11 +69,11 @@ def main() -> None:
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     _, system, positions = rb.rigid_water(MOLECULES, nonbondedMethod=app.NoCutoff)
     start = relaxed(system, positions)
-    steps = ", ".join(f"{1000.0 * h:g}" for h in STEPS)
-    print(f"| standard deviation at {steps} fs per force | kinetic + potential energy | balance |\n| --- | --- | --- |")
     for name, make in CASES.items():
-        found = np.transpose([spreads(make(h), system, start) for h in STEPS])
-        print(f"| {name} | " + " | ".join(", ".join(f"{value:.2g}" for value in row) for row in found) + " |")
+        for h in STEPS:
+            found = spreads(make(h), system, start)
+            row = {key: f"{value:.4g}" for key, value in zip(("sum", "balance"), found, strict=True)}
+            RECORD.add({"integrator": name, "fs": f"{1000.0 * h:g}"} | row)
 
 
 if __name__ == "__main__":

@@ -224,7 +224,8 @@ def main() -> None:
     whole = [point for point in found if point.ps >= args.runs * args.length]
     if whole:
         args.out.mkdir(parents=True, exist_ok=True)
-        draw(whole, args.out / "equipartition.png")
+        for model in {point.model for point in whole}:
+            draw([point for point in whole if point.model == model], args.out / f"equipartition_{model}.png")
         draw_difference(whole, args.out / "equipartition_difference.png")
 
 
@@ -244,37 +245,32 @@ def finished(jobs: list[ensemble.Job], args: argparse.Namespace) -> dict[str, di
 
 
 def draw(drawn: list[Point], file: Path) -> None:
-    """Draw a column of panels for each model: temperatures and energy at constant volume, density at constant pressure.
+    """Draw panels for one model: temperatures and energy at constant volume, density at constant pressure.
 
     Where there are runs of one ensemble only, its temperatures and energies are drawn.
     """
-    models = list(dict.fromkeys(point.model for point in drawn))
     kinds = {point.ensemble for point in drawn}
     main = "NVT" if "NVT" in kinds else "NPT"
     panels = [("T_rot - T_tr", main), ("U", main)] + [("density", "NPT")] * ("NPT" in kinds)
-    shape = len(panels), len(models)
-    size = (1.2 + 4.4 * len(models), 1.2 + 2.6 * len(panels))
-    figure, grid = plt.subplots(*shape, figsize=size, sharex=True, squeeze=False, layout="constrained")
-    for (quantity, kind), line in zip(panels, grid, strict=True):
-        line[0].set_ylabel(LABELS[quantity].replace(" (kJ", "\n(kJ") + f"\n{AT_CONSTANT[kind]}")
-        for model, axes in zip(models, line, strict=True):
-            shown = [point for point in drawn if point[:2] == (model, kind)]
-            shade_goal(axes, quantity, shown)
-            plot(axes, quantity, shown)
-            if not axes.has_data():
-                axes.text(0.5, 0.5, "not measured yet", transform=axes.transAxes, ha="center", color="0.4")
-                axes.set_yticks([])
-    for model, top, bottom in zip(models, grid[0], grid[-1], strict=True):
-        top.set_title(NAMES.get(model, model))
-        top.set_yscale("symlog", linthresh=2.0)
-        top.set_yticks([-20, -10, -5, -2, -1, 0, 1, 2, 5, 10])
-        top.yaxis.set_major_formatter("{x:g}")
-        bottom.set_xscale("log", base=2)
-        bottom.set_xticks(sorted({point.interval for point in drawn}))
-        bottom.xaxis.set_major_formatter("{x:g}")
-        bottom.set_xlabel("time per force evaluation (fs)")
+    size = (5.6, 1.2 + 2.5 * len(panels))
+    figure, column = plt.subplots(len(panels), figsize=size, sharex=True, squeeze=False, layout="constrained")
+    for (quantity, kind), (axes,) in zip(panels, column, strict=True):
+        axes.set_ylabel(LABELS[quantity].replace(" (kJ", "\n(kJ") + f"\n{AT_CONSTANT[kind]}")
+        shown = [point for point in drawn if point.ensemble == kind]
+        shade_goal(axes, quantity, shown)
+        plot(axes, quantity, shown)
+    top, bottom = column[0, 0], column[-1, 0]
+    top.set_title(NAMES.get(drawn[0].model, drawn[0].model))
+    top.set_yscale("symlog", linthresh=2.0)
+    low, high = top.get_ylim()
+    top.set_yticks([K for K in (-20, -10, -5, -2, -1, 0, 1, 2, 5, 10) if low <= K <= high])
+    top.yaxis.set_major_formatter("{x:g}")
+    bottom.set_xscale("log", base=2)
+    bottom.set_xticks(sorted({point.interval for point in drawn}))
+    bottom.xaxis.set_major_formatter("{x:g}")
+    bottom.set_xlabel("time per force evaluation (fs)")
     legend: dict[str, Artist] = {}
-    for axes in grid.flat:
+    for axes in column.flat:
         legend |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2, fontsize=9)
     figure.savefig(file, dpi=150)

@@ -20,6 +20,7 @@ from openmm import app
 
 import openmm_exactrb as rb
 from benchmarks.common.group_temperatures import Groups
+from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import R, context_of, put, simulation_of, thermostat
 from benchmarks.proteins.protein_steps import KINDS, molecules, start_of
 from benchmarks.proteins.protein_steps import TEMPERATURE as OF_SOLUTE
@@ -28,6 +29,7 @@ from openmm_exactrb.substeps import DRIFT
 
 MOLECULES, TEMPERATURE, FRICTION = 216, 298.15, 5.0
 FREE = Scheme("free motion", 2, ((DRIFT, 1.0),))
+RECORD = Record(DOCS / "reading_point.csv", ("model", "fs"), ("U_less", "error"))
 
 
 def energy(context: openmm.Context) -> float:
@@ -106,7 +108,8 @@ def main() -> None:
     integrator.step(700)
     for fs in args.intervals:
         found = differences(context, further, integrator, 0.003 * fs, args.duration)
-        print("{}, {:g} fs per force: {:+.4f} +- {:.4f} kJ/mol per molecule".format(args.model, fs, *mean_of(found)))
+        mean, error = mean_of(found)
+        RECORD.add({"model": args.model, "fs": fs, "U_less": f"{mean:.4f}", "error": f"{error:.4f}"})
 
 
 if __name__ == "__main__":

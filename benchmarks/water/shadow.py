@@ -22,12 +22,15 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import R, context_of
 from openmm_exactrb.schemes import Scheme, shadow, splitting
 from openmm_exactrb.substeps import HEAT_EXCHANGE
 
 TEMPERATURE, APART = 298.15, 15.0  # K; how far two runs are from it
 STEP, WINDOW = 0.006, 400  # ps; steps of a window of the spectrum
+PREDICTED = "T_rot - T_tr", "dU oscillators", "dU more", "error", "rotation beyond stability"
+RECORD = Record(DOCS / "shadow.csv", ("model", "masses", "scheme", "fs"), PREDICTED)
 
 
 def started(model: str, heavy: bool, integrator: rb.ExactRigidBodyLangevinIntegrator) -> openmm.Context:
@@ -200,12 +203,9 @@ def main() -> None:
     for name in args.schemes:
         for interval in args.intervals:
             difference, energy, lost = predicted(splitting(name), 0.001 * interval, frequencies, *parts)
-            beyond = f", {lost:.1%} of rotation beyond stability" if lost > 5e-4 else ""
-            more, error = liquid.energy(splitting(name), 0.001 * interval)
-            print(
-                f"{name:8} {interval:g} fs per force: T_rot - T_tr {difference:+.1f} K, dU {energy:+.3f} of "
-                f"oscillators, {more:+.3f} +- {error:.3f} more of the liquid{beyond}"
-            )
+            found = (difference, energy, *liquid.energy(splitting(name), 0.001 * interval), lost)
+            row = {"model": args.model, "masses": "heavy" if args.heavy else "plain", "scheme": name, "fs": interval}
+            RECORD.add(row | {key: f"{value:.4f}" for key, value in zip(PREDICTED, found, strict=True)})
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 Dipoles in chains
 =================
 
-A cold droplet: bound neighbours are joined, and each chain has a colour of its own.
+Cooled soft dipoles align head to tail. Lines join bound neighbours, each of the six largest chains has its own colour,
+and shorter chains are grey.
 """
 
 import matplotlib.pyplot as plt

@@ -2,7 +2,10 @@
 The Dzhanibekov flip
 ====================
 
-A body rotates about its middle axis, computed with the exact flow and with McLachlan-Reich at the same large step.
+A wing nut that rotates about its middle axis turns over, rests, and turns over again, as a cosmonaut observed. Each
+time it passes close to the separatrix, where small errors of the momentum decide when the next flip comes. Points of
+the exact flow lie on the true curve although the steps are 1.6 rad long, because its error does not depend on the step.
+The McLachlan-Reich rotation, of order 2, flips at the wrong times.
 """
 
 import matplotlib.pyplot as plt

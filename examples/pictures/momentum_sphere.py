@@ -2,7 +2,9 @@
 The momentum sphere
 ===================
 
-Orbits of the angular momentum of a free body form two families, divided by the separatrix. Each point was computed by a
+Every curve is a solution of Euler's equations: the angular momentum of one free body, in the frame of the body. One
+family of curves encloses the axis of the smallest moment of inertia, the other that of the largest. The separatrix
+between them passes through the middle axis, and the motion on it takes infinitely long. Each point was computed by a
 single call from the start of its curve.
 """
 

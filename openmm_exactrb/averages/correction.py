@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from openmm import unit
 
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
+from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -36,7 +37,6 @@ Array = NDArray[np.float64]
 _BLOCKS, _FEWEST = 20, 40
 # kg/m³ per Da/nm³.
 _DENSITY = 1.66053906660
-_R = 0.00831446261815324  # kJ/mol/K
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,6 @@ class PressureOffset:
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
         """Return a barostat that keeps the density of a pressure (in bar if it has no unit) at zero step size."""
-        from openmm_exactrb.openmm_access.units import plain
-
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
@@ -105,6 +103,7 @@ def corrected(
     observable: str | ArrayLike,
     slope: ArrayLike | Sequence[ArrayLike] | None = None,
     local: bool = False,
+    pressure: float | unit.Quantity | None = None,
 ) -> Average:
     """Return the average of an observable without the second-order error of the step size.
 
@@ -121,6 +120,9 @@ def corrected(
         them. Not needed for values that depend on the volume alone.
     local : bool, optional
         Whether to take the curvature of the potential around the particles that the reporter was given.
+    pressure : float or Quantity, optional
+        The pressure that the average is for, in bar if it has no unit, near that of the barostat, which is the default.
+        After a run with the barostat of a `PressureOffset`, give the pressure without the offset.
 
     Returns
     -------
@@ -132,15 +134,25 @@ def corrected(
         If the file has not what the correction needs, or the theory does not hold for the run.
     """
     settings, columns = _checked(file)
+    excess = 0.0
+    if pressure is not None:
+        if not settings.barostat:
+            raise ValueError(
+                f"{file} is of a run at constant volume, to which no pressure belongs: leave out pressure="
+            )
+        wanted = plain(pressure, unit.bar, "a pressure")
+        settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted
     if settings.barostat and "pressure" not in columns:
-        raise ValueError(f"at constant pressure corrections need the pressure: report {file} with pressure=True")
+        raise ValueError(f"corrections at constant pressure need the pressure: report {file} with pressure=True")
     if local and "square around" not in columns:
-        raise ValueError(f"{file} has no curvature around particles: report with around=(particles, distance)")
+        raise ValueError(
+            f"{file} has no curvature around particles: create the AverageReporter with around=(particles, distance)"
+        )
     of = _named(settings, observable) if isinstance(observable, str) else _given(observable, slope, columns)
 
     def result(some: Columns) -> _Result:
         value, observable_of = of(some)
-        return value, *_errors(settings, some, observable_of, local)
+        return value, *_errors(settings, some, observable_of, local, excess)
 
     return _jackknife(columns, result)
 
@@ -160,7 +172,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     """
     settings, columns = _checked(file)
     if "pressure" not in columns:
-        raise ValueError(f"{file} has no pressure: report with pressure=True")
+        raise ValueError(f"{file} has no pressure: create the AverageReporter with pressure=True")
 
     def result(some: Columns) -> _Result:
         value, of = _pressure(settings, some)
@@ -182,8 +194,8 @@ _Result = tuple[float, float, float]
 _Estimate = tuple[float, _Observable]
 
 
-def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool) -> tuple[float, float]:
-    """Return the errors of an average for weak and for strong friction."""
+def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool, excess: float) -> tuple[float, float]:
+    """Return the errors of an average for weak and for strong friction; the barostat may have an excess (bar)."""
     if not settings.barostat:
         return _at_fixed_volume(settings, columns, of, local, None)
     volume = columns["volume"]
@@ -191,7 +203,7 @@ def _errors(settings: Settings, columns: Columns, of: _Observable, local: bool) 
     own = _at_fixed_volume(settings, columns, of, local, volume)
     offset = _at_fixed_volume(settings, columns, pressure, False, volume)
     response = _covariance(of.values, volume) / (settings.kT * BAR)
-    return own[0] + response * offset[0], own[1] + response * offset[1]
+    return own[0] + response * (offset[0] - excess), own[1] + response * (offset[1] - excess)
 
 
 def _at_fixed_volume(
@@ -241,7 +253,7 @@ def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
     if name not in _READY:
         known = ", ".join([*_READY, *settings.observables])
-        raise ValueError(f"there is no observable {name!r}: choose one of {known}, or give a value for each frame")
+        raise ValueError(f"unknown observable {name!r}: choose one of {known}, or give one value for each frame")
     needs, ensemble, of = _READY[name]
     if ensemble == "constant pressure" and not settings.barostat:
         raise ValueError(f"the {name} needs a run at constant pressure: add a MonteCarloBarostat to the System")
@@ -261,7 +273,7 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
     slopes = [np.broadcast_to(np.asarray(s, dtype=np.float64), (frames,)) for s in given]
     if array.shape != (frames,) or len(slopes) != 2:
-        raise ValueError(f"an observable has a value, and a slope, for each of the {frames} frames of the file")
+        raise ValueError(f"an observable needs one value, and one slope, for each of the {frames} frames of the file")
     steps = columns["step"]
 
     def estimate(some: Columns) -> _Estimate:
@@ -305,7 +317,7 @@ def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
     scale = 1.0 / (settings.kT * settings.temperature)
     outer, inner = (2.0 * scale * off * slope for slope in slopes)
     value, of = _mean(scale * off**2, outer, inner)
-    return value + 0.5 * settings.freedom * _R, of
+    return value + 0.5 * settings.freedom * settings.kT / settings.temperature, of
 
 
 def _compressibility(settings: Settings, columns: Columns) -> _Estimate:
@@ -334,7 +346,7 @@ def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
-        raise ValueError(f"{file} has {frames} frames, and errors need at least {_FEWEST}: run longer")
+        raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: run longer")
     if settings.barostat not in ("", "MonteCarloBarostat"):
         raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
     return settings, columns

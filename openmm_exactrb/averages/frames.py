@@ -172,14 +172,14 @@ def langevin_of(integrator: object) -> ExactRigidBodyIntegrator:
     """Return an integrator for which the theory holds; ValueError for any other."""
     if not isinstance(integrator, ExactRigidBodyIntegrator) or not isinstance(integrator.getThermostat(), Langevin):
         raise ValueError(
-            "averages can be corrected for Langevin dynamics of this package only: use "
+            "averages can be corrected only for Langevin dynamics of this package: use "
             f"ExactRigidBodyLangevinIntegrator instead of {type(integrator).__name__}"
         )
     thermostat: Any = integrator.getThermostat()
     if not any((*thermostat.frictions, *thermostat.flexible_frictions)):
-        raise ValueError("averages can be corrected for Langevin dynamics with a friction only: set one above 0")
+        raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
     if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
-        raise ValueError("averages can be corrected if all force groups act only: set all integration force groups")
+        raise ValueError("averages can be corrected only if all force groups act: set all integration force groups")
     return integrator
 
 
@@ -218,21 +218,11 @@ class _FastContext:
         excerpt = self._fast.excerpt
         if excerpt is None:
             return arrays.forces(context.getState(forces=True, groups=self._fast.groups))
-        theirs = context.getState(parameters=True)
-        _follow(self._own, theirs)
+        arrays.take_surroundings(self._own, context.getState(parameters=True))
         self._own.setPositions(x[excerpt.particles])
         forces = np.zeros_like(x)
         forces[excerpt.particles] = arrays.forces(self._own.getState(forces=True))
         return forces
-
-
-def _follow(context: openmm.Context, state: openmm.State) -> None:
-    """Give a Context the box and the parameters of a State."""
-    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-    known = set(context.getParameters())
-    for name, value in state.getParameters().items():
-        if name in known:
-            context.setParameter(name, value)
 
 
 class _ScaledContext:
@@ -242,7 +232,8 @@ class _ScaledContext:
     """
 
     def __init__(self, simulation: Any, bodies: RigidBodies, named: Sequence[Sequence[int]] | None) -> None:
-        context, system = simulation.context, simulation.system
+        self._context, system = simulation.context, simulation.system
+        context = self._context
         if not system.usesPeriodicBoundaryConditions():
             raise ValueError("a System without a periodic box has no pressure: report with pressure=False")
         platform = context.getPlatform()
@@ -273,6 +264,7 @@ class _ScaledContext:
         centre of a molecule and F the force on it.
         """
         x, volume = arrays.positions(state), state.getPeriodicBoxVolume()._value
+        arrays.take_parameters(self._own, self._context.getState(parameters=True))
         (up, f_up), (down, f_down) = (
             self._at(state, x, of_bodies, 1.0 + s, generalised) for s in (_STRETCH, -_STRETCH)
         )
@@ -296,7 +288,6 @@ class _ScaledContext:
         generalised: Callable[[BodyState, Array], Force],
     ) -> tuple[float, Force]:
         """Return energy and generalised force in a box of other lengths."""
-        _follow(self._own, state)
         self._own.setPeriodicBoxVectors(*(scale * np.reshape(arrays.box(state), (3, 3))))
         self._own.setPositions(x + (scale - 1.0) * self._centres(x)[self._molecule])
         self._own.computeVirtualSites()

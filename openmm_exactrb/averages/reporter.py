@@ -78,13 +78,13 @@ class AverageReporter:
 
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line for a Simulation and a State with positions, energy and forces."""
-        assert self._frames is not None
+        frames = self._frames or self._begin(simulation)
         if _changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat or the barostat was changed: averages need one of each, so report other "
-                "settings to another file"
+                "the step size, the thermostat or a parameter of the Context has changed: report the new settings to "
+                "another file"
             )
-        values = [state.getTime().value_in_unit(unit.picosecond), *self._frames.row(state, self._observables)]
+        values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
         self._out.flush()
 
@@ -93,7 +93,7 @@ class AverageReporter:
         if self._out is not None:
             self._out.close()
 
-    def _begin(self, simulation: Any) -> None:
+    def _begin(self, simulation: Any) -> Frames:
         settings = settings_of(simulation, self._observables)
         frames = Frames(simulation, self._pressure, self._around)
         first = head(settings, columns_of(settings, self._pressure, self._around is not None))
@@ -101,13 +101,14 @@ class AverageReporter:
         if continued:
             text = self._file.read_text(encoding="utf-8")
             if not text.startswith(first):
-                raise ValueError(f"{self._file} is of a run with other settings: give another file")
+                raise ValueError(f"{self._file} belongs to a run with other settings: give another file")
             if not text.endswith("\n"):
                 raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
         self._out = self._file.open("a" if continued else "w", encoding="utf-8")
         if not continued:
             self._out.write(first)
         self._frames, self._present = frames, _changing(simulation)
+        return frames
 
 
 def _changing(simulation: Any) -> object:

@@ -113,9 +113,9 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
     for cluster in sorted(bodies.clusters.kinds, key=lambda kind: len(kind.masses)):
         count = len(cluster.particles)
         line = (
-            f"{count} cluster{'s' if count > 1 else ''} of {len(cluster.masses)} particles"
-            f"{names.residues(cluster.particles)}: "
-            f"{cluster.freedom} degrees of freedom and {len(cluster.pairs)} constraints"
+            f"{count} cluster{'s' if count > 1 else ''} of {len(cluster.masses)} "
+            f"particles{names.residues(cluster.particles)}: {cluster.freedom} degrees of freedom and "
+            f"{len(cluster.pairs)} constraints"
         )
         if len(cluster.implied):
             i, j = cluster.particles[0, cluster.implied[0]]
@@ -147,7 +147,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield a line for constant energy and one for constant temperature, where steps were measured."""
     if not any(map(is_water, bodies.kinds)):
-        yield "step: none was measured for molecules like these: exactrb tune finds one"
+        yield "step: not measured for such molecules; exactrb tune finds one"
         return
     flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None)) is not None
     nve, fs, what = ("W2_1", 4.0, "proteins in water") if flexible else ("W4_4", 2.0, "rigid water")
@@ -166,9 +166,9 @@ def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterato
     """Yield the error of a first step, or that everything is supported, and what acts between steps."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
     if others:
-        yield f"between steps act: {', '.join(others)}"
+        yield f"acting between steps: {', '.join(others)}"
     if positions is None:
-        yield "positions were not given: their distances are not compared with the constraints"
+        yield "no positions were given, so distances were not compared with the constraints"
         return
     integrator = ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))

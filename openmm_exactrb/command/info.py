@@ -21,7 +21,7 @@ from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
 
 #: The purpose, in one sentence.
-PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported; else what is installed."
+PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
 
 _INTEGRATORS = (
     openmm_exactrb.ExactRigidBodyIntegrator,

@@ -69,7 +69,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=WATERS,
         help="water model of --solvate (the one that a force field is named after)",
     )
-    add("--cutoff", type=positive, metavar="NM", help=f"of PME, in a periodic box, nm {shown['cutoff']}")
+    add("--cutoff", type=positive, metavar="NM", help=f"cutoff of PME in a periodic box, nm {shown['cutoff']}")
     add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
     add(
         "--constraints",
@@ -77,7 +77,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=CONSTRAINTS,
         help=f"in addition to rigid water {shown['constraints']}",
     )
-    add("--hydrogen-mass", type=positive, metavar="AMU", help="of all hydrogens, taken from their heavier atoms")
+    add(
+        "--hydrogen-mass",
+        type=positive,
+        metavar="AMU",
+        help="mass of all hydrogens, taken from the atoms that they are bonded to",
+    )
 
 
 def check_missing(files: Iterable[Path]) -> None:
@@ -105,7 +110,7 @@ def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, 
     for applies, names, reason in idle:
         for name in names.split():
             if applies and getattr(args, name) is not None:
-                raise ValueError(f"leave out --{name.replace('_', '-')}: {reason}")
+                raise ValueError(f"omit --{name.replace('_', '-')}: {reason}")
 
 
 def load(args: argparse.Namespace) -> Box:
@@ -133,11 +138,9 @@ def load(args: argparse.Namespace) -> Box:
 
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
-        raise ValueError("--forcefield and --solvate go with a PDB or PDBx file: a System has its forces already")
+        raise ValueError("--forcefield and --solvate need a PDB or PDBx file: a System already has its forces")
     if args.hydrogen_mass is not None:
-        raise ValueError(
-            "leave out --hydrogen-mass: a System has its masses, which heavy_hydrogens() in Python changes"
-        )
+        raise ValueError("omit --hydrogen-mass: a System has its masses, which heavy_hydrogens() in Python changes")
     system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
     if not state.getDataTypes() & openmm.State.Positions:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
@@ -174,7 +177,7 @@ def _read(args: argparse.Namespace, force_field: app.ForceField) -> app.Modeller
     (file,) = args.files
     reader = _READERS[file.suffix.lower()]
     if reader is app.PDBFile and "\nEND" not in file.read_text(encoding="utf-8", errors="replace"):
-        raise ValueError(f"{file} was not understood: there is no line END, so it is truncated or not a PDB file")
+        raise ValueError(f"{file} cannot be read: it has no END line, so it is truncated or not a PDB file")
     content = _understood(str(file), reader, str(file))
     modeller = app.Modeller(content.topology, content.positions)
     if args.solvate:
@@ -238,7 +241,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
     except OSError:
         raise
     except Exception as error:
-        raise ValueError(f"{what} was not understood: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{what} cannot be read: {' '.join(str(error).split())}") from error
 
 
 def begin_at(simulation: app.Simulation, state: openmm.State) -> None:

@@ -54,7 +54,7 @@ def _status(args: argparse.Namespace) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise  # else Ctrl-C came in a call of OpenMM, whose wrapper makes this of it
-        again = "; resume it by the same command and --resume" if args.command == "run" else ""
+        again = "; to resume it, repeat the command with --resume" if args.command == "run" else ""
         begin = "\n" if sys.stderr.isatty() else ""  # after ^C, or a progress bar
         print(f"{begin}exactrb {args.command}: SIGINT: stopped{again}", file=sys.stderr)
         return 128 + signal.SIGINT

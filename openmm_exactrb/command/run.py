@@ -47,27 +47,29 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument
     ensembles: dict[str, Any] = {"type": arguments.named(setup.ENSEMBLES), "choices": setup.ENSEMBLES, "default": "nve"}
-    add("--ensemble", **ensembles, help="constant energy, temperature, pressure (nve)")
+    add("--ensemble", **ensembles, help="constant energy, temperature or pressure (nve)")
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
     add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
-    offset = "file of an AverageReporter at constant volume: set the barostat right for the error of this step"
+    offset = (
+        "file of an AverageReporter at constant volume, which corrects the pressure of the barostat for the step size"
+    )
     add("--pressure-offset", metavar="CSV", help=offset)
     add("--duration", type=times, default=10.0, metavar="T", help="ps, or with a unit: 1ns (%(default)s)")
     add(
         "--step",
         type=arguments.time_or_auto,
         metavar="T",
-        help="step of the scheme with its unit: 4fs; auto tunes it (auto)",
+        help="step of the scheme, with its unit (4fs); auto tunes it (auto)",
     )
-    between = "time between two force evaluations with its unit: 2fs; instead of --step"
+    between = "time between two force evaluations, with its unit (2fs), instead of --step"
     add("--force-interval", type=arguments.time_with_unit, metavar="T", help=between)
     add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
     add("--budget", type=positive, metavar="S", help=f"processor time for auto, s {shown['budget']}")
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
     for name, option in setup.OPTIONS:
         add(arguments.flag(name), dest=name, **option)
-    start = "of a start without velocities, ps, or 5ps (a fifth of --duration, at most 5 ps)"
+    start = "equilibration of a start without velocities, ps, or 5ps (a fifth of --duration, at most 5 ps)"
     add("--equilibrate", type=arguments.time_or_zero, metavar="T", help=start)
     add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities, noise and barostat (%(default)s)")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
@@ -82,8 +84,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="format (%(default)s)",
     )
     add("--interval", type=times, default=0.1, metavar="T", help="between frames and lines, ps (%(default)s)")
-    add("--no-picture", dest="picture", action="store_false", help="draw none at the end")
-    add("--quiet", action="store_true", help="nothing on stderr but errors")
+    add("--no-picture", dest="picture", action="store_false", help="draw no picture at the end")
+    add("--quiet", action="store_true", help="print only errors on stderr")
 
 
 def carry_out(args: argparse.Namespace) -> int:
@@ -92,7 +94,7 @@ def carry_out(args: argparse.Namespace) -> int:
     settled = argparse.Namespace(**vars(args) | _DEFAULTS | named)
     if args.resume and not args.files and not args.solvate:
         raise ValueError(
-            f"--resume continues the same command: repeat it, with its files and options, and add --resume to continue "
+            f"--resume needs the same command: repeat it with its files and options, and add --resume to continue "
             f"the run in {args.out}"
         )
     job = Run.from_options(settled, free=_FREE)

@@ -9,7 +9,7 @@ from openmm_exactrb.openmm_access.platforms import platform_of
 from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES, progress, tune
 
 #: The purpose, in one sentence.
-PURPOSE = "Find the cheapest scheme and step for a wanted energy error."
+PURPOSE = "Find the cheapest scheme and step for a given energy error."
 
 _TEMPERATURE = 300.0
 
@@ -19,15 +19,20 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inputs.add_options(parser)
     positive, time = arguments.positive, arguments.time
     add = parser.add_argument_group("tuning").add_argument
-    add("--target", type=positive, metavar="X", help="wanted standard deviation of the energy, kJ/mol per body")
+    add("--target", type=positive, metavar="X", help="target standard deviation of the energy, kJ/mol per body")
     add("--schemes", nargs="+", metavar="NAME", help=f"instead of {', '.join(CANDIDATES)}")
-    add("--temperature", type=positive, metavar="K", help=f"of a start without velocities, K ({_TEMPERATURE:g})")
-    add("--horizon", type=time, metavar="T", help="length of the runs for which errors are promised, ps, or 30ps")
+    add(
+        "--temperature",
+        type=positive,
+        metavar="K",
+        help=f"temperature of a start without velocities, K ({_TEMPERATURE:g})",
+    )
+    add("--horizon", type=time, metavar="T", help="length of the runs for which errors hold, ps, or 30ps")
     add("--budget", type=positive, default=BUDGET, metavar="S", help="seconds of processor time (%(default)g)")
-    add("--duration", type=time, metavar="T", help="length of the runs of the survey (from the forces and the budget)")
+    add("--duration", type=time, metavar="T", help="length of the survey runs (from the forces and the budget)")
     add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities and noise (%(default)s)")
     add("--platform", metavar="NAME", help="OpenMM platform (the fastest)")
-    add("--quiet", action="store_true", help="no line per run on stderr")
+    add("--quiet", action="store_true", help="print no line per run")
 
 
 def carry_out(args: argparse.Namespace) -> int:

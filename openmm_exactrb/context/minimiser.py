@@ -23,7 +23,7 @@ def minimise_by_integrators(kind: type[Any]) -> None:
             minimize(context, tolerance, maxIterations, reporter)
             return
         if reporter is not None:
-            raise ValueError("a minimisation with bodies named by hand calls no reporter: leave out reporter=")
+            raise ValueError("minimisation with bodies named by hand does not support reporter=: omit it")
         integrator.minimizeEnergy(tolerance, maxIterations)
 
     openmm.LocalEnergyMinimizer.minimize = staticmethod(minimise)

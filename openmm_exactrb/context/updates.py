@@ -72,14 +72,14 @@ class ContextUpdates:
         """Raise ValueError for what would bring bodies to another temperature (K) than the integrator's thermostat."""
         if self.pushes:
             raise ValueError(
-                "the System has an AndersenThermostat, but this integrator is a thermostat itself: remove it from the "
-                "System, or use ExactRigidBodyIntegrator"
+                "the System has an AndersenThermostat, but this integrator has a thermostat of its own: remove it "
+                "from the System, or use ExactRigidBodyIntegrator"
             )
         for parameter, name in self.temperatures.items():
             own = context.getParameter(parameter)
             if not math.isclose(own, temperature, rel_tol=1e-9):
                 raise ValueError(
-                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same, with "
+                    f"the {name} is at {own:g} K, the integrator at {temperature:g} K: set both to the same value with "
                     f"context.setParameter({parameter!r}, {temperature:g}) or with setTemperature"
                 )
 
@@ -94,14 +94,14 @@ class ContextUpdates:
         return bool(self._removals)
 
     @property
-    def periods(self) -> tuple[int, int]:
-        """After how many steps OpenMM has something to do, and after how many of these not only for velocities of all.
+    def period(self) -> int:
+        """After how many steps barostats or thermostats have something to do; 0 is never."""
+        return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
-        0 is never.
-        """
-        acts = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
-        interval = math.gcd(acts, *self._removals)
-        return interval, acts // interval if interval else 0
+    @property
+    def removal(self) -> int:
+        """Of what the numbers of steps are multiples behind which motion is removed; 0 is never."""
+        return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
         """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
@@ -118,8 +118,7 @@ class ContextUpdates:
         if not (self.moves or self.pushes):
             return 0
         self._waiting += 1
-        period = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
-        if not period or self._waiting < period:
+        if not self.period or self._waiting < self.period:
             return 0
         waiting, self._waiting = self._waiting, 0
         return waiting
@@ -162,8 +161,8 @@ def warn_of_removed_motion(system: openmm.System) -> None:
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
         warnings.warn(
-            "the CMMotionRemover takes away the momentum that frozen particles, of mass 0, give to the others, so that "
-            "the energy has errors of order 1 in the step size: remove it, as createSystem(removeCMMotion=False) does",
+            "the CMMotionRemover removes the momentum that frozen particles (mass 0) transfer to the others, which "
+            "causes energy errors of order 1 in the step size: create the System with removeCMMotion=False",
             RemovedMotionWarning,
             stacklevel=2,
         )
@@ -189,8 +188,8 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
     for number, body in enumerate(named):
         if len({molecule[particle] for particle in body}) > 1:
             raise ValueError(
-                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which is not one "
-                "molecule for OpenMM: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
+                f"a barostat would tear body {number} (particles {', '.join(map(str, body))}), which OpenMM does not "
+                f"treat as one molecule: join its particles by bonds, such as those of a HarmonicBondForce with k = 0"
             )
 
 

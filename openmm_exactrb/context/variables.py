@@ -37,13 +37,13 @@ HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED = "heat", "heat_of_friction", "accept
 _NUMBERS = (SEED, STREAM, HEAT, HEAT_OF_FRICTION, ACCEPTED, PROPOSED, COORDINATES, REMEMBERED, DIFFERENCES)
 #: What is said of a checkpoint in the variables of another engine than its own.
 OTHER_ENGINE = (
-    'the checkpoint that was loaded is of a run with engine="{0}": make the integrator with engine="{0}" or "auto"'
+    'the loaded checkpoint is from a run with engine="{0}": create the integrator with engine="{0}" or "auto"'
 )
 #: What is said of a checkpoint in the variables of another format than its own.
 OTHER_FORMAT = (
-    "the checkpoint or State that was loaded is of another kind of integrator, or of a thermostat with other variables "
-    "(a chain of another length, for example): make the integrator like the one that wrote it, or pass positions "
-    "and velocities alone, with openmm_exactrb.loadState into a new Context"
+    "the loaded checkpoint or State is from another kind of integrator, or from a thermostat with other variables "
+    "(such as a chain of another length): create the same integrator as in the run that wrote it, or load only "
+    "positions and velocities into a new Context with openmm_exactrb.loadState"
 )
 
 

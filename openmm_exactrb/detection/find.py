@@ -131,8 +131,8 @@ def _check_drude_particles(system: openmm.System) -> None:
         if isinstance(force, openmm.DrudeForce) and force.getNumParticles():
             names = ", ".join(str(force.getParticleParameters(i)[0]) for i in range(min(3, force.getNumParticles())))
             raise ValueError(
-                f"the System has Drude particles ({names}, ...), which need an integrator of their own: use a force "
-                "field without them"
+                f"the System has Drude particles ({names}, ...), which need one of OpenMM's Drude integrators: use a "
+                "force field without them"
             )
 
 

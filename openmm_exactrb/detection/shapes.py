@@ -70,8 +70,8 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     if bad.any():
         names = ", ".join(map(str, particles[np.argmax(bad)]))
         raise ValueError(
-            f"the constraints between particles {names} cannot be reached from these positions: set some whose "
-            "distances are about those of the constraints"
+            f"the constraints between particles {names} cannot be satisfied from these positions: set positions "
+            f"whose distances are close to the constraints"
         )
     whole = positions.copy()
     whole[particles] = X
@@ -174,8 +174,8 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     residual = np.abs(np.linalg.norm(sites[:, None] - sites[None, :], axis=2) - distances).max()
     if residual > RESIDUAL * distances.max():
         raise ValueError(
-            f"the constraints between particles {', '.join(map(str, particles[0]))} fit no body in space: "
-            f"a distance is missed by {residual:.2g} nm"
+            f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
+            f"dimensions: a distance is off by {residual:.2g} nm"
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

@@ -127,8 +127,8 @@ def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices
     nearest = np.linalg.norm(gap - np.round(gap @ np.linalg.inv(box)) @ box)
     raise ValueError(
         f"particles {p} and {q} of body {owner[p]} are {np.linalg.norm(gap):.3g} nm apart as they are given and "
-        f"{nearest:.3g} nm across the periodic box, and their bond is as long as neither: give the bond of the "
-        "HarmonicBondForce the length that it has in the body"
+        f"{nearest:.3g} nm across the periodic box, and the length of their bond is neither: set the length in the "
+        f"HarmonicBondForce to the distance in the body"
     )
 
 
@@ -195,14 +195,14 @@ def _say(number: int, X: Array, gaps: Array, split: bool) -> None:
     if split:
         raise ValueError(
             f"the periodic box has split molecules, and body {number} has a gap of {given:.3g} nm that is "
-            f"{across:.3g} nm across the box, so that its shape is not known: {_REMEDY}"
+            f"{across:.3g} nm across the box, so that its shape is ambiguous: {_REMEDY}"
         )
     steps = _steps(X)
     inner = steps[steps <= across * (1.0 + 1e-6)]
     if len(inner) and across <= _FITTING * inner.max():
         warn(
-            f"body {number} has a gap of {given:.3g} nm, is taken as it is given, and would be one without a gap if "
-            f"the periodic box had split it: if so, {_REMEDY}",
+            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have no gap if the "
+            f"periodic box had split it: if so, {_REMEDY}",
             ShapeWarning,
         )
 

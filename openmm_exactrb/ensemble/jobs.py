@@ -142,7 +142,7 @@ def _importable_name(function: Any) -> str:
     except (AttributeError, KeyError):
         found = None
     if found is not function or not callable(function):
-        raise TypeError(f"must be a function that is found by its name in its module, not {function!r}")
+        raise TypeError(f"must be a module-level function, not {function!r}")
     return qualified_name(function)
 
 

@@ -49,9 +49,13 @@ def _fields(future: distributed.Future) -> dict[str, Any]:
     try:
         return dict(future.result())
     except distributed.CancelledError as error:
-        raise ConnectionError("lost the scheduler; stored results are kept, repeat the call to continue") from error
+        raise ConnectionError(
+            "lost the connection to the scheduler; stored results are kept: repeat the call to continue"
+        ) from error
     except distributed.KilledWorker:
-        return {"error": "KilledWorker: every worker process that began it died: it crashed, or ran out of memory"}
+        return {
+            "error": "KilledWorker: every worker process that started it died, because it crashed or ran out of memory"
+        }
     except Exception as error:  # dask's own: exceptions of the function are caught by `perform`
         return {"error": f"{type(error).__name__}: {error}"}
 
@@ -105,6 +109,6 @@ def _cluster(workers: int) -> distributed.LocalCluster:
         return distributed.LocalCluster(n_workers=workers, **options)
     except RuntimeError as error:
         raise RuntimeError(
-            f"a worker process ended while it started ({error}): it lacks memory, or the script lacks if __name__ == "
+            f"a worker process ended at its start ({error}): it ran out of memory, or the script has no if __name__ == "
             "'__main__'"
         ) from error

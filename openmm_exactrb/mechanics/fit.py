@@ -138,8 +138,8 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
     name = bodies.name(int(chosen[worst]))
     if distance[worst] > REFUSED:
         cause = _cause(bodies, x, int(chosen[worst])) or (
-            f", more than {REFUSED:g} nm: set positions whose distances are about those of the constraints, or of the "
-            "positions that a body named by hand had first"
+            f", more than {REFUSED:g} nm: set positions that match the constraints, or the first positions of a body "
+            f"named by hand"
         )
         raise ValueError(f"{name} is {distance[worst]:.2g} nm away from its shape{cause}")
     warn(
@@ -167,8 +167,8 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
         return None
     k = astray[0]
     return (
-        f" because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its place among the others: set the "
-        "position of this particle again, in the periodic image of the others"
+        f" because of particle {particles[k]} alone, {missed[k, k]:.2g} nm from its position among the others: set "
+        f"the position of this particle again, in the periodic image of the others"
     )
 
 
@@ -217,6 +217,6 @@ def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices
     bad = ~(distance <= _REACHED)  # so that nan is bad
     if bad.any():
         raise ValueError(
-            f"the constraints of {bodies.name(int(first[np.argmax(bad)]))} cannot be reached from these positions: set "
-            "some whose distances are about those of the constraints"
+            f"the constraints of {bodies.name(int(first[np.argmax(bad)]))} cannot be satisfied from these positions: "
+            f"set positions whose distances are close to the constraints"
         )

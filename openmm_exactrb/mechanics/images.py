@@ -130,7 +130,7 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
     if (misses <= misses[best] + _EQUAL).sum() > 1:
         shown = ", ".join(map(str, names[:8])) + (", ..." if len(names) > 8 else "")
         raise ValueError(
-            f"the periodic box has split what particles {shown} form, and two images suit it equally well: set "
+            f"the periodic box has split the group of particles {shown}, and two images fit equally well: set "
             "positions in which it is whole"
         )
     return tried[best]

@@ -59,7 +59,7 @@ def separate_bonded(system: openmm.System) -> int:
     }
     free = [group for group in range(_GROUPS) if group not in others]
     if not free:
-        raise ValueError("the System has forces in all 32 force groups: give two of them the same one")
+        raise ValueError("the System uses all 32 force groups: put two of its forces into the same group")
     for force in system.getForces():
         if isinstance(force, BONDED_FORCES):
             force.setForceGroup(free[0])

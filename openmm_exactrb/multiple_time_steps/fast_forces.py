@@ -33,8 +33,8 @@ _SECOND_ORDER, _HIGHER_ORDER, _WITH_HEAT_EXCHANGE = ("S2_2", 0.05), ("SRKN4_6b",
 _LONGEST_PLAIN = 1.0 / 16.0
 
 _NO_PERIOD = (
-    "the fast forces have no bonds, and no harmonic angles between bonds of known length, from which the fastest "
-    "period follows: set the number of inner steps per step with innerSteps="
+    "the fast forces have no bonds, and no harmonic angles between bonds of known length, so that the fastest period "
+    "is unknown: set the number of inner steps per step with innerSteps="
 )
 _NO_INNER_STEPS = "there are no inner steps: "
 #: What `fast` may be instead of force groups: bonded forces where that helps; wherever there are some.
@@ -71,7 +71,7 @@ class MultipleTimeSteps:
             steps = whole(steps, "innerSteps")
         if fast is None:
             if scheme or steps:
-                raise ValueError('inner and innerSteps are for fast forces: name these with fast="bonded", for example')
+                raise ValueError('inner and innerSteps need fast forces: set them with fast="bonded", for example')
             return None
         if isinstance(fast, str) and fast == AUTO and (scheme or steps):
             fast = BONDED  # somebody who gives a number of inner steps wants them
@@ -98,7 +98,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
         groups = set()
     if not groups or not groups <= set(range(32)):
         raise ValueError(
-            f'fast is "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
+            f'fast must be "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
             "force.getForceGroup() returns that of a force"
         )
     return tuple(sorted(groups))
@@ -148,8 +148,8 @@ class FastForces:
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
             raise ValueError(
-                f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may have "
-                "bonded forces in them: name the fast forces by a group that no kick has, such as fast=(7,)"
+                f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may contain "
+                f"bonded forces: put the fast forces into a group that no kick has, such as fast=(7,)"
             )
         twice = [group for group in groups if self.groups >> group & 1]
         if twice:
@@ -213,7 +213,7 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
     groups = tuple(group for group in map(int, settings.fast) if group in present)
     if not groups:
         warn(
-            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}), the "
+            f"{_NO_INNER_STEPS}fast names force groups without forces ({', '.join(map(str, settings.fast))}); the "
             f"forces of the System are in {', '.join(map(str, sorted(present))) or 'none'}"
         )
         return None

@@ -27,6 +27,7 @@ from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInne
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
+from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence, bound, repeated, through
@@ -171,12 +172,7 @@ class ExcerptContext:
         self._x[self._massless] = self._sync.particles[self.excerpt.particles[self._massless]]
         if not self._changes:
             return
-        state = self._all.context.getState(parameters=True)
-        self._context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
-        theirs = state.getParameters()
-        for name in self._context.getParameters():
-            if name in theirs:  # not that of a force which joined the System after its Context was made
-                self._context.setParameter(name, theirs[name])
+        arrays.take_surroundings(self._context, self._all.context.getState(parameters=True))
 
 
 class FollowingPositions(Positions):

@@ -34,6 +34,20 @@ def surroundings(state: openmm.State) -> tuple[tuple[float, ...], dict[str, floa
     return box(state), dict(state.getParameters())
 
 
+def take_parameters(context: openmm.Context, state: openmm.State) -> None:
+    """Give a Context the parameters of a State that both have: forces may have joined a System after its Context."""
+    theirs = state.getParameters()
+    for name in context.getParameters():
+        if name in theirs:
+            context.setParameter(name, theirs[name])
+
+
+def take_surroundings(context: openmm.Context, state: openmm.State) -> None:
+    """Give a Context the box and the parameters of a State."""
+    context.setPeriodicBoxVectors(*state.getPeriodicBoxVectors())
+    take_parameters(context, state)
+
+
 def box(state: openmm.State) -> tuple[float, ...]:
     """Return the nine components of the vectors of the periodic box in nm."""
     return tuple(x for vector in state.getPeriodicBoxVectors()._value for x in vector)

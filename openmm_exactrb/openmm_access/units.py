@@ -23,7 +23,9 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
     quantity: Any = value
     if unit.is_quantity(value):
         if not quantity.unit.is_compatible(in_unit):
-            raise ValueError(f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity of its kind")
+            raise ValueError(
+                f"{value} is not {what}: give it in {in_unit.get_symbol()}, or as a Quantity with compatible units"
+            )
         quantity = quantity.value_in_unit(in_unit)
     return checks.number(quantity, what, in_unit.get_symbol())
 

@@ -54,7 +54,7 @@ def splitting(
     if waves > MOST_WAVES:
         raise ValueError(
             f"an Ewald sum with a switch at {switch:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "
-            f"more than {MOST_WAVES}: let the switch begin farther out, or use a larger tolerance"
+            f"more than {MOST_WAVES}: start the switch at a larger distance, or use a larger tolerance"
         )
     return alpha, 2.0 * alpha * y
 

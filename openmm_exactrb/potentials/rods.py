@@ -125,11 +125,11 @@ def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
 def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
     """Return cutoff and begin of the switch (nm); a ValueError if rods cannot have the boundary."""
     if not isinstance(boundary, Ewald) or not math.isinf(boundary.dielectric):
-        raise ValueError(f"rods of charges are for boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
+        raise ValueError(f"rods of charges need boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
-            f"rods of charges reach a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a larger one, "
-            "or kernel='compiled'"
+            f"rods of charges reach at best a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "
+            "larger one, or kernel='compiled'"
         )
     if boundary.cutoff is None:
         boundary = replace(boundary, cutoff=min(3.0 * _mean_distance(n, edges), 0.45 * min(edges)))

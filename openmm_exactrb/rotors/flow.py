@@ -47,8 +47,8 @@ def _check_one_number(
     alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):
         raise ValueError(
-            f"q {q}, m {m}, t {t} and moments {moments} are not of one number N of bodies: "
-            "give q (4, N), m (3, N), and t and moments one for all or one per body"
+            f"q {q}, m {m}, t {t} and moments {moments} do not agree on the number N of bodies: give q (4, N), m (3, "
+            f"N), and t and moments one for all or one per body"
         )
 
 

@@ -40,8 +40,8 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} is of another run: {name} is {was} in it, but {now} now; restore it, use another folder "
-                    "or overwrite"
+                    f"{file} belongs to another run: {name} is {was} in it, but {now} now; restore it, use another "
+                    "folder or overwrite"
                 )
 
     def check_cut_files(self, folder: Path) -> None:
@@ -50,7 +50,9 @@ class Checkpoint(NamedTuple):
             file = folder / name
             found = file.stat().st_size if file.exists() else 0
             if found < length:
-                raise ValueError(f"{file} has {found} bytes, but had {length} at the checkpoint: it was changed since")
+                raise ValueError(
+                    f"{file} has {found} bytes, but had {length} at the checkpoint: it has been changed since then"
+                )
 
 
 def write(file: Path, checkpoint: Checkpoint) -> None:

@@ -123,8 +123,8 @@ class Run:
         file = self.folder / name
         if file.exists() and not (self.resuming or self._overwrite):
             raise FileExistsError(
-                f"{file} is of an earlier run: use another folder, {_RESUME} if there is a checkpoint, or overwrite it "
-                "(overwrite=True or --overwrite)"
+                f"{file} belongs to an earlier run: use another folder, {_RESUME} if there is a checkpoint, or "
+                "overwrite it (overwrite=True or --overwrite)"
             )
         return file
 

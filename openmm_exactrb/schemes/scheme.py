@@ -64,8 +64,9 @@ class Scheme:
         for row in (*self.sequence, *self.processor, *self.output):
             if not (isinstance(row, tuple) and len(row) == 2 and isinstance(row[0], Substep)):
                 raise ValueError(
-                    f"scheme {self.name}: a sequence has pairs of a Substep and its part of the step, not {row!r}; "
-                    'schemes.spelled("B A B") makes one of symbols'
+                    f"scheme {self.name}: a sequence consists of pairs of a Substep and its fraction of the step, "
+                    f"not {row!r}; "
+                    'schemes.spelled("B A B") makes one from symbols'
                 )
 
     def __repr__(self) -> str:
@@ -221,7 +222,9 @@ def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tup
     """Close a table of free coefficients to a palindrome of the given length whose sum is one."""
     needed = (length - 1) // 2
     if len(free) != needed:
-        raise ValueError(f"scheme {name}: {length} coefficients {table} leave {needed} free, {len(free)} are given")
+        raise ValueError(
+            f"scheme {name}: {length} coefficients {table} leave {needed} free, but {len(free)} were given"
+        )
     if not all(math.isfinite(c) for c in free):
         raise ValueError(f"scheme {name}: a coefficient {table} is not finite")
     if length % 2:

@@ -52,7 +52,7 @@ def switch(value: Any, name: str) -> bool:
 
 
 def array(
-    value: Any, name: str, asked: str = "real numbers in rows of one length, without a unit"
+    value: Any, name: str, asked: str = "real numbers in rows of equal length, without a unit"
 ) -> NDArray[np.float64]:
     """Return real numbers, also nan or infinite, as an array of floats.
 
@@ -76,7 +76,7 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
     fits = [row for row in rows if row is not None and all(map(_index, row))]
     if len(fits) < len(rows):
         given = reprlib.repr(value)
-        raise ValueError(f"{name} must be lists of numbers of particles, such as [[0, 1, 2], [3, 4, 5]], not {given}")
+        raise ValueError(f"{name} must be lists of particle indices, such as [[0, 1, 2], [3, 4, 5]], not {given}")
     return [list(map(int, row)) for row in fits]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength,
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 from openmm_exactrb.potentials.spheres import long_range_correction as correction_of
 from openmm_exactrb.support import checks
+from openmm_exactrb.systems.lattices import cubic_lattice, filling, places_a_side
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,8 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     flat = np.abs(spread) < 1e-12 * moments.max()
     if (spread[~flat] < 0.0).any():
         raise ValueError(
-            f"no body has the moments of inertia {moments.tolist()}: none may be larger than the sum of the others"
+            f"there is no body with the moments of inertia {moments.tolist()}: none may be larger than the sum of "
+            f"the others"
         )
     if not flat.any():
         return np.asarray(_TETRAHEDRON * np.sqrt(spread / mass))
@@ -164,87 +166,60 @@ def dipole_fluid(
     sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
     mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
     trap, density = stripped(trap, _STIFFNESS), stripped(density, unit.nanometer**-3)
-    vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
-    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
-        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
+    direction, strength = _direction_and_strength(dipole)
     n, sigma = checks.whole(n, "n"), checks.positive(sigma, "sigma", "nm")
-    checks.positive(epsilon, "epsilon", "kJ/mol")
-    spacing = checks.positive(spacing, "spacing", "nm")
+    epsilon, spacing = checks.positive(epsilon, "epsilon", "kJ/mol"), checks.positive(spacing, "spacing", "nm")
     perturbation = checks.not_negative(perturbation, "perturbation")
     trap = checks.not_negative(trap, "trap")
     box = _box(n, sigma, density, trap, boundary)
     sites = rigid_sites(mass, inertia)
-    strength = float(np.linalg.norm(vector))
-    arrow = 0.5 * sigma * (vector / strength)
 
     system, topology = openmm.System(), app.Topology()
     chain = topology.addChain()
-    spheres: dict[str, Any] = {"strength": strength, "sigma": sigma, "epsilon": epsilon, "boundary": boundary}
-    spheres |= {"attraction": attraction, "wca": wca, "box": None if box is None else (box, box, box)}
     cutoff, switch = stripped(sphere_cutoff, unit.nanometer), stripped(sphere_switch, unit.nanometer)
-    spheres |= {"sphere_cutoff": cutoff, "sphere_switch": switch, "shifted": shifted}
-    places = {"C": np.zeros(3), "D": arrow}
-    if isinstance(boundary, Ewald) and kernel == "openmm":
-        rod = rod_length(n, spheres["box"], boundary)
-        places = {"P": 0.5 * rod * (vector / strength), "N": -0.5 * rod * (vector / strength)} | places
-        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
-        ends = [(plus, minus) for plus, minus, *_ in added]
-        middles = [centre for *_, centre, _ in added]
-        for part in dipole_rod_forces(ends, system.getNumParticles(), length=rod, centres=middles, **spheres):
-            system.addForce(part)
-    else:
-        added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
-        arrows = [(centre, tip) for centre, tip in added]
-        system.addForce(soft_dipole_force(arrows, length=0.5 * sigma, kernel=kernel, **spheres))
+    law: dict[str, Any] = {"sigma": sigma, "epsilon": epsilon, "attraction": attraction, "wca": wca}
+    law |= {"sphere_cutoff": cutoff, "sphere_switch": switch, "shifted": shifted}
+    edges = None if box is None else (box, box, box)
+    field: dict[str, Any] = {"strength": strength, "boundary": boundary, "box": edges}
+    places = {"C": np.zeros(3), "D": 0.5 * sigma * direction}
+    rod = rod_length(n, field["box"], boundary) if isinstance(boundary, Ewald) and kernel == "openmm" else 0.0
+    if rod:
+        places = {"P": 0.5 * rod * direction, "N": -0.5 * rod * direction} | places
+    added = [add_molecule(system, topology, chain, "DIP", mass, sites, places) for _ in range(n)]
+    for part in _sphere_forces(added, system.getNumParticles(), rod, kernel, law | field):
+        system.addForce(part)
     if long_range_correction if long_range_correction is not None else box is not None and not (shifted or wca):
-        law = {name: own for name, own in spheres.items() if name not in ("strength", "boundary", "box")}
-        system.addForce(correction_of(n, spheres["box"], **law))
+        system.addForce(correction_of(n, edges, **law))
     if box is not None:
-        spacing = box / _places_a_side(n)
-        vectors = box * np.eye(3)
-        system.setDefaultPeriodicBoxVectors(*vectors)
-        topology.setPeriodicBoxVectors(vectors * unit.nanometer)
+        spacing = box / places_a_side(n)
+        system.setDefaultPeriodicBoxVectors(*(box * np.eye(3)))
+        topology.setPeriodicBoxVectors(box * np.eye(3) * unit.nanometer)
     if trap > 0.0:
         system.addForce(_harmonic_trap([centre for *_, centre, _ in added], trap))
 
     rng = np.random.default_rng(checks.whole(seed, "the seed", 0))
-    lattice = spacing * (_lattice(n) - 0.5 * (_places_a_side(n) - 1))
+    lattice = spacing * (cubic_lattice(n) - 0.5 * (places_a_side(n) - 1))
     centres = lattice + perturbation * spacing * rng.standard_normal((n, 3))
     return topology, system, _turned(rng, centres, np.vstack([sites, *places.values()]))
 
 
-def _places_a_side(n: int) -> int:
-    """Return how many lattice sites an edge of the smallest cube with n sites has."""
-    return next(k for k in range(1, n + 1) if k**3 >= n)
+def _direction_and_strength(dipole: ArrayLike) -> tuple[Array, float]:
+    vector = np.asarray([dipole_strength(d) for d in dipole] if np.iterable(dipole) else [], dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
+        raise ValueError(f"dipole must be a vector of three finite numbers, not all zero, not {dipole!r}")
+    strength = float(np.linalg.norm(vector))
+    return vector / strength, strength
 
 
-def _lattice(n: int) -> Array:
-    """Return the first n places (n, 3) of a cubic lattice of constant 1."""
-    return np.argwhere(np.ones(3 * (_places_a_side(n),)))[:n].astype(np.float64)
-
-
-def _filling(n: int) -> tuple[Array, float]:
-    """Return n places (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
-
-    They are a cubic lattice where n is a cube; else the multiples of a vector (1, a, b)/n of the edge, the first ones
-    found that are as far apart as in a cubic lattice, or the farthest. With many places b = a² is taken (N. M. Korobov;
-    I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
-    """
-    k = _places_a_side(n)
-    if k**3 == n:
-        return _lattice(n), float(k)
-    edge, half = float(np.cbrt(n)), np.arange(1, n // 2 + 1)[:, None]
-    farthest, best = -1.0, (1, 1)
-    for a in range(1 if n < _MANY else k, n // 2 + 1):
-        for b in range(a, n // 2 + 1) if n < _MANY else [a * a % n]:
-            away = half * (1, a, b) % n
-            apart = edge / n * float(np.sqrt((np.minimum(away, n - away) ** 2).sum(axis=1).min()))
-            if apart > farthest:
-                farthest, best = apart, (a, b)
-        if farthest >= 1.0:
-            break
-    multiples: Array = np.arange(n)[:, None] * np.array([1, *best]) % n * (edge / n)
-    return multiples, edge
+def _sphere_forces(
+    added: Sequence[Sequence[int]], particles: int, rod: float, kernel: str, spheres: dict[str, Any]
+) -> Iterable[openmm.Force]:
+    """Return the forces on molecules with these virtual sites: the ends of a rod of that length, if any, C and D."""
+    if not rod:
+        arrows = [(centre, tip) for centre, tip in added]
+        return [soft_dipole_force(arrows, length=0.5 * spheres["sigma"], kernel=kernel, **spheres)]
+    ends, centres = [(plus, minus) for plus, minus, *_ in added], [centre for *_, centre, _ in added]
+    return dipole_rod_forces(ends, particles, length=rod, centres=centres, **spheres)
 
 
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
@@ -262,7 +237,7 @@ def _box(n: int, sigma: float, density: float | None, trap: float, boundary: Bou
         return None
     density = 0.8 / sigma**3 if density is None else checks.positive(density, "density", "spheres a nm³")
     if trap > 0.0:
-        raise ValueError("a trap holds a droplet: a periodic liquid needs none")
+        raise ValueError("trap is for a droplet: omit it for a periodic liquid")
     return float((n / density) ** (1.0 / 3.0))
 
 
@@ -319,9 +294,6 @@ def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm
 _OFF_FRACTIONS = np.array([3e-14, -5e-14, 0.0])
 
 
-# Number of places from which on a lattice is looked for among fewer vectors.
-_MANY = 100
-
 # Force field file, O-H distance in nm and H-O-H angle in degrees.
 _WATER_MODELS: dict[str, tuple[str, float, float]] = {
     "tip3p": ("tip3p.xml", 0.09572, 104.52),
@@ -376,9 +348,9 @@ def rigid_water(
         oxygen = topology.addAtom("O", app.element.oxygen, residue)
         for name in ("H1", "H2"):
             topology.addBond(oxygen, topology.addAtom(name, app.element.hydrogen, residue))
-    places = _lattice(n)
+    places = cubic_lattice(n)
     if options.get("nonbondedMethod", app.NoCutoff) not in (app.NoCutoff, app.CutoffNonPeriodic):
-        places, edge = _filling(n)
+        places, edge = filling(n)
         topology.setUnitCellDimensions(openmm.Vec3(*3 * [edge * spacing]) * unit.nanometer)
     half = np.radians(angle) / 2.0
     x, z = distance * np.sin(half), distance * np.cos(half)

@@ -76,8 +76,8 @@ def heavy_hydrogens(
         donor = bearers[hydrogen.index]
         if left[donor.index] == 0.0:
             raise ValueError(
-                f"{_name(hydrogen)} moves, but {_name(donor)}, to which it is bonded, has no mass to give: hold both, "
-                "or neither"
+                f"{_name(hydrogen)} moves, but {_name(donor)}, to which it is bonded, has no mass to give: give both "
+                f"zero mass, or neither"
             )
         left[donor.index] -= wanted - left[hydrogen.index]
         left[hydrogen.index] = wanted

@@ -166,7 +166,9 @@ def _in_motion(
     if temperature is None:
         return state
     kelvin = positive(stripped(temperature, unit.kelvin), "temperature", "K")
-    notes.append(f"the start was brought to {kelvin:g} K in a short run: prefer the State of an equilibrated one")
+    notes.append(
+        f"the start was brought to {kelvin:g} K in a short run: the State of an equilibrated run is a better start"
+    )
     tell(f"bringing the start to {kelvin:g} K")
     return thermalised(state, kelvin, seed, at_rest, budget)
 
@@ -180,7 +182,7 @@ class _Plan(NamedTuple):
     horizon: float
 
     def __str__(self) -> str:
-        return f"{len(self.methods)} methods, {self.survey:.3g} ps each; errors are promised for {self.horizon:.3g} ps"
+        return f"{len(self.methods)} methods, {self.survey:.3g} ps each; errors hold for {self.horizon:.3g} ps"
 
 
 def _plan(
@@ -211,11 +213,11 @@ def _result(measured: Measurements, target: float | None, outcome: Outcome, note
     state, (n_bodies, _, time, free) = benchmark.state, benchmark.characteristics
     if time == free:
         notes.append(
-            "at the start bodies hardly feel each other: what was measured says little about runs in which they meet"
+            "bodies hardly interact at the start: the measured errors say little about runs in which they collide"
         )
     best = outcome.chosen
     if best is not None and outcome.floor is not None and best.error < 1.5 * outcome.floor:
-        notes.append("the chosen setting is at the floor of the forces: nothing is gained by asking for less")
+        notes.append("the forces limit the error of the chosen setting: a smaller target gains nothing")
     if outcome.cut:
         notes.append(
             f"the budget of {benchmark.budget.seconds:g} s of processor time ended the search: a larger one allows "

@@ -132,7 +132,7 @@ def initial_state(
             parameters |= dict(start.getParameters())
         start = start.getPositions(asNumpy=True)
     if start is None:
-        raise ValueError("there is no start: pass a State or positions, or a Simulation")
+        raise ValueError("no start was given: pass a State or positions, or a Simulation")
     twin, left_out = conservative(system)
     x = _coordinates(start, system, unit.nanometer, "positions")
     v = np.zeros_like(x) if velocities is None else velocities
@@ -143,7 +143,9 @@ def initial_state(
     fastest = platform_of(platform)
     precision = mixed(fastest) if properties is None else dict(properties)
     named = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
-    notes = [f"errors are those without the {', '.join(left_out)} of the System; costs include it"] if left_out else []
+    notes = (
+        [f"errors were measured without the {', '.join(left_out)} of the System; costs include it"] if left_out else []
+    )
     where = box, parameters, fastest.getName(), precision
     return InitialState(twin, x, v, *where, named, groups, _periods(system)), notes
 

@@ -111,5 +111,5 @@ def test_coefficients_are_those_of_the_conserved_energy():
     ids=lambda scheme: scheme.name,
 )
 def test_the_theory_refuses_other_steps(scheme):
-    with pytest.raises(ValueError, match="cannot be corrected: the theory holds for steps with one place"):
+    with pytest.raises(ValueError, match="cannot be corrected: the theory holds for steps with a single heat exchange"):
         second_order(scheme)

@@ -29,12 +29,12 @@ CASES = [
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--platform", "Abacus"], "there is no platform 'Abacus' here"),
     (["droplet.pdb", "--forcefield", "tip3p.xml", "--ensemble", "npt"], "needs a periodic box"),
     (["droplet.pdb", "--forcefield", "amber14-all.xml", "--solvate", "9"], "which water model? Add --water"),
-    (["cut.pdb", "--forcefield", "tip3p.xml"], "there is no line END"),
+    (["cut.pdb", "--forcefield", "tip3p.xml"], "it has no END line"),
     (["system.xml"], "give one file (PDB .pdb or PDBx .cif), or two (system.xml and state.xml"),
     (["state.xml", "system.xml"], "holds a State, not a System"),
-    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System has its forces already"),
+    (["system.xml", "state.xml", "--forcefield", "tip3p.xml"], "a System already has its forces"),
     ([], "there is nothing to run: give one file"),
-    (["--resume"], "--resume continues the same command: repeat it, with its files"),
+    (["--resume"], "--resume needs the same command: repeat it with its files"),
     (["--solvate", "27", "--forcefield", "tip3p.xml"], "--cutoff 0.9 more than half of that"),
     (["system.xml", "state.xml", "--out", "cut.pdb"], "cut.pdb is a file"),
 ]
@@ -95,7 +95,7 @@ def test_names_are_taken_in_any_case(tmp_path, capsys):
 def test_an_option_that_does_nothing_is_refused(tmp_path, capsys, arguments, message):
     assert main(["run", *arguments, "--step", "2fs", "--duration", "2fs", "--out", "out"]) == 2
     out, errors = capsys.readouterr()
-    assert f"leave out {message}" in errors
+    assert f"omit {message}" in errors
     assert (errors.count("\n"), out) == (1, "")
     assert not (tmp_path / "out").exists()
 
@@ -157,7 +157,7 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     steps = "--step", "2fs", "--duration", "2fs", "--equilibrate", "0.002", "--platform", "Reference"
     assert main(["run", str(droplet), "--forcefield", "tip3p.xml", *steps, "--out", str(out)]) == 2
     errors = capsys.readouterr().err
-    assert f"{name} is of an earlier run" in errors
+    assert f"{name} belongs to an earlier run" in errors
     assert errors.count("\n") == 1
     assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
 

@@ -90,7 +90,7 @@ def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert (process.returncode, said) == (130, "")
-    assert errors == "exactrb run: SIGINT: stopped; resume it by the same command and --resume\n"
+    assert errors == "exactrb run: SIGINT: stopped; to resume it, repeat the command with --resume\n"
     assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
 
 
@@ -100,6 +100,6 @@ def test_ctrl_c_in_a_tuning_is_one_line(serialised, heard):
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
     assert (process.returncode, said) == (130, "")
-    assert "errors are promised for 1e+03 ps" in told
+    assert "errors hold for 1e+03 ps" in told
     assert errors.splitlines()[-1] == "exactrb tune: SIGINT: stopped"
     assert "Traceback" not in errors

@@ -12,7 +12,7 @@ def test_it_prints(serialised, capfd):
     out, errors = capfd.readouterr()
     assert "target 0.01: S2_2 with a step of " in out
     assert "S2_2, " in errors
-    assert "errors are promised for 0.3 ps (budget: 120 s of processor time)" in errors
+    assert "errors hold for 0.3 ps (budget: 120 s of processor time)" in errors
     assert "Warning" not in errors
 
 
@@ -24,7 +24,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
     assert "brought to 250 K" in " ".join(out.split())
     assert errors == ""
     assert main(["tune", *files, "--cutoff", "0.5"]) == 2
-    assert "leave out --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
+    assert "omit --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_the_minimiser_is_openmms_where_no_body_is_named():
 def test_a_reporter_of_the_minimiser_is_refused():
     system, x = domains()
     simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
-    with pytest.raises(ValueError, match="leave out reporter="):
+    with pytest.raises(ValueError, match="does not support reporter="):
         simulation.minimizeEnergy(reporter=openmm.MinimizationReporter())
 
 
@@ -128,7 +128,7 @@ def test_groups_share_the_energy_of_all():
     [
         ([0, 1], r"group 'x' has some particles of body 0 \(particles 0, 1, 2, 3, 4\) and not all"),
         ([99], "group 'x' has particle 99, but the System has 28 particles"),
-        ([0.5], "groups must be lists of numbers of particles"),
+        ([0.5], "groups must be lists of particle indices"),
     ],
 )
 def test_groups_that_are_none_are_refused(group, message):

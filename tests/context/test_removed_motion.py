@@ -60,7 +60,7 @@ def test_frozen_particles_are_pointed_out_once():
     integrator = rb.ExactRigidBodyIntegrator(0.001)
     context = openmm.Context(system, integrator, REFERENCE)
     context.setPositions(positions)
-    message = r"that frozen particles, of mass 0, give.*removeCMMotion=False"
+    message = r"that frozen particles .mass 0. transfer.*removeCMMotion=False"
     with pytest.warns(RemovedMotionWarning, match=message) as said:
         integrator.step(1)
     assert len(said) == 1

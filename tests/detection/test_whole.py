@@ -191,7 +191,7 @@ def test_bodies_without_bonds_have_the_shape_that_others_of_their_masses_show():
 
 def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     x = wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE)
-    with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm, is taken as it is given"):
+    with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm and is taken as it is given"):
         bodies = find_bodies(system_of(6, CUBE), x, [range(6)], CUBE)
     np.testing.assert_array_equal(bodies.inertia, find_bodies(system_of(6, CUBE), x, [range(6)]).inertia)
 

@@ -171,7 +171,7 @@ def test_scheduler_that_goes_away(tmp_path):
             ensemble.sweep(slow, {"x": range(9)}), tmp_path, scheduler=cluster.scheduler_address, progress=False
         )
         next(results)
-    with pytest.raises(ConnectionError, match="lost the scheduler"):
+    with pytest.raises(ConnectionError, match="lost the connection to the scheduler"):
         list(results)
     assert list(tmp_path.glob("*.json"))
 

@@ -84,7 +84,7 @@ def test_a_rod_of_half_the_box_stays_where_it_is_and_is_refused_where_two_images
     shapes = Shapes(body_of(np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.ones(2)))
     whole = np.array([[0.1, 0.2, 0.3], [0.6, 0.2, 0.3]])
     assert shapes.whole(whole, CUBE) is whole
-    with pytest.raises(ValueError, match="particles 0, 1 form, and two images suit it equally well"):
+    with pytest.raises(ValueError, match="the group of particles 0, 1, and two images fit equally well"):
         shapes.whole(whole + np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), CUBE)
 
 

@@ -99,15 +99,15 @@ def test_groups_that_cannot_be_nested_are_refused(options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": "angles"}, 'fast is "auto", None, "bonded" or force groups'),
-        ({"fast": (32,)}, 'fast is "auto", None, "bonded" or force groups'),
-        ({"fast": ()}, 'fast is "auto", None, "bonded" or force groups'),
-        ({"fast": 1}, 'fast is "auto", None, "bonded" or force groups'),
-        ({"fast": (0.5,)}, 'fast is "auto", None, "bonded" or force groups'),
+        ({"fast": "angles"}, 'fast must be "auto", None, "bonded" or force groups'),
+        ({"fast": (32,)}, 'fast must be "auto", None, "bonded" or force groups'),
+        ({"fast": ()}, 'fast must be "auto", None, "bonded" or force groups'),
+        ({"fast": 1}, 'fast must be "auto", None, "bonded" or force groups'),
+        ({"fast": (0.5,)}, 'fast must be "auto", None, "bonded" or force groups'),
         ({"fast": openmm.NonbondedForce()}, r"force\.getForceGroup\(\) returns"),
         ({"fast": (openmm.NonbondedForce(),)}, r"force\.getForceGroup\(\) returns"),
-        ({"fast": None, "inner": "S2_2"}, "name these with fast="),
-        ({"fast": None, "innerSteps": 2}, "name these with fast="),
+        ({"fast": None, "inner": "S2_2"}, "set them with fast="),
+        ({"fast": None, "innerSteps": 2}, "set them with fast="),
         ({"fast": "bonded", "inner": "V2_C17"}, "drifts and kicks alone"),
         ({"fast": "bonded", "innerSteps": 0}, "innerSteps"),
     ],
@@ -246,7 +246,7 @@ def test_a_group_that_has_a_kick_of_its_own_is_not_nested_too():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"fast": (7,)}, r"fast names force groups without forces \(7\), the forces of the System are in 0, 1"),
+        ({"fast": (7,)}, r"fast names force groups without forces \(7\); the forces of the System are in 0, 1"),
         ({"fast": (7,), "innerSteps": 4}, "fast names force groups without forces"),
         ({"fast": (1,)}, "no bonds, and no harmonic angles .* set the number of inner steps per step with innerSteps="),
     ],

@@ -216,8 +216,8 @@ def test_wrong_options_get_one_sentence(options, message):
         ([(0, 1), (-1, 3)], "a pair of particles"),
         ([(0, 1), (0, 3)], "particle 0 is in two arrows"),
         ([(0, 0)], "particle 0 is in two arrows or twice in one"),
-        ([0, 1], "arrows must be lists of numbers of particles"),
-        ([(0.0, 1.0)], "arrows must be lists of numbers of particles"),
+        ([0, 1], "arrows must be lists of particle indices"),
+        ([(0.0, 1.0)], "arrows must be lists of particle indices"),
     ],
 )
 def test_arrows_are_pairs_of_particles(arrows, message, kernel):

@@ -215,10 +215,10 @@ def test_quaternion_of_a_matrix_is_the_quaternion(rng):
 )
 def test_what_are_no_real_numbers_gets_one_sentence(name, value):
     arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | {name: value}
-    with pytest.raises(ValueError, match=f"^{name} must be real numbers in rows of one length, without a unit, not "):
+    with pytest.raises(ValueError, match=f"^{name} must be real numbers in rows of equal length, without a unit, not "):
         rb.free_rotor(**arguments)
     if name == "inertia":
-        with pytest.raises(ValueError, match=r"^inertia must be real numbers in rows of one length"):
+        with pytest.raises(ValueError, match=r"^inertia must be real numbers in rows of equal length"):
             rb.rotors.rotor("exact", value)
 
 
@@ -244,14 +244,14 @@ def test_arrays_that_are_not_of_one_number_of_bodies_are_refused(inertia, q, m, 
     flow = rb.rotors.rotor("exact", np.ones(inertia) * [1.0, 2.0, 2.5])
     for _ in range(2):
         with pytest.raises(
-            ValueError, match=r"are not of one number N of bodies: give q \(4, N\), m \(3, N\), and t and"
+            ValueError, match=r"do not agree on the number N of bodies: give q \(4, N\), m \(3, N\), and t and"
         ):
             flow(np.full(q, 0.5), np.ones(m), np.full(t, 0.1))
 
 
 def test_every_flow_refuses_them(method):
     flow = rb.rotors.rotor(method, [1.0, 2.0, 2.5])
-    with pytest.raises(ValueError, match="are not of one number N of bodies"):
+    with pytest.raises(ValueError, match="do not agree on the number N of bodies"):
         flow(np.full((4, 6), 0.5), np.ones((3, 5)), 0.1)
 
 
@@ -266,7 +266,7 @@ def test_flows_take_sums_or_say_that_they_do_not(method, rng):
                 assert got.shape == (1 + zeros, *want.shape)
                 np.testing.assert_allclose(got.sum(axis=0), want, rtol=0.0, atol=1e-15)
     else:
-        with pytest.raises(ValueError, match="are not of one number N of bodies"):
+        with pytest.raises(ValueError, match="do not agree on the number N of bodies"):
             flow(np.stack([q, 0.0 * q]), np.stack([m, 0.0 * m]), 0.1)
 
 

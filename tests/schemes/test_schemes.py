@@ -59,9 +59,9 @@ def test_a_sequence_that_is_empty_or_has_something_else_than_substeps_is_refused
     with pytest.raises(ValueError, match="scheme mine: the sequence of a step is empty"):
         Scheme("mine", 2, ())
     for wrong in (("A", 1.0), DRIFT, (DRIFT, 0.5, 0.5), (Kick, 1.0)):
-        with pytest.raises(ValueError, match="scheme mine: a sequence has pairs of a Substep"):
+        with pytest.raises(ValueError, match="scheme mine: a sequence consists of pairs of a Substep"):
             Scheme("mine", 2, ((DRIFT, 0.5), wrong, (DRIFT, 0.5)))
-        with pytest.raises(ValueError, match="scheme mine: a sequence has pairs of a Substep"):
+        with pytest.raises(ValueError, match="scheme mine: a sequence consists of pairs of a Substep"):
             Scheme("mine", 2, ((DRIFT, 1.0),), processor=(wrong,))
 
 

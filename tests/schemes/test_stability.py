@@ -139,7 +139,7 @@ def test_the_shadow_is_that_of_a_positive_step(step):
     ],
 )
 def test_what_moves_no_oscillator_by_the_step_has_no_limit(sequence):
-    with pytest.raises(ValueError, match="mine moves no oscillator by the step"):
+    with pytest.raises(ValueError, match="mine does not advance an oscillator by the step"):
         stability_limit(Scheme("mine", 2, sequence))
 
 

@@ -162,7 +162,7 @@ def test_a_run_is_the_same():
     [
         ([[0, 1], [1, 2]], "particle 1 is named twice, in bodies 0 and 1"),
         ([[0, 99]], "body 0 names particle 99, but the System has 40 particles"),
-        ("all", "bodies must be lists of numbers of particles"),
+        ("all", "bodies must be lists of particle indices"),
     ],
 )
 def test_bodies_that_are_none_are_refused(bodies, message):

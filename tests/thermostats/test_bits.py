@@ -157,7 +157,7 @@ def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_thermostat(t
     advance("whole", 40)
     advance("parts", 22)
     for change in ({"temperature": 31.0}, {"friction": 2.5}, {"seed": 4}):
-        with pytest.raises(ValueError, match="is of another run: integrator"):
+        with pytest.raises(ValueError, match="belongs to another run: integrator"):
             advance("parts", 40, **change)
     advance("parts", 40)
     files = [(tmp_path / folder / "energies.csv").read_text() for folder in ("whole", "parts")]

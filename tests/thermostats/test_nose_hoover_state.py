@@ -133,7 +133,7 @@ def test_a_chain_is_never_read_from_other_numbers(other, there, kind):
         with pytest.raises((ValueError, openmm.OpenMMException)) as refusal:
             use_bad(how)
         refusals.append(str(refusal.value))
-    ours, theirs = "is of another kind of integrator", "Illegal"
+    ours, theirs = "is from another kind of integrator", "Illegal"
     assert all(ours in text or (kind == "State" and theirs in text) for text in refusals)
     load(target.context, kind, good)
     target.integrator.step(3)
@@ -150,7 +150,7 @@ def test_numbers_of_another_integrator_are_noticed_where_positions_are_the_same(
     run.integrator.temperatures()
     run.context.loadCheckpoint(other.context.createCheckpoint())
     for use in (run.integrator.conservedEnergy, lambda: run.integrator.setVelocitiesToTemperature(30.0)):
-        with pytest.raises(ValueError, match="is of another kind of integrator"):
+        with pytest.raises(ValueError, match="is from another kind of integrator"):
             use()
 
 
@@ -160,7 +160,7 @@ def test_a_checkpoint_of_openmm_s_own_integrator_is_refused():
     run = droplet_of(nose_hoover())
     run.integrator.step(1)
     run.context.loadCheckpoint(theirs.context.createCheckpoint())
-    with pytest.raises(ValueError, match="is of another kind of integrator"):
+    with pytest.raises(ValueError, match="is from another kind of integrator"):
         run.integrator.step(1)
 
 
@@ -184,7 +184,7 @@ def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_chains(tmp_p
     advance("parts", 22)
     changes = {"temperature": 31.0, "frequency": 21.0, "chainLength": 4, "numMTS": 2, "numYoshidaSuzuki": 5}
     for change in ({name: value} for name, value in (changes | {"together": True}).items()):
-        with pytest.raises(ValueError, match="is of another run: integrator"):
+        with pytest.raises(ValueError, match="belongs to another run: integrator"):
             advance("parts", 40, **change)
     advance("parts", 40)
     files = [(tmp_path / folder / "energies.csv").read_text() for folder in ("whole", "parts")]

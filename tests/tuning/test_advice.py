@@ -111,7 +111,7 @@ def test_it_prints_well(tuned, lines):
         assert part in text
     assert tuned.best().method in text
     assert max(map(len, text.splitlines())) < 130
-    assert lines[0] == "3 methods, 0.3 ps each; errors are promised for 2 ps (budget: 120 s of processor time)"
+    assert lines[0] == "3 methods, 0.3 ps each; errors hold for 2 ps (budget: 120 s of processor time)"
     assert len(lines) == len({*lines})
     assert all("fs per evaluation" in line for line in lines[1:])
 

@@ -231,7 +231,10 @@ def openmm_folder() -> Path:
     for folder in candidates:
         if (folder / "include" / "openmm" / "common" / "ComputeContext.h").exists():
             return folder
-    raise MissingLibraryError(f"the device engine has to be compiled, but OpenMM in {package} has no headers")
+    raise MissingLibraryError(
+        f"the device engine has to be compiled, but OpenMM in {package} has no headers: install OpenMM from PyPI or "
+        "conda-forge"
+    )
 
 
 def build(path: Path, command: str | None = None) -> None:

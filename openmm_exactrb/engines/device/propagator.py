@@ -102,7 +102,7 @@ class DevicePropagator:
         for part in assembly.parts:
             for name, values in part.tables().items():
                 self.device.upload(name, values)
-        self.device["interval"], self.device["leaves"] = self.updates.periods
+        self.device["interval"], self.device["removal"] = self.updates.period, self.updates.removal
 
     @property
     def _served(self) -> Served:

@@ -344,5 +344,5 @@ class Sequences:
         pushes = [*self._each("pushed", True, False), *self._each("pushed", True, True)] if velocities else []
         to.sequence("pushed", self._each("pushed", False, False) if velocities else [])
         to.sequence("leave", to.sequences["postprocess"])
-        to.sequence("leave pushed", [*pushes, *(enters if updates.pushes else [])])
-        to.sequence("leave moved", [*self._each("moved", True), *enters])
+        to.sequence("leave_pushed", [*pushes, *(enters if updates.pushes else [])])
+        to.sequence("leave_moved", [*self._each("moved", True), *enters])

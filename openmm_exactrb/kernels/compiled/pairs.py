@@ -97,7 +97,7 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
     if min(x, y, z) < mesh.spline(order).shape[2]:
         raise ValueError(
             f"the box, {min(edges):g} nm, has become too small for its mesh: splines of order {order} do not fit into "
-            f"{min(x, y, z)} points; set the force up for this box"
+            f"{min(x, y, z)} points; create the force for this box"
         )
     r, u = arrows[:3, :n].copy(), arrows[3:, :n].copy()
     return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)

@@ -219,7 +219,7 @@ def test_a_substep_of_ones_own_acts_as_it_says():
 
 def test_a_sequence_of_something_else_than_substeps_is_refused():
     for wrong in (("F", 1.0), (Friction, 1.0), KICK, (KICK, 0.5, 0.5)):
-        with pytest.raises(ValueError, match=r"scheme mine: .* pairs of a Substep and its part of the step, not"):
+        with pytest.raises(ValueError, match=r"scheme mine: .* pairs of a Substep and its fraction of the step, not"):
             Scheme("mine", 2, (wrong, (DRIFT, 1.0)))
 
 

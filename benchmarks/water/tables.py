@@ -1,0 +1,92 @@
+"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, reading_point.py and shadow.py."""
+
+from __future__ import annotations
+
+import math
+
+from benchmarks.common.markdown import distinct, rows, table, with_error
+from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES, RECORD, less, read, whole
+
+WINDOWS = ("2", "10", "30")  # ps
+OURS = ("W2_1", "W4_4", "W4_6")  # the best at some rate
+
+
+def droplet_energies() -> str:
+    """Return the energy errors of a droplet, and by how much they are below Verlet's."""
+    found = {
+        (row["force_evaluations_a_ps"], row["method"]): [float(row[f"energy_std_{ps}_ps"]) for ps in WINDOWS]
+        for row in rows("water_droplet")
+    }
+    body = []
+    for rate in dict.fromkeys(rate for rate, _ in found):
+        verlet = found[rate, "OpenMM's Verlet"]
+        best = min(OURS, key=lambda name: found[rate, name][-1])
+        errors = ", ".join(f"{error:.1e}" for error in found[rate, best])
+        gains = ", ".join(f"{theirs / ours:.3g}" for theirs, ours in zip(verlet, found[rate, best], strict=True))
+        body.append((rate, f"{verlet[-1]:.1e}", f"`{best}`", errors.replace("e-0", "e-"), gains))
+    head = ("force evaluations per ps", "Verlet, 30 ps", "best scheme", "its error over 2, 10 and 30 ps")
+    return table((*head, "times less than Verlet"), [[cell.replace("e-0", "e-") for cell in line] for line in body])
+
+
+def box_energies() -> str:
+    """Return the energy errors of a periodic box of TIP3P."""
+    last = {row["method"]: row for row in rows("water_boxes") if (row["model"], row["starts"]) == ("tip3p", "6")}
+    verlet = float(last["Verlet"]["std_30_ps"])
+    body = []
+    for name in ("Verlet", "W2_1", "W4_4"):
+        row = last[name]
+        std, error = (float(row[f"{kind}_30_ps"]) for kind in ("std", "error"))
+        spread = math.hypot(error / std, float(last["Verlet"]["error_30_ps"]) / verlet)
+        gain = "" if name == "Verlet" else f"{verlet / std:.2g} ± {verlet / std * spread:.1g}"
+        cells = (f"{float(row[f'std_{ps}_ps']):.1e}".replace("e-0", "e-") for ps in WINDOWS)
+        body.append((f"`{name}`" if name != "Verlet" else name, *cells, gain))
+    return table(("TIP3P", *(f"{ps} ps" for ps in WINDOWS), "times less than Verlet over 30 ps"), body)
+
+
+def energy_balances() -> str:
+    """Return the standard deviations of the sum of the energies and of the energy balance, by the step."""
+    found = rows("energy_balance")
+    body = [
+        (
+            name,
+            *(
+                ", ".join(f"{float(row[key]):#.2g}" for row in found if row["integrator"] == name)
+                for key in ("sum", "balance")
+            ),
+        )
+        for (name,) in distinct(found, "integrator")
+    ]
+    return table(("standard deviation at 2, 1, 0.5 fs per force", "kinetic + potential energy", "balance"), body)
+
+
+def reading_points() -> str:
+    """Return by how much potential energies are lower where a step of W2_3m ends, and above the reference then."""
+    found, record, body = rows("reading_point"), whole(read(RECORD)), []
+    for (model,) in distinct(found, "model"):
+        lower, above = [], []
+        for row in (row for row in found if row["model"] == model):
+            change, error, fs = -float(row["U_less"]), float(row["error"]), float(row["fs"])
+            ours, reference = (
+                record[model, "NVT", method, step, FRICTION]["U"] for method, step in (("W2_3m", fs), (LFM, 0.5))
+            )
+            lower.append(with_error(change, error, 3))
+            above.append(with_error(*less((ours[0] - change, math.hypot(ours[1], error)), reference), 2))
+        body += [(f"{NAMES[model]}, lower by", *lower), (f"{NAMES[model]}, above the reference", *above)]
+    return table(("potential energy, kJ/mol per molecule", "2 fs", "4 fs", "6 fs"), body)
+
+
+def shadow_predictions() -> str:
+    """Return T_rot - T_tr in K and the error of U in kJ/mol per molecule that the spectrum of SPC/E makes."""
+    found, body = [row for row in rows("shadow") if row["model"] == "spce" and row["masses"] == "plain"], []
+    labels = {"V2": "V2, heat exchange at both ends", "BAOAB": "BAOAB, at the step's end", "SBAB_2": "SBAB_2, l = 1/6"}
+    for (scheme,) in distinct(found, "scheme"):
+        cells = (
+            ", ".join(
+                f"{round(float(row[name]), digits) + 0.0:+.{digits}f}"
+                for name, digits in (("T_rot - T_tr", 1), ("dU oscillators", 2))
+            )
+            for row in found
+            if row["scheme"] == scheme
+        )
+        body.append((labels.get(scheme, scheme), *(cell.replace("-", "−") for cell in cells)))
+    return table(("scheme", "2 fs per force", "4 fs", "6 fs"), body)

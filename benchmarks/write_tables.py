@@ -1,0 +1,88 @@
+"""Write the tables of the pages, from the records in docs/*.csv and from the catalogue of schemes.
+
+A table stands below a comment with its name, such as `<!-- table: one_line -->`; the name is that of a function in
+`tables.py`, `dipoles/tables.py` or `water/tables.py`, one of the study of equipartition, or a record shown as it is.
+
+    python benchmarks/write_tables.py
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from benchmarks import tables
+from benchmarks.common.markdown import rows, table
+from benchmarks.common.records import DOCS
+from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.water import tables as of_water
+from benchmarks.water.averages import averages
+from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
+
+#: Records that are shown as they are.
+AS_THEY_ARE = [
+    "cholesterol",
+    "dppc",
+    "ellipsoids",
+    "large_bodies",
+    "martini_rings",
+    "rigid_domains",
+    "rigid_domains_cost",
+]
+_WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")
+
+
+def all_tables() -> dict[str, str]:
+    """Return the tables in Markdown by their names."""
+    functions = (
+        *(tables.default_energies, tables.default_stability, tables.default_temperatures, tables.one_line),
+        *(tables.protein_steps, tables.protein_limits, tables.villin_steps, tables.heating, tables.populations),
+        *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
+        *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
+        *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
+        *(averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
+        *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
+    )
+    shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
+    return shown | {function.__name__: function() for function in functions} | dict(_equipartition())
+
+
+def _as_it_is(name: str) -> str:
+    found = rows(name)
+    return table([column.replace("_", " ") for column in found[0]], [list(row.values()) for row in found])
+
+
+def _equipartition() -> Iterator[tuple[str, str]]:
+    record = read(RECORD)
+    for model in ("spce", "tip4p2005"):
+        yield f"{model}_temperatures", over_steps(record, "T_rot - T_tr", model, "NVT")
+        yield f"{model}_temperatures_at_pressure", over_steps(record, "T_rot - T_tr", model, "NPT")
+        yield f"{model}_energies", over_steps(record, "U", model, "NVT")
+        yield f"{model}_densities", over_steps(record, "density", model, "NPT")
+        yield f"{model}_frictions", over_frictions(record, model, 6.0)
+        yield f"{model}_goals", over_goals(record, model)
+    yield "equipartition_models", over_models(record)
+
+
+def pages() -> list[Path]:
+    """Return the pages with tables."""
+    return [page for page in sorted(DOCS.rglob("*.md")) if _WRITTEN.search(page.read_text(encoding="utf-8"))]
+
+
+def written(text: str, known: dict[str, str]) -> str:
+    """Return the text of a page with its tables as they are now."""
+    return _WRITTEN.sub(lambda found: f"{found[1]}{found[2]}{known[found[1]]}\n", text)
+
+
+def main() -> None:
+    known = all_tables()
+    for page in pages():
+        text = page.read_text(encoding="utf-8")
+        if (new := written(text, known)) != text:
+            page.write_text(new, encoding="utf-8")
+            print(page.relative_to(DOCS.parent))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Places for molecules to start from."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Number of places from which on a lattice is looked for among fewer vectors.
+_MANY = 100
+
+
+def places_a_side(n: int) -> int:
+    """Return how many lattice sites an edge of the smallest cube with n sites has."""
+    return next(k for k in range(1, n + 1) if k**3 >= n)
+
+
+def cubic_lattice(n: int) -> Array:
+    """Return the first n places (n, 3) of a cubic lattice of constant 1."""
+    return np.argwhere(np.ones(3 * (places_a_side(n),)))[:n].astype(np.float64)
+
+
+def filling(n: int) -> tuple[Array, float]:
+    """Return n places (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
+
+    They are a cubic lattice where n is a cube; else the multiples of a vector (1, a, b)/n of the edge, the first ones
+    found that are as far apart as in a cubic lattice, or the farthest. With many places b = a² is taken (N. M. Korobov;
+    I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
+    """
+    k = places_a_side(n)
+    if k**3 == n:
+        return cubic_lattice(n), float(k)
+    edge, half = float(np.cbrt(n)), np.arange(1, n // 2 + 1)[:, None]
+    farthest, best = -1.0, (1, 1)
+    for a in range(1 if n < _MANY else k, n // 2 + 1):
+        for b in range(a, n // 2 + 1) if n < _MANY else [a * a % n]:
+            away = half * (1, a, b) % n
+            apart = edge / n * float(np.sqrt((np.minimum(away, n - away) ** 2).sum(axis=1).min()))
+            if apart > farthest:
+                farthest, best = apart, (a, b)
+        if farthest >= 1.0:
+            break
+    multiples: Array = np.arange(n)[:, None] * np.array([1, *best]) % n * (edge / n)
+    return multiples, edge
