@@ -53,7 +53,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
     except NotServedError as error:
         return str(error)
     if evaluated is not None and settings.scheme.has_gradients:
-        return f"the device has no kernel for {evaluated.what}, and {settings.outer.name} has force gradients beside it"
+        return f"the device has no kernel for {evaluated.what}, which the force gradients of {settings.outer.name} need"
     return None if molecules is None else _unsupported_beside_molecules(settings)
 
 
