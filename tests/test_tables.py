@@ -27,7 +27,7 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     assert f"{figures['default_over_verlet']} of Verlet's energy error at its cost" in readme
     assert f"energy errors of `W2_1` and `W4_4` are {1.0 / tables.over_verlet('W2_1'):.1f} and {gain} times" in joss
     assert f"at {figures['protein_throughput']} times the throughput of `LangevinMiddleIntegrator` at 4 fs" in joss
-    assert f"| {figures['W4_4_gain']} times less energy error over 30 ps" in which
+    assert f"{gain} times less energy error over 30 ps" in which
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
     assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
     assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
@@ -86,7 +86,7 @@ def test_the_gain_of_dipoles_is_that_of_the_record():
     least, most = droplet_gains()
     for page in ("which.md", "should-i-use-this.md"):
         words = f"{round(least, -1):g} to {round(most, -1):g} times less energy error"
-        assert words in (ROOT / "docs" / page).read_text(encoding="utf-8")
+        assert words in " ".join((ROOT / "docs" / page).read_text(encoding="utf-8").split())
 
 
 def test_the_memory_of_dipoles_is_that_of_the_record():

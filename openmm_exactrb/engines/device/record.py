@@ -9,7 +9,7 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, molecules_of
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, served
 from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
@@ -49,12 +49,12 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         warnings.simplefilter("ignore")  # the propagator, or that of another engine, says what there is to say
         bodies, _, fast = found(context, settings)
     try:
-        molecules = molecules_of(context.getSystem(), bodies, fast, settings)
+        molecules, evaluated = served(context.getSystem(), bodies, fast, settings)
     except NotServedError as error:
         return str(error)
-    if molecules is not None:
-        return _unsupported_beside_molecules(settings)
-    return None
+    if evaluated is not None and settings.scheme.has_gradients:
+        return f"the device has no kernel for {evaluated.what}, which the force gradients of {settings.outer.name} need"
+    return None if molecules is None else _unsupported_beside_molecules(settings)
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
