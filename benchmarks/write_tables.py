@@ -24,6 +24,8 @@ from benchmarks.water.equipartition_record import RECORD, over_frictions, over_g
 #: Records that are shown as they are.
 AS_THEY_ARE = [
     "cholesterol",
+    "device_drift",
+    "device_precision",
     "dppc",
     "ellipsoids",
     "large_bodies",
