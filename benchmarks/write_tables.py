@@ -16,6 +16,7 @@ from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import DOCS
 from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.schemes.tables import roundoff_errors
 from benchmarks.water import tables as of_water
 from benchmarks.water.averages import averages
 from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
@@ -23,6 +24,8 @@ from benchmarks.water.equipartition_record import RECORD, over_frictions, over_g
 #: Records that are shown as they are.
 AS_THEY_ARE = [
     "cholesterol",
+    "device_drift",
+    "device_precision",
     "dppc",
     "ellipsoids",
     "large_bodies",
@@ -41,7 +44,7 @@ def all_tables() -> dict[str, str]:
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
-        *(averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
+        *(roundoff_errors, averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
         *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
     )
     shown = {name: _as_it_is(name) for name in AS_THEY_ARE}

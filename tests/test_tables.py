@@ -31,6 +31,11 @@ def test_figures_that_are_typed_are_those_that_were_measured():
     assert f"with {figures['default_over_verlet']} of Verlet's energy error" in which
     assert f"{len(rb.SCHEMES)} schemes, {len(rb.ROTORS)} rotors" in readme
     assert f"makes {tables.asked('W4_4'):.1f} evaluations per step" in readme
+    peptide = "alanine dipeptide in water, 844 atoms"
+    (cost,) = (
+        float(row["most"]) for row in tables.rows("one_line") if (row["system"], row["with"]) == (peptide, "2 fs")
+    )
+    assert f"a peptide of 844 atoms with its water costs {cost:.1f} times as much" in readme
 
 
 def test_the_default_has_at_most_two_fifths_of_the_energy_error_of_verlet_for_one_force_a_step():

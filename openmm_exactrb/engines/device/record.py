@@ -17,6 +17,7 @@ from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.support.warn import warn
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
@@ -96,6 +97,11 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
     """Return a propagator, with an integrator of the library behind the Python object."""
     if not library().owns(integrator):
+        if integrator.getGlobalVariable(0) in _marks(settings):
+            warn(
+                "a checkpoint of the device was loaded before the engine was chosen, so that the run continues from "
+                "positions and velocities, and not to the last bit: call step(0) before loadCheckpoint()"
+            )
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)
         rebind(context, integrator, program)
