@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -9,6 +10,10 @@ from typing import Any
 
 #: exchange(tau) -> numbers that kernels need of a heat exchange over tau (ps).
 Exchange = Callable[[float], tuple[float, ...]]
+
+
+#: A move in the text of a user, and its name.
+MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+\s*,\s*double\s+\w+\s*\)")
 
 
 class Op(IntEnum):
@@ -44,7 +49,8 @@ class Move:
     bodies : str
         "all", "inner" or "others", as those of `openmm_exactrb.substeps.Drift`.
     text : str
-        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect.
+        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect,
+        the last of such if there are several.
     late : bool
         Whether it belongs to the step after the one that a segment ends.
     """
@@ -83,4 +89,6 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
+    if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
+        raise ValueError(f"the code of {substep!r} has no `DEVICE inline void NAME(Body* body, double tau)`")
     return moves

@@ -162,7 +162,7 @@ def as_xml(molecule, n, folder, cutoff=0.7):
 
 
 def as_pdb(molecule, n, folder):
-    """Write a PDB file and a force field whose script constrains all distances; return what names them."""
+    """Write a PDB file and a force field that constrains all distances; return what names them."""
     x, edge = placed(molecule, n)
     topology = topology_of(molecule, n)
     topology.setPeriodicBoxVectors(edge * np.eye(3) * unit.nanometer)
@@ -179,17 +179,38 @@ def as_pdb(molecule, n, folder):
         f'<Atom type="{a}" sigma="{molecule.lennard_jones[e][0]}" epsilon="{molecule.lennard_jones[e][1]}"/>'
         for a, e, _, _ in atoms
     )
+    constraints = "".join(
+        f'<Constraint atomName1="{molecule.atoms[i]}" atomName2="{molecule.atoms[j]}" distance="{distance}"/>'
+        for i, j, distance in molecule.distances
+    )
     files[1].write_text(
         f'<ForceField><AtomTypes>{types}</AtomTypes><Residues><Residue name="{molecule.name[:3]}">{own}{bonds}'
-        '</Residue></Residues><NonbondedForce coulomb14scale="0.833333" lj14scale="0.5">'
-        f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce><Script>\n'
-        "for residue in topology.residues():\n"
-        "    first = next(residue.atoms()).index\n"
-        f"    for i, j, distance in {molecule.distances}:\n"
-        "        sys.addConstraint(first + i, first + j, distance)\n"
-        "</Script></ForceField>\n"
+        f'{constraints}</Residue></Residues><NonbondedForce coulomb14scale="0.833333" lj14scale="0.5">'
+        f'<UseAttributeFromResidue name="charge"/>{pairs}</NonbondedForce></ForceField>\n'
     )
     return [files[0], "--forcefield", files[1]]
+
+
+def as_mixture(molecule, n, folder):
+    """Write the same with every other molecule replaced by TIP4P water, whose sites the force field adds."""
+    files = as_pdb(molecule, n, folder)
+    content = app.PDBFile(str(files[0]))
+    modeller = app.Modeller(content.topology, content.positions)
+    replaced = list(content.topology.residues())[::2]
+    centres = np.array(content.positions._value)[[next(residue.atoms()).index for residue in replaced]]
+    modeller.delete(replaced)
+    water = app.Topology()
+    chain, oxygen, hydrogen = water.addChain(), app.element.oxygen, app.element.hydrogen
+    for _ in replaced:
+        residue = water.addResidue("HOH", chain)
+        o, *h = (water.addAtom(name, e, residue) for name, e in (("O", oxygen), ("H1", hydrogen), ("H2", hydrogen)))
+        for atom in h:
+            water.addBond(o, atom)
+    places = np.array([[0.0, 0.0, 0.0], [0.07569, 0.0, 0.05859], [-0.07569, 0.0, 0.05859]])
+    modeller.add(water, (centres[:, None] + places).reshape(-1, 3) * unit.nanometer)
+    with files[0].open("w") as out:
+        app.PDBFile.writeFile(modeller.topology, modeller.positions, out)
+    return [*files, "tip4pew.xml"]
 
 
 def as_gromacs(molecule, n, folder):

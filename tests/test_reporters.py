@@ -37,7 +37,7 @@ def test_energy_reporter_appends(tmp_path):
 def test_a_file_that_ends_within_a_line_is_refused_and_left_alone(tmp_path, left):
     file = tmp_path / "energies.csv"
     file.write_text(left)
-    with pytest.raises(ValueError, match="ends within a line"):
+    with pytest.raises(ValueError, match="ends with an incomplete line"):
         rb.EnergyReporter(file, 1, append=True)
     assert file.read_text() == left
 

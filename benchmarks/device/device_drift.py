@@ -1,81 +1,130 @@
-"""The drift of the energy on a device in mixed precision, and that of the same systems on the host.
+"""The drift of the energy in single, mixed and double precision: the device engine, the host, and OpenMM's integrators.
 
-Droplets of rigid water, or with --peptide alanine dipeptide in a box of water with inner steps for its bonded forces;
-each start on both engines. Printed for each run: the slope of the total energy per molecule, of a straight line through
-it, and how far the energy is from that line; at the end, of each engine, the mean slope of all starts with its standard
-error. The kinetic energy is that of the bodies in float64, the potential energy that of the platform.
+A periodic box of TIP3P with PME and a switched cutoff, from one start at 300 K. All integrators get the same time
+between two force evaluations. Printed and written for each run: the slope of a straight line through the total energy
+per molecule with the standard error that four parts of the run give, and the standard deviation about that line. The
+potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
+counts, and not what its Context can show of it. LangevinMiddle has no friction here; the energy at the ends of its
+steps has errors of first order.
 
-    python benchmarks/device/device_drift.py --platform CUDA
-    python benchmarks/device/device_drift.py --platform CUDA --peptide --scheme S2_3 --step 0.012 \
-        --steps 8400 --every 20
+    python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
+    python benchmarks/device/device_drift.py --platform OpenCL --droplet --molecules 27 --fs 0.4 --ps 0.4 --samples 25 \
+        --integrators S6_10:device S6_10:host
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
+import csv
+import warnings
+from pathlib import Path
 
 import numpy as np
 import openmm
+from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.starts import R, context_of
-from benchmarks.proteins import protein_steps
+
+PRECISIONS = ("single", "mixed", "double")
+COLUMNS = (
+    *("integrator", "engine", "precision", "molecules", "fs_a_force", "ps"),
+    *("drift_kJ_per_mol_ns_molecule", "drift_error", "spread_kJ_per_mol_molecule"),
+)
 
 
-def start_of(options):
-    """Return System, positions, molecules, temperature (K) and fast forces of what is run."""
-    if not options.peptide:
-        _, system, positions = rb.rigid_water(options.molecules)
-        return system, positions, options.molecules, 100.0, None
-    topology, system, _ = protein_steps.molecules(None, "plain", "HBonds")
-    start = protein_steps.start_of(None)
-    system.setDefaultPeriodicBoxVectors(*start.getPeriodicBoxVectors())
-    molecules = 1 + sum(residue.name == "HOH" for residue in topology.residues())
-    return system, start.getPositions(), molecules, 300.0, "bonded"
+def integrator_of(name, engine, h):
+    """Return an integrator with a force evaluation every h (ps)."""
+    if engine == "openmm":
+        return openmm.VerletIntegrator(h) if name == "Verlet" else openmm.LangevinMiddleIntegrator(300.0, 0.0, h)
+    forces = rb.SCHEMES[name].forces
+    return rb.ExactRigidBodyIntegrator(forces * h, name, engine=engine, checkDivergence=False)
 
 
-def energies(engine, seed, options):
-    """Return times (ns) and total energies (kJ/mol) of a run."""
-    system, positions, _, kelvin, fast = start_of(options)
-    integrator = rb.ExactRigidBodyIntegrator(options.step, options.scheme, engine=engine, fast=fast)
-    copied = openmm.XmlSerializer.clone(system)
-    context = context_of(copied, integrator, positions, options.platform, {"Precision": "mixed"})
-    integrator.setVelocitiesToTemperature(kelvin, seed)
-    integrator.step(options.every)
-    found = []
-    for _ in range(options.steps // options.every):
-        integrator.step(options.every)
-        found.append((1e-3 * context.getTime()._value, integrator.totalEnergy()._value))
-    return np.array(found).T
+class Energies:
+    """Total energies of runs of a System, their potential part in double precision."""
+
+    def __init__(self, system, platform):
+        self.system, self.platform = system, platform
+        self.double = self.context_of(openmm.VerletIntegrator(0.001), "double")
+
+    def context_of(self, integrator, precision):
+        """Return a Context of a copy of the System."""
+        system = openmm.XmlSerializer.clone(self.system)
+        return openmm.Context(system, integrator, self.platform, {"Precision": precision})
+
+    def start(self, positions):
+        """Return a State at 300 K."""
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, "BAOA", engine="device")
+        context = self.context_of(integrator, "mixed")
+        context.setPositions(positions)
+        integrator.setVelocitiesToTemperature(300.0, 1)
+        integrator.step(2500)
+        return context.getState(positions=True, velocities=True)
+
+    def present(self, context):
+        """Return the total energy (kJ/mol) of a Context."""
+        integrator, state = context.getIntegrator(), context.getState(positions=True, energy=True)
+        x, kinetic = state.getPositions(asNumpy=True)._value, state.getKineticEnergy()._value
+        if isinstance(integrator, rb.ExactRigidBodyIntegrator):
+            bodies, held = integrator.bodyState()
+            x, kinetic = (
+                bodies.positions(held, np.array(x)),
+                sum(energy._value for energy in integrator.kineticEnergies()),
+            )
+        self.double.setPositions(x)
+        return kinetic + self.double.getState(energy=True).getPotentialEnergy()._value
+
+    def run(self, integrator, precision, start, ps, samples):
+        """Return times (ns) and total energies of a run from a State."""
+        context = self.context_of(integrator, precision)
+        context.setState(start)
+        steps = round(ps / samples / integrator.getStepSize()._value)
+        found = []
+        for _ in range(samples):
+            integrator.step(steps)
+            found.append((1e-3 * context.getTime()._value, self.present(context)))
+        return np.array(found).T
+
+
+def slopes(times, energies):
+    """Return the slope of all energies, its standard error by four parts, and the deviation from the line."""
+    line = np.polyfit(times, energies, 1)
+    parts = [np.polyfit(t, e, 1)[0] for t, e in zip(np.array_split(times, 4), np.array_split(energies, 4), strict=True)]
+    # A slope has the inverse cube of the length in its variance: that of the whole is an eighth of that of a quarter's.
+    return line[0], np.std(parts, ddof=1) / 8.0, np.std(energies - np.polyval(line, times))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--platform", default="CUDA")
-    parser.add_argument("--scheme", default="S2_2", choices=tuple(rb.SCHEMES))
-    parser.add_argument("--molecules", type=int, default=8)
-    parser.add_argument("--peptide", action="store_true", help="in 212 molecules of water, at 300 K")
-    parser.add_argument("--step", type=float, default=0.0005, help="in ps")
-    parser.add_argument("--steps", type=int, default=100_000)
-    parser.add_argument("--every", type=int, default=100, help="steps between two energies")
-    parser.add_argument("--starts", type=int, default=3)
-    parser.add_argument("--first", type=int, default=1, help="seed of the first start; the next one has the next seed")
+    parser.add_argument("--molecules", type=int, default=512)
+    parser.add_argument("--droplet", action="store_true", help="no box and no cutoff: the forces have no other errors")
+    parser.add_argument("--fs", type=float, default=1.0, help="a force evaluation")
+    parser.add_argument("--ps", type=float, default=100.0)
+    parser.add_argument("--samples", type=int, default=100)
+    names = ["Verlet:openmm", "LangevinMiddle:openmm", "S2_2:device", "W2_1:device", "S6_10:device", "S2_2:host"]
+    parser.add_argument("--integrators", nargs="+", default=names, help="name:engine")
+    parser.add_argument("--precisions", nargs="+", default=PRECISIONS, choices=PRECISIONS)
+    parser.add_argument("--csv", type=Path, default=Path("device_drift.csv"))
     options = parser.parse_args()
-    _, _, molecules, kelvin, _ = start_of(options)
-    what = f"{molecules} molecules at {kelvin:g} K"
-    slopes = {"host": [], "device": []}
-    print(f"{options.platform}, mixed, {options.scheme}, {what}, {1e3 * options.step:g} fs")
-    print(f"{'start':>5} {'engine':7} {'kJ/mol/ns/molecule':>20} {'kJ/mol about the line':>22}")
-    for seed, engine in itertools.product(range(options.first, options.first + options.starts), slopes):
-        times, found = energies(engine, seed, options)
-        line = np.polyfit(times, found, 1)
-        slopes[engine].append(line[0] / molecules)
-        rest = np.std(found - np.polyval(line, times))
-        print(f"{seed:5d} {engine:7} {slopes[engine][-1]:20.2e} {rest:22.2e}", flush=True)
-    for engine, found in slopes.items():
-        error = np.std(found, ddof=1) / np.sqrt(len(found))
-        print(f"{engine}: {np.mean(found):.2e} +- {error:.2e} kJ/mol/ns/molecule; RT is {R * kelvin:.2f} kJ/mol")
+    warnings.filterwarnings("ignore", message="the Context is in single precision")
+    n, h = options.molecules, 1e-3 * options.fs
+    cutoff = min(0.9, 0.45 * 0.3104 * n ** (1 / 3))
+    made = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "switchDistance": cutoff - 0.1}
+    _, system, positions = rb.rigid_water(n, **({} if options.droplet else made | {"ewaldErrorTolerance": 1e-5}))
+    energies = Energies(system, openmm.Platform.getPlatform(options.platform))
+    start = energies.start(positions)
+    with options.csv.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(COLUMNS)
+        for name, engine in (which.split(":") for which in options.integrators):
+            for precision in options.precisions:
+                run = energies.run(integrator_of(name, engine, h), precision, start, options.ps, options.samples)
+                drift, error, spread = (f"{value / n:.2e}" for value in slopes(*run))
+                row = (name, engine, precision, n, options.fs, options.ps, drift, error, spread)
+                rows.writerow(row)
+                file.flush()
+                print(*row, flush=True)
 
 
 if __name__ == "__main__":

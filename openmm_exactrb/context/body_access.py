@@ -62,8 +62,8 @@ class BodyAccess:
         """Return the numbers of translational and of rotational degrees of freedom.
 
         A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover three
-        translational ones are subtracted, whatever its interval: between two removals, only a thermostat or external
-        forces move the centre of mass.
+        translational ones are subtracted, whatever its interval: temperatures are those of the motion relative to the
+        centre of mass.
         """
         propagator = self._up_to_date()
         bodies = propagator.sync.bodies
@@ -93,11 +93,10 @@ class BodyAccess:
         ValueError
             If a group has some particles of a body or cluster and not all.
         """
-        if groups is None:
-            energies = (energy.value_in_unit(unit.kilojoule_per_mole) for energy in self.kineticEnergies())
-            return _temperatures(tuple(energies), self.degreesOfFreedom())
         propagator = self._up_to_date()
         sync = propagator.sync
+        if groups is None:
+            return _temperatures(self._thermal_energies(sync.state), self.degreesOfFreedom())
         motions = of_groups(sync.bodies, sync.state, groups, propagator.updates.removes_motion)
         return {name: _temperatures(*motion) for name, motion in motions.items()}
 
@@ -107,8 +106,16 @@ class BodyAccess:
         It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters ask for it, and would
         otherwise count the constraints of the System, which redundant ones and bodies named by hand make wrong.
         """
-        energy, freedom = sum(self.kineticEnergies(), 0.0 * unit.kilojoule_per_mole), sum(self.degreesOfFreedom())
-        return (2.0 * energy / ((freedom or math.nan) * unit.MOLAR_GAS_CONSTANT_R)).in_units_of(unit.kelvin)
+        energy, freedom = sum(self._thermal_energies(self._up_to_date().sync.state)), sum(self.degreesOfFreedom())
+        return _temperature(energy, freedom)
+
+    def _thermal_energies(self, state: State) -> tuple[float, float]:
+        """Return the kinetic energies that temperatures are made of, in kJ/mol."""
+        propagator = self._up_to_date()
+        bodies, rounded = propagator.sync.bodies, state.rounded
+        drift = bodies.drift(rounded) if propagator.updates.removes_motion else None
+        energies: tuple[float, float] = bodies.kinetic_energies(rounded, drift)
+        return energies
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
@@ -221,8 +228,10 @@ class BodyAccess:
 
 def _temperatures(energies: Sequence[float], freedom: Sequence[float]) -> Temperatures:
     """Return the temperatures of kinetic energies (kJ/mol) of translation and rotation: nan without freedom."""
-    R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-    one, other = (
-        2.0 * energy / ((n or math.nan) * R) * unit.kelvin for energy, n in zip(energies, freedom, strict=True)
-    )
+    one, other = map(_temperature, energies, freedom)
     return one, other
+
+
+def _temperature(energy: float, freedom: float) -> unit.Quantity:
+    R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+    return 2.0 * energy / ((freedom or math.nan) * R) * unit.kelvin

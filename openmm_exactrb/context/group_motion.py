@@ -25,17 +25,19 @@ def of_groups(
 ) -> dict[str, Motion]:
     """Return the motion of groups of particles, each of whole bodies and clusters.
 
-    Where the centre of mass of all is at rest, a group has lost three degrees of freedom times its part of the mass.
+    Where the centre of mass of all is brought to rest, the motion is that relative to it, and a group has lost three
+    degrees of freedom times its part of the mass.
     ValueError if a group contains some of the particles of a body or cluster and not all.
     """
     lists = checks.lists_of_indices(list(groups.values()), "groups")
+    drift = bodies.drift(state.rounded) if removes_motion else None
     found = {}
     for name, particles in zip(groups, lists, strict=True):
         chosen = _chosen(bodies, name, particles)
         part = Part(bodies.chosen(chosen, np.arange(bodies.n_particles), bodies.n_particles), chosen)
         lost = 3.0 * removes_motion * float(part.bodies.mass.sum() / bodies.mass.sum())
         freedom = part.bodies.translational_freedom - lost, part.bodies.rotational_freedom
-        found[name] = Motion(part.bodies.kinetic_energies(part.of(state).rounded), freedom)
+        found[name] = Motion(part.bodies.kinetic_energies(part.of(state).rounded, drift), freedom)
     return found
 
 
@@ -64,6 +66,6 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
 def _check_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
     if torn.any():
         raise ValueError(
-            f"group {name!r} contains some of the particles of {bodies.name(first + int(np.argmax(torn)))} but not "
-            f"all: name all or none, since they move together"
+            f"group {name!r} contains only some particles of {bodies.name(first + int(np.argmax(torn)))}: name all or "
+            "none, since they move together"
         )

@@ -94,14 +94,14 @@ class ContextUpdates:
         return bool(self._removals)
 
     @property
-    def periods(self) -> tuple[int, int]:
-        """After how many steps OpenMM has something to do, and after how many of these not only for velocities of all.
+    def period(self) -> int:
+        """After how many steps barostats or thermostats have something to do; 0 is never."""
+        return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
-        0 is never.
-        """
-        acts = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
-        interval = math.gcd(acts, *self._removals)
-        return interval, acts // interval if interval else 0
+    @property
+    def removal(self) -> int:
+        """Of what the numbers of steps are multiples behind which motion is removed; 0 is never."""
+        return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
         """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
@@ -118,8 +118,7 @@ class ContextUpdates:
         if not (self.moves or self.pushes):
             return 0
         self._waiting += 1
-        period = 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
-        if not period or self._waiting < period:
+        if not self.period or self._waiting < self.period:
             return 0
         waiting, self._waiting = self._waiting, 0
         return waiting
@@ -200,6 +199,6 @@ def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> 
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
             raise ValueError(
-                "a barostat changes the box, which dipoles with kernel='bonds' do not follow, and with 'openmm' only "
+                "a barostat changes the box: dipoles with kernel='bonds' cannot follow it, with 'openmm' only "
                 "while it is wide enough: use kernel='compiled', or remove the barostat"
             )

@@ -11,7 +11,6 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
-from openmm_exactrb.openmm_access import platforms
 
 #: The first engine that serves the Context and pays there.
 AUTO = "auto"
@@ -42,7 +41,6 @@ class Selection:
         asked_for = in_order() if asked == AUTO else [ENGINES[asked]]
         self._candidates, self._reasons = _serving(asked_for, lambda engine: engine.unsupported(settings))
         self._choose(self._candidates[-1], (*self._reasons, f'engine="{asked}" was asked for')[0], settings)
-        self._warned = False  # of single precision
 
     @property
     def open(self) -> bool:
@@ -73,9 +71,6 @@ class Selection:
         self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
     ) -> Propagator:
         """Return a propagator of the engine that `settle` has chosen."""
-        if not self._warned:
-            platforms.warn_of_single_precision(context)
-            self._warned = True
         return self.engine.propagator(context, integrator, settings, timings)
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:

@@ -209,11 +209,21 @@ class RigidBodies:
                 m[0, kind.bodies] = 0.0
         return self.tangent(state._replace(P=P, m=m))
 
-    def kinetic_energies(self, state: BodyState) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow."""
+    def kinetic_energies(self, state: BodyState, velocity: Array | None = None) -> tuple[float, float]:
+        """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow.
+
+        With a velocity (3,) in nm/ps, that of the motion relative to it.
+        """
         P = self.tangent(state).P
+        if velocity is not None:
+            P = P - np.outer(velocity, self.mass)
         translational = 0.5 * float(np.sum(P * P / self.mass))
         return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
+
+    def drift(self, state: BodyState) -> Array:
+        """Return the velocity (3,) of the centre of mass of all, in nm/ps."""
+        velocity: Array = state.P.sum(axis=1) / self.mass.sum()
+        return velocity
 
     def name(self, body: int) -> str:
         """Say which particles a body consists of, or the cluster that it is in."""

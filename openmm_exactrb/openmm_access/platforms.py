@@ -8,8 +8,6 @@ from typing import Any
 
 import openmm
 
-from openmm_exactrb.support.warn import warn
-
 _PRECISION = "Precision"
 #: Platforms that keep positions and forces on a device.
 DEVICES = ("CUDA", "HIP", "OpenCL")
@@ -85,12 +83,3 @@ def is_double(context: Any) -> bool:
     """Return whether a Context computes in double precision throughout."""
     platform = context.getPlatform()
     return platform.getName() not in DEVICES or platform.getPropertyValue(context, _PRECISION) == "double"
-
-
-def warn_of_single_precision(context: Any) -> None:
-    """Warn where rounding hides what an integrator is chosen for."""
-    if is_single(context):
-        warn(
-            "the Context is in single precision, whose rounding hides the differences between schemes: create it with "
-            'the platform properties {"Precision": "mixed"}'
-        )

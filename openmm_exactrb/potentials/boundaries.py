@@ -251,11 +251,14 @@ def edges_of(box: Sequence[float]) -> Edges:
     return a, b, c
 
 
-def check_cutoff(cutoff: float, edges: Sequence[float]) -> None:
+def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") -> None:
     """Raise a ValueError if a cutoff has more than one nearest image in a box of these edges (nm)."""
-    shortest = min(edges)
-    if not cutoff <= 0.5 * shortest * (1.0 + 1e-12):
-        raise ValueError(f"cutoff must be at most half the box, {0.5 * shortest:g} nm, not {cutoff}")
+    half = 0.5 * min(edges)
+    if not cutoff <= half * (1.0 + 1e-12):
+        raise ValueError(
+            f"{name} must be at most half the box, {half:g} nm, not {cutoff:g}: pass a shorter one, with room for a "
+            "barostat to shrink the box, or use a larger box"
+        )
 
 
 def _plain(value: float) -> float:

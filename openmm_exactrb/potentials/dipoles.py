@@ -65,7 +65,8 @@ def soft_dipole_force(
         boundary are those of the dipoles.
     sphere_cutoff, sphere_switch : float, optional
         Where the energy of two spheres in a box ends, and its switch begins, in nm. By default 3 sigma, or half the
-        shortest edge of the box if that is less, and three quarters of the cutoff.
+        shortest edge of the box if that is less, and three quarters of the cutoff. A barostat that shrinks the box
+        below twice a cutoff ends the run: pass shorter ones with it.
     shifted : bool
         Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
@@ -274,7 +275,8 @@ class SoftDipoles:
         cutoff, switch, reaction = self.truncation
         end, begin, shifted = self.spheres or (cutoff, switch, False)
         a, b, c = map(float, box.diagonal())
-        check_cutoff(max(cutoff, end), (a, b, c))
+        check_cutoff(end, (a, b, c), "sphere_cutoff")
+        check_cutoff(cutoff, (a, b, c), "the cutoff of the boundary")
         of_dipoles = float(cutoff**2), 1.0 / (cutoff**2 - switch**2), reaction
         shift = parameters["soft_repulsion"] * end**-12 - parameters.get("soft_attraction", 0.0) * end**-6
         of_spheres = float(end**2), 1.0 / (end**2 - begin**2), float(shift) if shifted else 0.0

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import openmm
 
+from openmm_exactrb.potentials.boundaries import check_cutoff
 from openmm_exactrb.potentials.switching import sharp_volume
 from openmm_exactrb.support import checks
 
@@ -44,8 +45,7 @@ def cutoff_in(
         return None
     half = 0.5 * min(edges)
     end = min(CUSTOMARY * sigma, half) if cutoff is None else checks.positive(cutoff, "sphere_cutoff", "nm")
-    if not end <= half * (1.0 + 1e-12):
-        raise ValueError(f"sphere_cutoff must be at most half the box, {half:g} nm, not {end:g}: use a larger box")
+    check_cutoff(end, edges, "sphere_cutoff")
     begin = 0.75 * end if switch is None else checks.not_negative(switch, "sphere_switch")
     if not begin < end:
         raise ValueError(f"sphere_switch must be between 0 and the sphere_cutoff {end:g}, not {begin:g}")

@@ -82,7 +82,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
             raise ValueError("there has been no heat exchange yet: make a step first")
-        energies = [propagator.sync.bodies.kinetic_energies(state.rounded) for state in exchange]
+        energies = [self._thermal_energies(state) for state in exchange]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
         translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)

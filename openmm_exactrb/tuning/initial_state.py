@@ -157,7 +157,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
             f"{what} have the shape {array.shape}, but the System has {system.getNumParticles()} particles"
         )
     if not np.isfinite(array).all():
-        raise ValueError(f"{what} are not finite")
+        raise ValueError(f"{what} are not finite: give finite ones")
     return array
 
 

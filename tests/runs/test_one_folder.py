@@ -62,7 +62,7 @@ def test_what_another_process_did_meanwhile_is_seen(half):
     late.advance(droplet(), 40)  # which is behind
     same_bytes(half, half.parent / "whole")
     make(half.parent / "new").advance(droplet(), 7)
-    with pytest.raises(FileExistsError, match="of an earlier run"):
+    with pytest.raises(FileExistsError, match="to an earlier run"):
         fresh.advance(droplet(), 60)
 
 

@@ -90,7 +90,7 @@ def copy(array: str, to: str) -> str:
 SITES, REORDER, STEP = "sites", "reorder", "step"
 
 # Scalars of the integrator.
-_COUNTS = ("interval", "waiting", "leaves", "updates")
+_COUNTS = ("interval", "waiting", "removal", "calls")
 
 #: A launch, or an operation as a line.
 Operation = Launch | str
@@ -100,9 +100,9 @@ Operation = Launch | str
 class Program:
     """Arrays, scalars and sequences of operations.
 
-    All scalars are saved. The integrator reads "interval", the number of steps after which OpenMM updates the Context,
-    0 for never, and "leaves", after how many of these updates a scheme leaves its inner coordinates; it counts in
-    "waiting" and "updates".
+    All scalars are saved. The integrator reads "interval", the number of steps after which barostats or thermostats of
+    the System act, and "removal", of which a step's number is a multiple where its removers do; 0 is never. It counts
+    steps since then in "waiting", and since OpenMM last updated the Context in "calls".
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)

@@ -13,6 +13,7 @@
 #include "openmm/internal/ContextImpl.h"
 #include "openmm/serialization/SerializationNode.h"
 #include "openmm/serialization/SerializationProxy.h"
+#include <algorithm>
 #include <cstring>
 #include <dlfcn.h>
 #include <map>
@@ -62,6 +63,9 @@ struct Kernel {
     vector<string> arguments;
     vector<std::pair<int, int> > scalars;  // index of the argument, index of the scalar or one of the below
     ComputeKernel kernel;
+    bool places() const {  // whether it may move particles
+        return std::find(arguments.begin(), arguments.end(), "posq") != arguments.end();
+    }
 };
 enum { StepSize = -1, StepCount = -2 };
 const int Loads = 8;
@@ -174,7 +178,7 @@ private:
     void carryOut(const string& sequence);
     void launch(Kernel& kernel);
     void evaluate(int groups);
-    void update(int calls);
+    void update(int calls, bool leaves);
     void uploadPlaces();
     void uploadBox();
     DeviceArray made(size_t size, int elementSize, const string& name) {
@@ -509,16 +513,17 @@ void ProgramIntegrator::step(int steps) {
 }
 
 // Sequences: "forces" evaluates those that "open" needs, unless they are known; "open" begins a step, "body" goes on to
-// its last forces, "close" ends it, and "between" is "close" and "open" in one. After every "interval" (a scalar, 0 for
-// never) of steps OpenMM updates the Context: then comes "pushed", and "moved" too where positions changed. Around every
-// n-th of these updates, for a scalar "leaves" of n, they are "leave", "leave pushed" and "leave moved".
+// its last forces, "close" ends it, and "between" is "close" and "open" in one. OpenMM updates the Context after every
+// "interval" of steps, which are counted in "waiting", and where the number of steps is a multiple of "removal" (scalars,
+// 0 for never). Behind it comes "pushed", and "moved" too where positions changed. A program with a sequence "leave" has
+// it before the updates after intervals, and "leave_pushed" and "leave_moved" behind them.
 void ProgramIntegrator::makeSteps(int steps) {
     requireDevice();
     Current current(cc);
     uploadBox();
     stepBegan = cc->getTime();
-    const int interval = (int) scalar("interval");
-    double& waiting = scalar("waiting");
+    const int interval = (int) scalar("interval"), removal = (int) scalar("removal");
+    double &waiting = scalar("waiting"), &calls = scalar("calls");
     bool begins = true;
     for (int i = 0; i < steps; i++) {
         if (begins) {
@@ -527,13 +532,17 @@ void ProgramIntegrator::makeSteps(int steps) {
             carryOut("open");
         }
         carryOut("body");
-        const bool due = interval > 0 && ++waiting >= interval;
+        calls++;
+        const bool acts = interval > 0 && ++waiting >= interval;
+        const bool due = acts || (removal > 0 && (cc->getStepCount() + 1) % removal == 0);
         begins = due || i == steps - 1;
         carryOut(begins ? "close" : "between");
         if (due) {
-            update(interval);
-            waiting = 0;
+            update((int) calls, acts && sequences.count("leave"));
+            calls = 0;
         }
+        if (acts)
+            waiting = 0;
     }
 }
 
@@ -544,18 +553,15 @@ void ProgramIntegrator::runAlone(const string& name) {
     uploadBox();
     stepBegan = cc->getTime();
     carryOut(name);
-    forcesStale = true;
+    for (const Operation& o : sequences[name])
+        forcesStale |= o.kind == Operation::Forces || (o.kind == Operation::Run && kernels[o.which].places());
 }
 
 // Let barostats, thermostats and removers of the System act as in so many steps that end now.
-void ProgramIntegrator::update(int calls) {
-    const double leaves = scalar("leaves");
-    const bool leave = leaves > 0 && ++scalar("updates") >= leaves;
-    const string prefix = leave ? "leave " : "";
-    if (leave) {
-        scalar("updates") = 0;
+void ProgramIntegrator::update(int calls, bool leaves) {
+    const string prefix = leaves ? "leave_" : "";
+    if (leaves)
         carryOut("leave");
-    }
     const long long count = cc->getStepCount();
     bool moved = false;
     updating = true;
@@ -570,7 +576,7 @@ void ProgramIntegrator::update(int calls) {
         uploadPlaces();
         carryOut(prefix + "moved");
     }
-    if (moved || leave)
+    if (moved || leaves)
         forcesStale = true;
 }
 

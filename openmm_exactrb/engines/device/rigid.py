@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +17,7 @@ from openmm_exactrb.mathematics.elliptic import RULES
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.moves import MOVE, Move, Op
 from openmm_exactrb.rotors.exact import constants
 
 Array = NDArray[np.float64]
@@ -33,6 +34,8 @@ _STATE = ("R", "P", "q", "L")
 _ROWS = {"R": 3, "P": 3, "q": 4, "L": 3}
 _TABLES = ("kind", "kinds", "atoms", "sites", "masses", "constants")
 _CONTEXT = ("posq", "posqCorrection", "velm", "places", "box")
+# A function in the text of a user, and its name.
+_FUNCTION = re.compile(r"\bDEVICE\s+(?:inline\s+)?\w+\s+(\w+)\s*\(")
 # Bits of what a segment is, as in kernels/rigid.cl.
 _HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
 
@@ -103,6 +106,7 @@ class RigidPart:
         nodes, weights = RULES[1]
         rule = [(f"NODE{j}", f"({float(x[0])!r})") for j, x in enumerate(nodes)]
         rule += [(f"WEIGHT{j}", f"({float(x)!r})") for j, x in enumerate(weights)]
+        own = [_own(number, text) for number, text in enumerate(demands.own)]
         sizes = {kind.particles.shape[1] for kind in self._kinds}
         defines: list[tuple[str, object]] = [
             *rule,
@@ -119,10 +123,12 @@ class RigidPart:
             ("LIGHT", LIGHT),
             ("BLOCK", BLOCK),
             ("GROUPS", GROUPS),
-            ("OWN_MOVES", " ".join(_call(number, text) for number, text in enumerate(demands.own))),
+            ("OWN_MOVES", " ".join(case for _, case in own)),
         ]
         body = "rotation.cl", "random.cl", "context.cl", "body.cl"
-        return Source((*body, *demands.own, "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines))
+        return Source(
+            (*body, *(text for text, _ in own), "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines)
+        )
 
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)
@@ -263,10 +269,12 @@ def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
         yield (*rotor, *inverse, 1.0 / kind.mass, kind.mass**0.5, *np.sqrt(moments))
 
 
-def _call(number: int, text: str) -> str:
-    """Return the case of a move of a user."""
-    name = text.split("(", 1)[0].split()[-1]
-    return f"case {Op.OWN + number}: {name}(&body, tau); break;"
+def _own(number: int, text: str) -> tuple[str, str]:
+    """Return the text of a user's move, with names of functions that no other text has, and its case."""
+    names = dict.fromkeys(_FUNCTION.findall(text))
+    move = MOVE.findall(text)[-1]
+    renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]
+    return "\n".join((*renamed[0], text, *renamed[1])), f"case {Op.OWN + number}: {move}_{number}(&body, tau); break;"
 
 
 def _merged(moves: tuple[Move, ...]) -> tuple[Move, ...]:

@@ -13,6 +13,7 @@ import openmm_exactrb as rb
 from on_device import REFERENCE
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 
 pytestmark = pytest.mark.opencl
@@ -42,15 +43,18 @@ def lengths(context):
     return np.array([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in ((0, 1), (0, 2), (1, 2))])
 
 
-@pytest.mark.parametrize(("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), ("S6_10", 10)])
+@pytest.mark.parametrize(("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), ("S6_10", 10), ("BAOA", 1)])
 def test_a_step_launches_one_kernel_a_force_and_a_call_a_few_more(box, scheme, forces):
-    context = on_device(box, make(scheme))
+    thermal = scheme == "BAOA"
+    context = on_device(
+        box, rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, H, engine="device") if thermal else make(scheme)
+    )
     for _ in range(6):  # till no call makes kinetic energy that would be compared, and forces are remembered
         context.getIntegrator().step(20)
     device, steps = device_of(context), 20
     launches, evaluations = device.launches, device.evaluations
     context.getIntegrator().step(steps)
-    assert device.evaluations - evaluations <= steps * forces + 1
+    assert device.evaluations - evaluations == steps * forces
     assert device.launches - launches <= steps * forces + 5
 
 
@@ -106,26 +110,35 @@ def test_a_parameter_and_a_box_act_from_the_next_call_on(box):
     ],
     ids=lambda force: type(force).__name__,
 )
-def test_a_barostat_moves_whole_bodies(box, barostat, scheme):
+def test_a_barostat_moves_whole_bodies_with_the_box(box, barostat, scheme):
+    """In steps so short that nothing else moves: centres keep their places in units of the sides, as OpenMM scales."""
     system = copy.deepcopy(box[0])
     force = copy.deepcopy(barostat)
     force.setRandomNumberSeed(1)
     system.addForce(force)
-    context = on_device((system, box[1]), make(scheme))
-    volume, before = context.getState().getPeriodicBoxVolume()._value, lengths(context)
-    context.getIntegrator().step(30)
-    assert context.getState().getPeriodicBoxVolume()._value != volume
-    np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-13)
+    context = on_device((system, box[1]), make(scheme, 1e-6))
+
+    def centres():
+        sides = np.diagonal(context.getState().getPeriodicBoxVectors(asNumpy=True)._value)
+        return held(context)[0].reshape(-1, 3, 3).mean(axis=1) / sides, sides.prod()
+
+    before, (was, volume) = lengths(context), centres()
+    context.getIntegrator().step(14)
+    now, other = centres()
+    assert abs(other / volume - 1.0) > 1e-6
+    np.testing.assert_allclose((now - was + 0.5) % 1.0, 0.5, rtol=0.0, atol=1e-4)  # thermal motion
+    np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
-def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme):
+@pytest.mark.parametrize(("scheme", "frequency"), [("S2_2", 1), ("W2_1", 1), ("S2_2", 3)])
+def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme, frequency):
     system = copy.deepcopy(box[0])
-    system.addForce(openmm.CMMotionRemover(1))
+    system.addForce(openmm.CMMotionRemover(frequency))
     contexts = pair(system, box[1], lambda engine: rb.ExactRigidBodyIntegrator(H, scheme, engine=engine))
     for context in contexts:
         context.setVelocities(held(context)[1] + [0.3, 0.0, 0.0])
-        context.getIntegrator().step(10)
+        context.setStepCount(1)  # steps count, and not calls
+        context.getIntegrator().step(11)
     assert apart(*contexts) < 1e-9  # OpenMM's sum is in single precision
     masses = np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
     assert np.abs(masses @ held(contexts[1])[1]).max() < 1e-3
@@ -178,6 +191,32 @@ def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
     for context in (one, other):
         context.getIntegrator().step(9)
     assert apart(one, other) == 0.0 if how == "checkpoint" else apart(one, other) < 1e-12  # OpenMM sorts molecules anew
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_auto_continues_a_run_of_the_device(box, first, monkeypatch):
+    """To the last bit if the engine was chosen before; else with a warning, from positions and velocities."""
+    scheme = "W2_1" if first else "S2_2"
+    one = on_device(box, make(scheme))
+    one.getIntegrator().step(8)
+    checkpoint = one.createCheckpoint()
+    one.loadCheckpoint(checkpoint)
+    one.getIntegrator().step(3)
+    integrator = rb.ExactRigidBodyIntegrator(H, scheme, engine="auto")
+    other = on_device(box, integrator, kelvin=None)
+    if first:
+        monkeypatch.setattr(platforms, "no_gpu", lambda context: None)  # else auto prefers the host
+        integrator.step(0)
+    other.loadCheckpoint(checkpoint)
+    if first:
+        integrator.step(3)
+        assert apart(one, other) == 0.0
+        assert integrator.getEngine() == "device"
+    else:
+        with pytest.warns(UserWarning, match=r"call step\(0\) before loadCheckpoint\(\)"):
+            integrator.step(3)
+        assert integrator.getEngine() == "device"
+        assert apart(one, other) < 1e-12
 
 
 def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box):

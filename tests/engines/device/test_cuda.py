@@ -11,7 +11,7 @@ from openmm_exactrb.engines.device.assembly import Assembly
 from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
 from openmm_exactrb.thermostats import NoseHooverChain, StochasticRescaling
 
-UPDATES = SimpleNamespace(pushes=True, removes_motion=True, moves=True, periods=(1, 1))
+UPDATES = SimpleNamespace(pushes=True, removes_motion=True, moves=True)
 
 
 def sources(scheme, thermostat, start):
