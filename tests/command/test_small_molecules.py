@@ -75,18 +75,6 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")
 @pytest.mark.parametrize(
-<<<<<<< HEAD
-    ("name", "form"),
-    [
-        ("CO2", "gromacs"),
-        *(
-            pytest.param(*case, marks=pytest.mark.validate)
-            for case in (("CH4", "xml"), ("MEOH", "pdb"), ("N2", "amber"))
-        ),
-    ],
-)
-def test_a_step_is_found_for_them(name, form, tmp_path, capsys):
-=======
     ("name", "form", "platform"),
     [
         pytest.param("CH4", "xml", "OpenCL", marks=[pytest.mark.opencl, pytest.mark.validate]),
@@ -97,7 +85,6 @@ def test_a_step_is_found_for_them(name, form, tmp_path, capsys):
 )
 def test_a_step_is_found_for_them(name, form, platform, tmp_path, capsys):
     skip_without(platform)
->>>>>>> main
     files = files_of(name, form, tmp_path)
     options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
     options += ["--horizon", "0.1ps", "--budget", "15", "--platform", platform, "--quiet"]
