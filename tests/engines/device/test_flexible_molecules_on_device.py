@@ -177,6 +177,11 @@ def test_what_is_not_served_is_named():
     assert "no force-gradient kicks of flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
     system.addForce(tether(0, 9))
     assert "no kernel for the fast force tether: give" in refusal(system, x, fast="bonded")
+    _, hub, _ = peptide()
+    (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    for _ in range(401):
+        bonds.addBond(0, 14, 0.5, 1.0)
+    assert "particle 0 is in 418 bonded terms" in refusal(hub, x, fast="bonded")
     chain, places = openmm.System(), np.zeros((40, 3))
     places[:, 0], places[:, 1] = 0.1 * np.arange(40), 0.05 * (np.arange(40) % 2)
     for i in range(40):

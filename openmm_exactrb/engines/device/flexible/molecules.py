@@ -16,6 +16,7 @@ from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
 from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
+from openmm_exactrb.engines.device.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
@@ -26,6 +27,10 @@ from openmm_exactrb.openmm_access import arrays
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+
+#: The most bonded terms of a particle, for whose partners a block has room in local memory.
+MOST_TERMS = 400
 
 
 class NotServedError(Exception):
@@ -147,6 +152,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
     groups = [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
     late, terms = fast.excerpt is not None, _terms(excerpt, settings.groups)
+    _require_room(terms)
     return Served(Molecules(groups, masses, bodies.owner, terms, inner, late))
 
 
@@ -157,6 +163,16 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
                 f"constraints hold {kind.particles.shape[1]} atoms together, {kind.name(0)}, and the device has "
                 f"kernels for {LARGEST} at most: create the System with constraints=HBonds"
             )
+
+
+def _require_room(terms: Terms) -> None:
+    """Raise NotServedError if a particle has so many terms that a block has no room for the others in them."""
+    count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
+    if count.max() > MOST_TERMS:
+        raise NotServedError(
+            f"particle {count.argmax()} is in {count.max()} bonded terms, and a block of the device has room for "
+            f"{MOST_TERMS}: distribute them over several particles, or use a CustomExternalForce for restraints"
+        )
 
 
 def _named(fast: FastForces) -> list[int]:
