@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def test_figures_that_are_typed_are_those_that_were_measured():
     """Pages that are also read as plain Markdown have no substitutions."""
     pages = "README.md", "docs/which.md", "docs/joss.md"
-    readme, which, joss = (" ".join((ROOT / page).read_text().split()) for page in pages)
+    readme, which, joss = (" ".join((ROOT / page).read_text(encoding="utf-8").split()) for page in pages)
     figures = tables.figures()
     gain = f"{figures['W4_4_gain']} ± {figures['W4_4_gain_error']}"
     assert f"fluctuates {gain} times less than with `VerletIntegrator`" in readme
@@ -73,7 +73,7 @@ def test_figures_have_two_digits_and_one_below_one(value, text):
 
 
 def test_figures_of_the_protein_tutorial_are_those_of_the_records():
-    tutorial = " ".join((ROOT / "docs" / "tutorials" / "protein-8fs.md").read_text().split())
+    tutorial = " ".join((ROOT / "docs" / "tutorials" / "protein-8fs.md").read_text(encoding="utf-8").split())
     for row in tables.populations().splitlines()[2:]:
         assert row.split("|")[4].strip() in tutorial
     (villin,) = [row for row in tables.villin_steps().splitlines() if "| `W2_3m` |" in row]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -189,7 +188,8 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
     states = [state]
     for k in range(1, number):
         integrator.setVelocitiesToTemperature(temperature, seed + k)
-        for _ in itertools.islice(heat(integrator, context), _APART):
-            pass
+        for _ in range(_APART):
+            with contextlib.suppress(IntegrationError):  # the next part starts from the last valid step
+                next(heat(integrator, context))
         states.append(state.updated(context))
     return states
