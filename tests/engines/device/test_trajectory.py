@@ -16,6 +16,7 @@ from openmm_exactrb.schemes.sequence import spelled
 from openmm_exactrb.substeps import DRIFT, KICK, Substep
 
 pytestmark = pytest.mark.opencl
+LONG = pytest.mark.validate
 STEPS = 20
 # Of the order of summation in the forces; by force-gradient kicks differences are multiplied.
 DOUBLE, MIXED = 1e-11, 1e-9
@@ -28,7 +29,9 @@ def stepped(contexts, n=STEPS):
 
 
 # One of each structure: kick first, drift first, displaced forces, a processor, and both of these.
-@pytest.mark.parametrize("scheme", ["S2_2", "S6_10", "SRKN6_14a", "Chin4A", "W2_1", "W4_4"])
+@pytest.mark.parametrize(
+    "scheme", ["S2_2", "S6_10", "W2_1", "W4_4", *(pytest.param(name, marks=LONG) for name in ("SRKN6_14a", "Chin4A"))]
+)
 def test_a_scheme_moves_water_as_the_host_does(scheme):
     contexts = pair(*water(), lambda engine: rb.ExactRigidBodyIntegrator(0.001, scheme, engine=engine))
     assert stepped(contexts) < DOUBLE
@@ -77,7 +80,7 @@ def test_a_lopsided_scheme_is_that_of_the_host():
     assert stepped(contexts) < DOUBLE
 
 
-@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m", "S2_2"])
+@pytest.mark.parametrize("scheme", ["BAOA", "W2_3m", pytest.param("S2_2", marks=LONG)])
 def test_with_one_seed_langevin_dynamics_has_the_noise_of_the_host(scheme):
     def make(engine):
         integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, scheme, engine=engine)
