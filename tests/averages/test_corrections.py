@@ -330,7 +330,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
     with pytest.raises(ValueError, match="at constant volume, to which no pressure belongs"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
-    few.write_text("".join(file.read_text().splitlines(keepends=True)[:20]))
+    few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
     other = made(tmp_path, np.random.default_rng(7), frames=100, barostat="MonteCarloMembraneBarostat")

@@ -88,7 +88,7 @@ def test_a_first_checkpoint_that_could_not_be_written_is_tried_again(tmp_path, m
         with pytest.raises(OSError, match="No space left"):
             run.advance(simulation, 10)
     run.advance(simulation, 10)
-    assert len((tmp_path / "energies.csv").read_text().splitlines()) == 3
+    assert len((tmp_path / "energies.csv").read_text(encoding="utf-8").splitlines()) == 3
 
 
 @pytest.mark.parametrize(

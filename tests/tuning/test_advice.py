@@ -160,11 +160,11 @@ def test_a_tuning_ends_within_its_budget(droplet):
 
 @pytest.mark.usefixtures("tuned")
 def test_what_the_survey_alone_says_is_called_so(droplet):
-    result = rb.tune(*droplet, target=2e-2, platform="Reference", horizon=2000.0, budget=4.0, report=None)
+    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=2000.0, budget=6.0, report=None)
     choice = result.best()
     assert not choice.confirmed
     assert "by the survey alone" in " ".join(str(result).split())
-    assert choice.error <= 2e-2
+    assert choice.error <= 5e-2
 
 
 def test_a_baseline_that_fails_is_a_row_of_the_result():
