@@ -14,7 +14,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.flexible.molecules import Served, found, served
+from openmm_exactrb.engines.device.flexible.molecules import found, served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
@@ -87,6 +87,8 @@ class DevicePropagator:
 
     def _load(self) -> None:
         """Give the integrator the program of the settings, and its tables."""
+        context: Any = self.sync.context
+        self._served = served(context.getSystem(), self.sync.bodies, self._fast, self._settings)
         self._assembly = assembly = Assembly(
             self.sync.bodies,
             self._settings.scheme,
@@ -97,17 +99,11 @@ class DevicePropagator:
             self._served.evaluated,
         )
         self.device.load(assembly.program.text)
-        context: Any = self.sync.context
         self.sync.begin(self.device, assembly.parts, self._processed, platforms.is_single(context))
         for part in assembly.parts:
             for name, values in part.tables().items():
                 self.device.upload(name, values)
         self.device["interval"], self.device["removal"] = self.updates.period, self.updates.removal
-
-    @property
-    def _served(self) -> Served:
-        """What the program has of the flexible molecules."""
-        return served(self.sync.context.getSystem(), self.sync.bodies, self._fast, self._settings)
 
     @property
     def _flexible(self) -> Flexible | None:
