@@ -50,8 +50,8 @@ myst_heading_anchors = 3
 
 highlight_language = "none"  # of blocks that do not name theirs
 
-# Links into the documentation of others, where a build has a network.
-if os.environ.get("CI") or os.environ.get("READTHEDOCS"):
+# Links into the documentation of others, where the service that builds and publishes the pages has a network.
+if os.environ.get("GITHUB_ACTIONS") or os.environ.get("READTHEDOCS"):
     intersphinx_mapping = {
         "numpy": ("https://numpy.org/doc/stable/", None),
         "openmm": ("https://docs.openmm.org/latest/api-python/", None),
