@@ -1,6 +1,7 @@
 """What a step costs on a device: integrators of OpenMM, the engine on the host and the engine on the device.
 
-Rigid water (TIP3P, and TIP4P-Ew with its virtual sites) with PME, and soft dipoles, beside OpenMM's Verlet integrator.
+Rigid water (TIP3P, and TIP4P-Ew with its virtual sites) with PME, TIP3P without forces ("free", which shows the price of
+the integrators alone), and soft dipoles, beside OpenMM's Verlet integrator.
 A protein in water ("peptide", "dhfr" of openmmtools, or a solvated PDB file) with PME and constraints=HBonds, beside
 Verlet, LangevinMiddle and MTS integrators too, at --rates evaluations of the nonbonded forces per ps, with hydrogens of
 3 amu where these are fewer than 200; both engines make the --nested schemes with inner steps for bonded forces, those
@@ -44,7 +45,7 @@ from openmm_exactrb.schemes import WITH_THERMOSTAT, scheme_for_thermostat
 
 WATER = (64, 512, 4096, 32768, 100_000)
 DIPOLES = (125, 250, 500, 1000, 2000, 4000)
-SIZES = {"tip3p": WATER, "tip4pew": WATER, "dipoles": DIPOLES}
+SIZES = {"tip3p": WATER, "tip4pew": WATER, "dipoles": DIPOLES, "free": WATER}
 
 
 def system_of(name, n):
@@ -52,6 +53,11 @@ def system_of(name, n):
     if name == "dipoles":
         _, system, positions = rb.dipole_fluid(n, kernel="openmm")
         return system, positions, 0.005
+    if name == "free":
+        _, system, positions = rb.rigid_water(n)
+        while system.getNumForces():
+            system.removeForce(0)
+        return system, positions, 0.001
     cutoff = min(0.9, 0.45 * 0.3104 * np.ceil(n ** (1 / 3)))
     _, system, positions = rb.rigid_water(n, model=name, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)
     return system, positions, 0.001
@@ -212,7 +218,7 @@ def main():
     parser.add_argument("--platform", default="CUDA")
     parser.add_argument("--precision", default="mixed", choices=("mixed", "double"))
     parser.add_argument("--scheme", default="S2_2", choices=tuple(rb.SCHEMES))
-    parser.add_argument("--systems", nargs="+", default=[*SIZES, "peptide"], help="tip3p, tip4pew, dipoles; proteins")
+    parser.add_argument("--systems", nargs="+", default=[*SIZES, "peptide"], help=", ".join((*SIZES, "proteins")))
     parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 125.0], help="of a protein, per ps")
     which = "schemes with inner steps for a protein"
     parser.add_argument("--nested", nargs="+", default=["S2_3", "W2_1", "W2_3m"], help=which)
