@@ -1,7 +1,7 @@
 """Write the tables of the pages, from the records in docs/*.csv and from the catalogue of schemes.
 
 A table stands below a comment with its name, such as `<!-- table: one_line -->`; the name is that of a function in
-`tables.py`, `dipoles/tables.py` or `water/tables.py`, or one of the study of equipartition.
+`tables.py`, `dipoles/tables.py` or `water/tables.py`, one of the study of equipartition, or a record shown as it is.
 
     python benchmarks/write_tables.py
 """
@@ -13,12 +13,26 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks import tables
+from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import DOCS
 from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.schemes.tables import roundoff_errors
 from benchmarks.water import tables as of_water
 from benchmarks.water.averages import averages
 from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
 
+#: Records that are shown as they are.
+AS_THEY_ARE = [
+    "cholesterol",
+    "device_drift",
+    "device_precision",
+    "dppc",
+    "ellipsoids",
+    "large_bodies",
+    "martini_rings",
+    "rigid_domains",
+    "rigid_domains_cost",
+]
 _WRITTEN = re.compile(r"(?<=<!-- table: )(\w+)( -->\n)((?:\|.*\n)*)")
 
 
@@ -30,10 +44,16 @@ def all_tables() -> dict[str, str]:
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
-        *(averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
+        *(roundoff_errors, averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
         *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
     )
-    return {function.__name__: function() for function in functions} | dict(_equipartition())
+    shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
+    return shown | {function.__name__: function() for function in functions} | dict(_equipartition())
+
+
+def _as_it_is(name: str) -> str:
+    found = rows(name)
+    return table([column.replace("_", " ") for column in found[0]], [list(row.values()) for row in found])
 
 
 def _equipartition() -> Iterator[tuple[str, str]]:

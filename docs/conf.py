@@ -50,8 +50,8 @@ myst_heading_anchors = 3
 
 highlight_language = "none"  # of blocks that do not name theirs
 
-# Links into the documentation of others, where a build has a network.
-if os.environ.get("CI") or os.environ.get("READTHEDOCS"):
+# Links into the documentation of others, where the service that builds and publishes the pages has a network.
+if os.environ.get("GITHUB_ACTIONS") or os.environ.get("READTHEDOCS"):
     intersphinx_mapping = {
         "numpy": ("https://numpy.org/doc/stable/", None),
         "openmm": ("https://docs.openmm.org/latest/api-python/", None),
@@ -85,7 +85,7 @@ sys.argv = ["notebook"]"""
 #: Examples that the build does not execute: their pages show stored pictures, with the commands that made them.
 LONG_RUNS = "dielectric_constant", "ellipsoids", "ferrofluid", "stockmayer_fluid"
 #: Their pages are without the code, which is there to download.
-PROGRAMS = {f"examples/{name}" for name in LONG_RUNS}
+PROGRAMS = {f"examples/{name}" for name in (*LONG_RUNS, "rigid_domains")}
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
@@ -156,7 +156,7 @@ def in_the_pages(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:
-    """Give names of the API the addresses that pages of source use: in each package that shows them."""
+    """Give names of the API the addresses that pages of source use: in each package above their module."""
     for node in doctree.findall(addnodes.desc_signature):
         if not (node.get("module") and node.get("fullname")):
             continue
@@ -165,7 +165,7 @@ def reachable_from_source(app: Sphinx, doctree: nodes.document) -> None:
         home = getattr(shown, "__module__", None) or node["module"]
         for package in accumulate(home.split("."), "{}.{}".format):
             address = f"{package}.{node['fullname']}"
-            if getattr(sys.modules.get(package), outer, None) is shown and address not in node["ids"]:
+            if address not in node["ids"]:
                 node["ids"].append(address)
 
 

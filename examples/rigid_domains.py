@@ -80,7 +80,6 @@ def main() -> None:
         sys.exit(f"rigid_domains.py: {error}")
 
 
-# %%
 # ``bodies=`` has the particles of the domains. Minimisation and dynamics keep their shapes.
 
 
@@ -110,7 +109,6 @@ def run(args: argparse.Namespace) -> None:
     draw(x, picture)
 
 
-# %%
 # The model: springs between neighbours, the potential of Ashbaugh and Hatch to 2 nm, and that of Debye and Hückel to
 # 4 nm, both shifted to zero there.
 

@@ -1,5 +1,7 @@
 """Where tests of an engine run: the host on Reference, the device on a GPU, or on the CPU by OpenCL."""
 
+import os
+
 import openmm
 import pytest
 
@@ -9,7 +11,11 @@ REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def device_platform(names=DEVICES):
-    """Return the first platform of these that has a device here; skip the test if there is none."""
+    """Return the first platform of these that has a device here; skip the test if there is none.
+
+    If OPENMM_DEFAULT_PLATFORM names one of them, it is that one or none.
+    """
+    names = [name for name in names if name == os.environ.get("OPENMM_DEFAULT_PLATFORM")] or names
     present = {platform.getName(): platform for platform in platforms()}
     system = openmm.System()
     system.addParticle(1.0)

@@ -78,7 +78,7 @@ def test_the_gist_of_a_run_compares_rotation_with_its_own_translation():
 
 def test_the_record_in_the_documentation_has_a_run_once_and_whole_points():
     record = read(RECORD)
-    assert len(record) == len(RECORD.read_text().splitlines()) - 1
+    assert len(record) == len(RECORD.read_text(encoding="utf-8").splitlines()) - 1
     found = points(record)
     assert all(point.ps >= 1000.0 for point in found)
     whole = {point[:5] for point in found}
@@ -126,7 +126,7 @@ FIGURES = [
 def test_figures_in_prose_are_those_of_the_record(page, words, point, friction):
     projected = "other " * ("projection" in words)
     mean = whole(read(RECORD))["spce", *point, friction][f"{projected}T_rot - T_tr"]
-    text = " ".join((RECORD.parents[1] / page).read_text().split())
+    text = " ".join((RECORD.parents[1] / page).read_text(encoding="utf-8").split())
     assert words.format(with_error(*mean, 1)) in text
 
 
@@ -140,7 +140,7 @@ def test_figures_in_prose_are_those_of_the_record(page, words, point, friction):
 def test_the_potential_energy_of_the_default_is_what_the_page_says(model, words):
     found = whole(read(RECORD))
     energies = (found[model, "NVT", method, step, 5.0]["U"] for method, step in (("W2_3m", 2.0), (LFM, 0.5)))
-    text = " ".join((RECORD.parents[1] / STUDY).read_text().split())
+    text = " ".join((RECORD.parents[1] / STUDY).read_text(encoding="utf-8").split())
     assert words.format(with_error(*less(*energies), 2)) in text
 
 
@@ -151,4 +151,4 @@ def test_w2_3_is_as_dense_as_the_pages_say(interval, percent):
         found["spce", "NPT", method, step, 5.0]["density"] for method, step in (("W2_3", interval), (LFM, 0.5))
     )
     assert with_error(*less(*densities, 100.0), 1).startswith(percent)
-    assert f"{percent} %" in (RECORD.parents[1] / STUDY).read_text()
+    assert f"{percent} %" in (RECORD.parents[1] / STUDY).read_text(encoding="utf-8")

@@ -74,7 +74,7 @@ def test_files_of_an_earlier_run_are_not_replaced(run, tmp_path):
     done = run("-n", "2", "--duration", "0.1", "--out", str(tmp_path))
     assert done.returncode == 1
     assert "(overwrite=True or --overwrite)" in done.stderr
-    assert (tmp_path / "energies.csv").read_text() == "precious"
+    assert (tmp_path / "energies.csv").read_text(encoding="utf-8") == "precious"
 
 
 @pytest.mark.parametrize(

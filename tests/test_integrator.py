@@ -66,7 +66,7 @@ def test_energy_reporter_writes_every_digit(tmp_path):
     simulation.reporters.append(reporter)
     simulation.step(6)
     reporter.close()
-    head, *lines = file.read_text().splitlines()
+    head, *lines = file.read_text(encoding="utf-8").splitlines()
     assert head.startswith("step,time (ps),translational (kJ/mol),")
     assert head.count("(kJ/mol)") == 5
     step, _, translational, rotational, kinetic, potential, total = map(float, lines[-1].split(","))

@@ -102,7 +102,7 @@ def test_a_search_for_the_context_breaks_no_tuple_that_another_thread_is_making(
 
     def search():
         try:
-            for _ in range(150):
+            for _ in range(50):
                 assert find_context(context.getIntegrator()) is context
         finally:
             over.set()

@@ -27,7 +27,7 @@ def test_the_moment_is_the_sum_of_the_dipoles():
 def test_a_new_file_gets_the_names_of_its_columns_also_when_appended_to(tmp_path):
     rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
     rb.MomentReporter(tmp_path / "moments.csv", 1, np.zeros(2), append=True).close()
-    assert (tmp_path / "moments.csv").read_text() == "step,time (ps),Mx,My,Mz\n"
+    assert (tmp_path / "moments.csv").read_text(encoding="utf-8") == "step,time (ps),Mx,My,Mz\n"
 
 
 water = functools.cache(rb.rigid_water)

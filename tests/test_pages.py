@@ -16,7 +16,9 @@ import openmm_exactrb
 PATH = re.compile(r"`((?:tests|benchmarks|examples|docs|openmm_exactrb)/[\w./-]*\w)`")
 WITH_PYTHON = [page for page in PAGES if any(pieces(page))]
 MODULES = sorted((ROOT / "openmm_exactrb").rglob("*.py"))
-WITH_EXAMPLES = [".".join(p.relative_to(ROOT).with_suffix("").parts) for p in MODULES if ">>> " in p.read_text()]
+WITH_EXAMPLES = [
+    ".".join(p.relative_to(ROOT).with_suffix("").parts) for p in MODULES if ">>> " in p.read_text(encoding="utf-8")
+]
 
 
 def name_of(page):
@@ -49,7 +51,7 @@ def test_names_that_pages_take_from_the_package_exist():
     """Imports of every page, and attributes of `rb`, without running anything."""
     rb, missing = importlib.import_module("openmm_exactrb"), []
     for page in WITH_PYTHON:
-        code = "".join(code for code, _ in PIECE.findall(page.read_text()))
+        code = "".join(code for code, _ in PIECE.findall(page.read_text(encoding="utf-8")))
         tree = ast.parse(re.sub(r"^:\w+:$", "", code, flags=re.M))
         for module, name in imported(tree):
             if name is None or hasattr(importlib.import_module(module), name):

@@ -1,158 +1,248 @@
-"""Measure the device engine on a GPU: water and dipoles beside OpenMM's integrators, in alternating rounds.
+"""Test and measure the device engine on a GPU: water, proteins and dipoles beside OpenMM's integrators.
 
+In a checkout, with a C++ compiler for the library of the device engine:
+
+    pip install -e ".[test]" "openmm-cuda-12>=8.6,<8.7" openmmtools     (or openmm-hip-6)
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
 
-It needs the wheels of openmm, openmm-cuda-12 (or openmm-hip-6) and this package, and a C++ compiler or a wheel of it
-with the library of the device engine. Rows are written to the CSV file as they are measured, so that a run that is cut
-off keeps what it has. Times are milliseconds of a force evaluation, medians of the rounds so far; the ratio is
-to VerletIntegrator, for schemes with a thermostat to LangevinMiddleIntegrator. At the begin it compares twenty steps
-with those of the host.
+First tests of the device run on the platform. Then each system is measured, in rounds in which the integrators take
+turns; rows are written to the CSV file when a system is done, so that a run that is cut off keeps what it has. "ms" is
+the time of a force evaluation, a median of rounds; "ratio" is to VerletIntegrator, or to LangevinMiddleIntegrator for
+what has a thermostat; "ns/day" counts the time between two evaluations: 1 fs for water. Proteins have hydrogens of 3
+amu, and 4 fs with LangevinMiddleIntegrator and BAOA, 8 fs with W2_3m. DHFR is that of openmmtools and left out without
+it; --proteins takes PDB files too, which are solvated. "first s" are the seconds of the first steps.
 """
+
+from __future__ import annotations
 
 import argparse
 import csv
+import os
 import statistics
+import subprocess
+import sys
 import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.records import ROOT
+from benchmarks.device.engines import protein
+from openmm_exactrb.openmm_access.platforms import no_gpu
+from openmm_exactrb.schemes import scheme_for_thermostat
 
-# Label: how an integrator of steps of so many forces is made, and which of OpenMM's it is compared with.
-_STEP = 0.001
-KINDS = {
-    "Verlet": (lambda: openmm.VerletIntegrator(_STEP), 1, "Verlet"),
-    "LangevinMiddle": (lambda: openmm.LangevinMiddleIntegrator(300, 1.0, _STEP), 1, "LangevinMiddle"),
-    "S2_2": (lambda: rb.ExactRigidBodyIntegrator(2 * _STEP, "S2_2", engine="device"), 2, "Verlet"),
-    "W2_1": (lambda: rb.ExactRigidBodyIntegrator(_STEP, "W2_1", engine="device"), 1, "Verlet"),
-    "S6_10": (lambda: rb.ExactRigidBodyIntegrator(10 * _STEP, "S6_10", engine="device"), 10, "Verlet"),
-    "BAOA": (
-        lambda: rb.ExactRigidBodyLangevinIntegrator(300, 1.0, _STEP, "BAOA", engine="device"),
-        1,
-        "LangevinMiddle",
-    ),
-}
-_COLUMNS = ("system", "molecules", "integrator", "ms a force", "ratio", "rounds", "first call s", "platform", "device")
+COLUMNS = "system", "molecules", "precision", "integrator", "ms", "ratio", "ns/day", "rounds", "first s", "device"
+CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+# What is tested first: schemes, bodies, noise and flexible molecules are those of the host.
+TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide"
+
+
+@dataclass
+class Kind:
+    """An integrator: how it is made, its forces a step, the time (ps) between two, and what it is compared with."""
+
+    make: Callable[[], Any]
+    forces: int
+    interval: float
+    beside: str
+
+
+def of_bodies(h):
+    """Return integrators of rigid bodies with a force evaluation every h (ps)."""
+    kinds = {
+        "Verlet": Kind(lambda: openmm.VerletIntegrator(h), 1, h, "Verlet"),
+        "LangevinMiddle": Kind(lambda: openmm.LangevinMiddleIntegrator(300.0, 1.0, h), 1, h, "LangevinMiddle"),
+    }
+    for name, forces in (("S2_2", 2), ("W2_1", 1), ("S6_10", 10)):
+        step = forces * h
+        kinds[name] = Kind(
+            lambda s=step, n=name: rb.ExactRigidBodyIntegrator(s, n, engine="device"), forces, h, "Verlet"
+        )
+    langevin = rb.ExactRigidBodyLangevinIntegrator
+    kinds["BAOA"] = Kind(lambda: langevin(300.0, 1.0, h, "BAOA", engine="device"), 1, h, "LangevinMiddle")
+    return kinds
+
+
+def of_proteins():
+    """Return integrators of a protein with heavy hydrogens."""
+    langevin, inner = rb.ExactRigidBodyLangevinIntegrator, {"engine": "device", "fast": "bonded"}
+    kinds = {
+        "LangevinMiddle": Kind(lambda: openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.004), 1, 0.004, "LangevinMiddle"),
+        "BAOA": Kind(lambda: langevin(300.0, 5.0, 0.004, "BAOA", **inner), 1, 0.004, "LangevinMiddle"),
+    }
+    forces = scheme_for_thermostat("W2_3m").forces
+    make = lambda: langevin(300.0, 5.0, 0.008 * forces, "W2_3m", **inner)  # noqa: E731
+    return kinds | {"W2_3m": Kind(make, forces, 0.008, "LangevinMiddle")}
 
 
 def water(n):
     """Return a System of TIP3P and positions."""
     cutoff = min(0.9, 0.45 * 0.3104 * np.ceil(n ** (1 / 3)))
-    _, system, positions = rb.rigid_water(n, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)
-    return system, positions
+    return rb.rigid_water(n, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)[1:]
 
 
 def dipoles(n):
     """Return a System of soft dipoles whose forces stay on the device, and positions."""
-    _, system, positions = rb.dipole_fluid(n, density=0.4, kernel="openmm")
-    return system, positions
+    return rb.dipole_fluid(n, density=0.4, boundary=rb.ReactionField(cutoff=1.5), kernel="openmm")[1:]
 
 
-def compared(platform, precision):
-    """Return how far (nm) twenty steps of the device are from those of the host."""
-    found = []
-    for engine in ("host", "device"):
-        system, positions = water(64)
-        integrator = rb.ExactRigidBodyIntegrator(_STEP, "W2_1", engine=engine)
-        context = openmm.Context(system, integrator, platform, {"Precision": precision})
+def start_of(system, positions, platform, precision):
+    """Return a State of a protein at 300 K; OpenMM's minimiser may crash on OpenCL of a CPU."""
+    integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.001)
+    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, platform, {"Precision": precision})
+    context.setPositions(positions)
+    if no_gpu(context):
+        del context
+        integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.001)
+        context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, openmm.Platform.getPlatform("CPU"))
         context.setPositions(positions)
-        integrator.step(20)
-        found.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
-    return np.abs(found[0] - found[1]).max()
+    openmm.LocalEnergyMinimizer.minimize(context, maxIterations=200)
+    context.setVelocitiesToTemperature(300.0, 1)
+    integrator.step(500)
+    return context.getState(positions=True, velocities=True)
 
 
+@dataclass
 class Entry:
-    """An integrator in its Context, and the times of its rounds."""
+    """An integrator in its Context, and the times of its rounds (s a force)."""
 
-    def __init__(self, label, system, positions, platform, precision):
-        make, self.forces, self.beside = KINDS[label]
-        self.integrator = make()
-        self.context = openmm.Context(
-            openmm.XmlSerializer.clone(system), self.integrator, platform, {"Precision": precision}
-        )
-        self.context.setPositions(positions)
-        self.context.setVelocitiesToTemperature(300, 1)
-        start = time.perf_counter()
-        self.integrator.step(2)
-        self.context.getState(positions=True)
-        self.first, self.times = time.perf_counter() - start, []
+    kind: Kind
+    context: Any
+    first: float = 0.0
+    times: list[float] = field(default_factory=list)
 
-    def measure(self, forces, clock):
-        """Time about so many force evaluations, and wait for the device."""
-        steps = max(forces // self.forces, 1)
+    def run(self, forces, clock):
+        """Return the time of about so many force evaluations, each, with waiting for the device."""
+        steps = max(round(forces / self.kind.forces), 1)
         start = clock()
-        self.integrator.step(steps)
+        self.context.getIntegrator().step(steps)
         self.context.getState(positions=True)
-        self.times.append((clock() - start) / (steps * self.forces))
+        return (clock() - start) / (steps * self.kind.forces)
 
     @property
     def median(self):
-        """The median of the rounds, in seconds."""
+        """The median of the rounds."""
         return statistics.median(self.times)
 
 
+class Measurement:
+    """Measures systems on a platform and writes their rows until the time is over."""
+
+    def __init__(self, options, file):
+        self.options, self._file, self._rows = options, file, csv.writer(file)
+        self.platform = openmm.Platform.getPlatform(options.platform)
+        self._clock, self._end = CLOCKS[options.clock], time.perf_counter() + 60.0 * options.minutes
+        self._write(*COLUMNS)
+
+    @property
+    def left(self):
+        """The seconds that are left."""
+        return self._end - time.perf_counter()
+
+    def _write(self, *row):
+        self._rows.writerow(row)
+        self._file.flush()
+        print(*row, flush=True)
+
+    def test(self):
+        """Run tests of the device on the platform, for a third of the time at most."""
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "tests/engines/device", "-k", TESTED]
+        environment = os.environ | {"OPENMM_DEFAULT_PLATFORM": self.options.platform}
+        begin = time.perf_counter()
+        try:
+            done = subprocess.run(
+                command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False, timeout=self.left / 3
+            )
+            result = (done.stdout.splitlines() or ["nothing was printed"])[-1]
+        except subprocess.TimeoutExpired:
+            result = "not finished"
+        self._write(
+            "tests", "", "", result, "", "", "", "", f"{time.perf_counter() - begin:.1f}", self.options.platform
+        )
+
+    def measure(self, name, n, system, start, kinds, precision, seconds):
+        """Measure a System from a State, or from positions, for about so many seconds."""
+        begin = time.perf_counter()
+        entries = {label: self._entry(kind, system, start, precision) for label, kind in kinds.items()}
+        slowest = max(entry.run(10, self._clock) for entry in entries.values())
+        forces = min(self.options.forces, max(10, int(seconds / (4.0 * slowest * len(entries)))))
+        for rounds in range(self.options.rounds):
+            if rounds > 1 and time.perf_counter() - begin > seconds:
+                break
+            for entry in entries.values():
+                entry.times.append(entry.run(forces, self._clock))
+        for label, entry in entries.items():
+            ratio = entry.median / entries[entry.kind.beside].median
+            day = 86.4 * entry.kind.interval / entry.median
+            device = self.platform.getPropertyValue(entry.context, "DeviceName")
+            row = (
+                f"{1e3 * entry.median:.4f}",
+                f"{ratio:.3f}",
+                f"{day:.1f}",
+                len(entry.times),
+                f"{entry.first:.2f}",
+                device,
+            )
+            self._write(name, n, precision, label, *row)
+
+    def _entry(self, kind, system, start, precision):
+        system = openmm.XmlSerializer.clone(system)
+        entry = Entry(kind, openmm.Context(system, kind.make(), self.platform, {"Precision": precision}))
+        if isinstance(start, openmm.State):
+            entry.context.setState(start)
+        else:
+            entry.context.setPositions(start)
+            entry.context.setVelocitiesToTemperature(300.0, 1)
+        begin = self._clock()
+        entry.run(2 * kind.forces, self._clock)
+        entry.first = self._clock() - begin
+        return entry
+
+
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--platform", default="CUDA")
-    parser.add_argument("--precision", default="mixed")
+    parser.add_argument(
+        "--precisions", nargs="+", default=["mixed", "single"], help="all systems in the first one first"
+    )
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--water", type=int, nargs="*", default=[64, 512, 4096, 32768, 100_000])
-    parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512])
-    parser.add_argument("--integrators", nargs="*", default=list(KINDS), choices=list(KINDS))
-    parser.add_argument("--forces", type=int, default=400, help="force evaluations of a round")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
+    proteins = ["peptide", *(["dhfr"] if find_spec("openmmtools") else [])]
+    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, dhfr, or PDB files")
+    parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
+    parser.add_argument("--forces", type=int, default=400, help="at most so many force evaluations a round")
+    parser.add_argument("--rounds", type=int, default=7, help="at most so many")
+    parser.add_argument("--clock", choices=tuple(CLOCKS), default="wall")
+    parser.add_argument("--no-tests", action="store_true")
     parser.add_argument("--csv", type=Path, default=Path("on_gpu.csv"))
-    args = parser.parse_args()
-    end, clock = (
-        time.perf_counter() + 60 * args.minutes,
-        time.process_time if args.clock == "cpu" else time.perf_counter,
-    )
-    platform = openmm.Platform.getPlatform(args.platform)
-    print(f"W2_1, 20 steps, double: {compared(platform, 'double'):.2g} nm from the host", flush=True)
-    with args.csv.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
-        rows.writerow(_COLUMNS)
-        for build, sizes in ((water, args.water), (dipoles, args.dipoles)):
-            for n in sizes:
-                if time.perf_counter() < end:
-                    measure(build, n, platform, args, clock, end, rows)
-                    file.flush()
-
-
-def measure(build, n, platform, args, clock, end, rows):
-    """Measure a system in rounds until the time is over, and write its rows."""
-    system, positions = build(n)
-    entries = {label: Entry(label, system, positions, platform, args.precision) for label in args.integrators}
-    for _ in range(args.rounds):
-        if time.perf_counter() > end:
-            break
-        for entry in entries.values():
-            entry.measure(args.forces, clock)
-    device = next(iter(entries.values())).context
-    name = platform.getPropertyValue(device, "DeviceName")
-    for label, entry in entries.items():
-        if not entry.times:
-            continue
-        other = entries.get(entry.beside)
-        ratio = f"{entry.median / other.median:.3f}" if other else ""
-        first = f"{entry.first:.2f}"
-        row = (
-            build.__name__,
-            n,
-            label,
-            f"{1e3 * entry.median:.4f}",
-            ratio,
-            len(entry.times),
-            first,
-            args.platform,
-            name,
-        )
-        rows.writerow(row)
-        print(*row, flush=True)
+    options = parser.parse_args()
+    systems = [(water, n) for n in options.water]
+    systems += [(protein, name) for name in options.proteins]
+    systems += [(dipoles, n) for n in options.dipoles]
+    with options.csv.open("w", newline="", encoding="utf-8") as file:
+        measurement = Measurement(options, file)
+        if not options.no_tests:
+            measurement.test()
+        todo = [(build, n, precision) for precision in options.precisions for build, n in systems]
+        for number, (build, n, precision) in enumerate(todo):
+            if measurement.left < 0.0:
+                break
+            seconds = measurement.left / (len(todo) - number)
+            if build is protein:
+                system, positions = protein(n, heavy=True)
+                start, kinds = start_of(system, positions, measurement.platform, precision), of_proteins()
+            else:
+                system, start = build(n)
+                kinds = of_bodies(0.001 if build is water else 0.005)
+            name, size = (Path(n).stem, "") if build is protein else (build.__name__, n)
+            measurement.measure(name, size, system, start, kinds, precision, 0.7 * seconds)
 
 
 if __name__ == "__main__":

@@ -220,26 +220,26 @@ def peer(R, u, box, kspace, accuracy, cutoff, mesh):
 
 def draw(rows, file):
     """Draw cost against N at one level of error, and errors against the tolerance."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
+    figure, (upper, lower) = plt.subplots(2, figsize=(5.6, 7.8), layout="constrained")
     for who, colour in ((OURS, "#0072B2"), (SUM, "#D55E00"), (PEER, "#009E73")):
         points = {}
         for row in rows:
             if row["who"] == who and row["cores"] == "1" and row["level"] and float(row["level"]) <= 1e-4:
                 n = int(row["n"])
                 points[n] = min(points.get(n, math.inf), float(row["ms"]))
-        left.loglog(*zip(*sorted(points.items()), strict=True), "o-", color=colour, label=who)
-    left.set(xlabel="number of dipoles", ylabel="time of an evaluation (ms)")
-    left.set_title("One core, errors of forces and torques up to 1e-4", fontsize=11)
+        upper.loglog(*zip(*sorted(points.items()), strict=True), "o-", color=colour, label=who)
+    upper.set(xlabel="number of dipoles", ylabel="time of an evaluation (ms)")
+    upper.set_title("One core, errors of forces and torques up to 1e-4", fontsize=11)
     for n, colour in ((125, "#0072B2"), (1000, "#D55E00"), (8000, "#009E73"), (27000, "#CC79A7")):
         ours = [row for row in rows if row["who"] == OURS and int(row["n"]) == n and row["cores"] == "1"]
         tolerances = [float(row["tolerance"]) for row in ours]
-        right.loglog(tolerances, [float(row["force_error"]) for row in ours], "o-", color=colour, label=f"{n} dipoles")
-        right.loglog(tolerances, [float(row["torque_error"]) for row in ours], "s--", color=colour, mfc="none")
-    right.loglog([1e-6, 3e-3], [1e-6, 3e-3], color="0.5", lw=1.0)
-    right.annotate("tolerance", (1.2e-6, 2.2e-6), rotation=36, color="0.4", fontsize=9)
-    right.set(xlabel="tolerance of rb.Ewald", ylabel="error, relative to the root mean square")
-    right.set_title("Forces (filled) and torques (open)", fontsize=11)
-    for axes in (left, right):
+        lower.loglog(tolerances, [float(row["force_error"]) for row in ours], "o-", color=colour, label=f"{n} dipoles")
+        lower.loglog(tolerances, [float(row["torque_error"]) for row in ours], "s--", color=colour, mfc="none")
+    lower.loglog([1e-6, 3e-3], [1e-6, 3e-3], color="0.5", lw=1.0)
+    lower.annotate("tolerance", (1.2e-6, 2.2e-6), rotation=36, color="0.4", fontsize=9)
+    lower.set(xlabel="tolerance of rb.Ewald", ylabel="error, relative to the root mean square")
+    lower.set_title("Forces (filled) and torques (open)", fontsize=11)
+    for axes in (upper, lower):
         axes.grid(True, alpha=0.3)
         axes.legend(fontsize=9)
     figure.savefig(file, dpi=150)

@@ -22,8 +22,8 @@ from openmm_exactrb.rotors import NotConvergedWarning, rotor
 NAME = "figure01"
 TITLE = "Figure 1: precision and relative cost over the step size"
 PICTURES = {
-    "figure01": "Six panels, a column for each order. Top, digits over cost: the exact methods have 14 digits at every step, "
-    "those with Gauss's rule and dmv fewer the longer the step, and dmv the fewest. Bottom, cost over that of the cheapest "
+    "figure01": "Six panels, a row for each order. Left, digits over cost: the exact methods have 14 digits at every step, "
+    "those with Gauss's rule and dmv fewer the longer the step, and dmv the fewest. Right, cost over that of the cheapest "
     "method of the paper, dmv6: Gauss's rule costs about 3.5 times as much at the shortest step and 2 at the longest, the exact "
     "methods 4.5 and 2.7. The exact flow of this package costs about as much as dmv, at full digits."
 }
@@ -98,11 +98,11 @@ def cost_of(data, language="compiled"):
 
 
 def draw(data):
-    figure, axes = plt.subplots(2, 3, figsize=(10.5, 7.4), sharex="row", sharey="row", layout="constrained")
+    figure, axes = plt.subplots(3, 2, figsize=(7.4, 9.4), sharex="col", sharey="col", layout="constrained")
     h = np.array(data["h"])
     cost = cost_of(data)
     cheapest = np.min([cost[m] for m in PAPER], axis=0)
-    for (top, bottom), order in zip(axes.T, ORDERS, strict=True):
+    for (left, right), order in zip(axes, ORDERS, strict=True):
         shown = {
             "rotation, exact": "rotation",
             "quaternion, exact": "quaternion_a",
@@ -115,19 +115,18 @@ def draw(data):
             style = {"color": common.COLOURS[(0, 1, 0, 1, 2, 6)[k]], "ls": ("-", "-", "--", "--", "-.", ":")[k]}
             style |= {"marker": "osos^"[k] if k < 5 else "", "mfc": None if k < 2 else "white", "ms": 4, "lw": 1.3}
             digits = np.mean(data["methods"][method]["mean_digits"], axis=1)
-            top.semilogx(1e6 * cost[method] * T / h, digits, label=label, **style)
-            bottom.loglog(h, cost[method] / cheapest, **style)
-        top.set_title(f"approximations of order {order}")
-        top.set_xlabel("processor time per body for [0, 10] (µs)")
-        bottom.set_xlabel("step size h")
-        bottom.set_xticks([0.014, 0.03, 0.06, 0.15, 0.34], ["0.014", "0.03", "0.06", "0.15", "0.34"])
-        bottom.set_yticks([0.5, 1, 2, 3, 4], ["0.5", "1", "2", "3", "4"])
-        for axis in (top, bottom):
+            left.semilogx(1e6 * cost[method] * T / h, digits, label=label, **style)
+            right.loglog(h, cost[method] / cheapest, **style)
+        left.set_ylabel(f"order {order}: digits of the orientation")
+        right.set_ylabel("cost per step over the cheapest's")
+        right.set_xticks([0.014, 0.03, 0.06, 0.15, 0.34], ["0.014", "0.03", "0.06", "0.15", "0.34"])
+        right.set_yticks([0.5, 1, 2, 3, 4], ["0.5", "1", "2", "3", "4"])
+        for axis in (left, right):
             axis.grid(True, alpha=0.3)
             axis.minorticks_off()
-    axes[0, 0].set_ylabel("significant digits of the orientation, mean")
-    axes[1, 0].set_ylabel("cost per step over the cheapest's")
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=9)
+    axes[-1, 0].set_xlabel("processor time per body for [0, 10] (µs)")
+    axes[-1, 1].set_xlabel("step size h")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
     yield "figure01", figure
 
 

@@ -90,8 +90,8 @@ def panels(data):
 
 def draw(data):
     shown = panels(data)
-    columns = -(-(len(shown) + 1) // 2)
-    figure, axes = plt.subplots(2, columns, figsize=(10.5, 6.2), sharex=True, sharey=True, layout="constrained")
+    count = -(-(len(shown) + 1) // 2)
+    figure, axes = plt.subplots(count, 2, figsize=(7.0, 2.8 * count), sharex=True, sharey=True, layout="constrained")
     x, edge = np.array(data["costs"], dtype=float), 10.0
     for axis, (title, lines) in zip(axes.flat, shown, strict=False):
         for k, (name, entry) in enumerate(lines.items()):
@@ -117,7 +117,7 @@ def draw(data):
     for axis in axes[-1]:
         axis.set_xlabel("force evaluations per unit of time")
     for axis in axes[:, 0]:
-        axis.set_ylabel("largest relative error on [0, 10]")
+        axis.set_ylabel("relative error on [0, 10]")
     figure.suptitle("125 dipoles; bands from the least to the largest start", fontsize=11)
     yield NAME, figure
 

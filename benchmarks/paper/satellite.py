@@ -77,7 +77,7 @@ def compute(quick):
 
 def draw(data):
     for number, line in DRAWN.items():
-        figure, axes = plt.subplots(2, 2, figsize=(9.0, 6.0), sharex="col", layout="constrained")
+        figure, axes = plt.subplots(2, 2, figsize=(7.0, 5.4), sharex="col", layout="constrained")
         drawn = [data[" ".join(line) + f" {h}"]["axis"] for h in STEPS]
         bottom = -0.05 if np.array(drawn)[:, :, 2].min() >= 0.0 else -1.05
         for (left, right), h in zip(axes, STEPS, strict=True):
@@ -90,11 +90,11 @@ def draw(data):
             left.set_ylabel("$u_3$")
             left.set_title(f"axis $u = Q^T e_3$, h = {h}", fontsize=10)
             right.plot(entry["t"], entry["error"], color=common.COLOURS[1], ls="", marker="o", ms=2, mew=0, alpha=0.7)
-            right.set_ylabel("relative error of the energy")
+            right.set_ylabel("energy error")
             right.set_title(f"largest {entry['largest']:.1e}, h = {h}", fontsize=10)
             for axis in (left, right):
                 axis.grid(True, alpha=0.3)
-        axes[1, 0].set_xlabel("azimuth of u about $e_3$ (degrees): the map keeps areas of the sphere")
+        axes[1, 0].set_xlabel("azimuth of u about $e_3$ (degrees)")
         axes[1, 1].set_xlabel("time (the paper's units)")
         names = {"exact": "exact rotor", "mclachlan_reich": "McLachlan-Reich"}
         figure.suptitle(f"satellite, {line[0]} with {names[line[1]]}: a dot every 0.4 of time", fontsize=11)

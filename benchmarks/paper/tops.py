@@ -90,18 +90,18 @@ def compute(quick):
     return data
 
 
-ROWS = (
-    ("schemes of the paper, exact rotor", PAPER, "exact"),
-    ("the same with McLachlan-Reich", PAPER, "mclachlan_reich"),
-    ("ours, for small potentials, exact rotor", OURS, "exact"),
+COLUMNS = (
+    ("schemes of the paper,\nexact rotor", PAPER, "exact"),
+    ("the same with\nMcLachlan-Reich", PAPER, "mclachlan_reich"),
+    ("ours, for small potentials,\nexact rotor", OURS, "exact"),
 )
 
 
 def draw(data):
     rates = 10.0 / np.array(data["h"])
     for i, epsilon in enumerate(EPSILONS):
-        figure, axes = plt.subplots(3, 5, figsize=(12.5, 8.0), sharex=True, sharey=True, layout="constrained")
-        for panels, (words, names, method) in zip(axes, ROWS, strict=True):
+        figure, axes = plt.subplots(5, 3, figsize=(7.4, 11.0), sharex=True, sharey=True, layout="constrained")
+        for panels, (words, names, method) in zip(axes.T, COLUMNS, strict=True):
             lines = [f"{name} {method}" for name in names]
             for j, axis in enumerate(panels):
                 for key in sorted(data["lines"].keys() - set(lines)):
@@ -111,21 +111,20 @@ def draw(data):
                     style = {"color": common.COLOURS[k], "marker": common.MARKERS[k], "ms": 3.5, "lw": 1.4}
                     plot(axis, rates, data["lines"][key], i, j, label=key.split()[0], **style)
                 axis.grid(True, alpha=0.25)
-            panels[0].set_ylabel("relative energy error")
-            panels[-1].legend(title=words.replace(", ", ",\n"), fontsize=9, title_fontsize=9, **BESIDE)
-        for j, axis in enumerate(axes[0]):
-            axis.set_title(f"$T_0$ = {ENERGIES[j]}")
+            panels[0].legend(title=words, ncols=2, fontsize=7, title_fontsize=9, **ABOVE)
+        for j, axis in enumerate(axes[:, 0]):
+            axis.set_ylabel(f"$T_0$ = {ENERGIES[j]}: relative error", fontsize=9)
         for axis in axes[-1]:
             axis.set_xlabel("evaluations per unit of time", fontsize=9)
             axis.set_xticks([1.25, 2.5, 5, 10, 20], ["1.25", "2.5", "5", "10", "20"])
             axis.minorticks_off()
         axes[0, 0].set_ylim(1e-15, 10.0)
-        words = "largest error on [0, 2000], mean of 20 tops; dotted: ε; grey: the lines of the other rows"
+        words = "largest energy error on [0, 2000], mean of 20\ntops; dotted: ε; grey: the lines of the other columns"
         figure.suptitle(f"heavy top, ε = {epsilon:g}: {words}", fontsize=11)
         yield f"figure{12 + i}", figure
 
 
-BESIDE = {"loc": "center left", "bbox_to_anchor": (1.02, 0.5), "frameon": False}
+ABOVE = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.02), "frameon": False}
 
 
 def plot(axis, rates, line, i, j, **style):

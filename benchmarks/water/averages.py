@@ -131,7 +131,7 @@ def averages() -> str:
     body = []
     for (model, masses, scheme, fs, ensemble, bar), rows in groups.items():
         of_run = f"{model.upper()}, {masses} hydrogens", f"`{scheme}`, {float(fs):g} fs"
-        held = "constant volume" if ensemble == "NVT" else f"{float(bar):g} bar"
+        held = "constant volume" if ensemble == "NVT" else f"1 bar, barostat at {float(bar):g} bar"
         length = sum(float(row["ps"]) for row in rows)
         for name in NAMES:
             values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in rows])

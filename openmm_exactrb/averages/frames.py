@@ -232,8 +232,8 @@ class _ScaledContext:
     """
 
     def __init__(self, simulation: Any, bodies: RigidBodies, named: Sequence[Sequence[int]] | None) -> None:
-        self._context, system = simulation.context, simulation.system
-        context = self._context
+        context, system = simulation.context, simulation.system
+        self._context = context
         if not system.usesPeriodicBoundaryConditions():
             raise ValueError("a System without a periodic box has no pressure: report with pressure=False")
         platform = context.getPlatform()

@@ -84,7 +84,7 @@ def _particles(system: openmm.System) -> Iterator[str]:
     massless = sum(system.getParticleMass(i)._value == 0.0 for i in range(n)) - sites
     parts = [f"{n} particles", *([f"{sites} virtual sites"] if sites else [])]
     if massless:
-        parts.append(f"{massless} without mass, which stay where they are")
+        parts.append(f"{massless} without mass, which do not move")
     parts.append(f"{system.getNumConstraints()} constraints")
     yield ", ".join(parts)
     if system.usesPeriodicBoundaryConditions():

@@ -14,6 +14,7 @@ from openmm import app
 from openmm_exactrb.command.inputs import Box, begin_at
 from openmm_exactrb.openmm_access.platforms import mixed
 from openmm_exactrb.runs import Run
+from openmm_exactrb.runs.signals import LostInterrupts
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.files import written_whole
@@ -52,7 +53,9 @@ def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Plat
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)
-    state = _equilibrated(args, box, platform)
+    with LostInterrupts() as interrupts:
+        state = _equilibrated(args, box, platform, interrupts)
+        interrupts.check()
     _store(job, START, openmm.XmlSerializer.serialize(state))
     return state
 
@@ -93,7 +96,9 @@ def length_of(args: argparse.Namespace) -> float:
     return length if args.step is None or length >= args.step else 0.0
 
 
-def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
+def _equilibrated(
+    args: argparse.Namespace, box: Box, platform: openmm.Platform, interrupts: LostInterrupts
+) -> openmm.State:
     integrator = ExactRigidBodyLangevinIntegrator(args.temperature, 0.0, 1e-6, engine="host")
     integrator.setRandomNumberSeed(args.seed)
     simulation = app.Simulation(box.topology, box.system, integrator, platform, mixed(platform))
@@ -108,7 +113,7 @@ def _equilibrated(args: argparse.Namespace, box: Box, platform: openmm.Platform)
         if length and not args.quiet:
             print(f"equilibrating for {length:g} ps (--equilibrate)", file=sys.stderr, flush=True)
         for _ in heat(integrator, simulation.context, length):
-            pass
+            interrupts.check()
     simulation.context.setTime(0.0)
     simulation.context.setStepCount(0)
     return simulation.context.getState(positions=True, velocities=True, parameters=True)

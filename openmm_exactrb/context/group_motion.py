@@ -66,6 +66,6 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
 def _check_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
     if torn.any():
         raise ValueError(
-            f"group {name!r} contains some of the particles of {bodies.name(first + int(np.argmax(torn)))} but not "
-            f"all: name all or none, since they move together"
+            f"group {name!r} contains only some particles of {bodies.name(first + int(np.argmax(torn)))}: name all or "
+            "none, since they move together"
         )

@@ -176,7 +176,7 @@ def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterabl
     leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
-        raise ValueError(f"the constraint between particles {p} and {q} leads out of a rigid body: remove it")
+        raise ValueError(f"the constraint between particles {p} and {q} joins a rigid body to another part: remove it")
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))

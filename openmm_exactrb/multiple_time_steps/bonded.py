@@ -82,7 +82,7 @@ def pairs_by_formula(force: openmm.NonbondedForce, pairs: Iterable[tuple[Any, ..
     cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
     apart.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
     for i, j, charges, sigma, epsilon in pairs:
-        apart.addBond(i, j, [charges, sigma, epsilon])
+        apart.addBond(i, j, [getattr(value, "_value", value) for value in (charges, sigma, epsilon)])
     apart.setName(f"exceptions of {force.getName()}")
     apart.setForceGroup(force.getForceGroup())
     return apart

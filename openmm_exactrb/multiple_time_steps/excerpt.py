@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 from xml.etree import ElementTree
 
@@ -47,12 +48,12 @@ class _BetweenBodies:
     """Which particles a force between them moves relative to each other."""
 
     def __init__(self, system: openmm.System, bodies: RigidBodies) -> None:
-        self._owner = bodies.owner
+        self._owner = bodies.owner.tolist()
         self._sites = {i for i in range(system.getNumParticles()) if system.isVirtualSite(i)}
 
     def __call__(self, particles: Iterable[int]) -> bool:
         members = set(particles)
-        owners = {int(self._owner[i]) for i in members}
+        owners = {self._owner[i] for i in members}
         return len(owners) > 1 and not members & self._sites
 
 
@@ -125,18 +126,25 @@ def _tree(force: Any) -> ElementTree.Element:
 
 
 def _particles(term: ElementTree.Element) -> dict[str, int]:
-    return {name: int(value) for name, value in term.items() if _PARTICLE.fullmatch(name)}
+    return {name: int(term.attrib[name]) for name in _of_particles(tuple(term.attrib))}
+
+
+@cache
+def _of_particles(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return which attributes of a term are its particles: the same ones of all terms of a force."""
+    return tuple(filter(_PARTICLE.fullmatch, names))
 
 
 def _terms(tree: ElementTree.Element) -> Iterator[ElementTree.Element]:
-    return (element for element in tree.iter() if _particles(element))
+    return (element for element in tree.iter() if _of_particles(tuple(element.attrib)))
 
 
 def _thinned(tree: ElementTree.Element, between_bodies: _BetweenBodies) -> bool:
     """Remove the terms of a force that move nothing; return whether some are left."""
     for holder in list(tree.iter()):
-        for term in [child for child in holder if _particles(child) and not between_bodies(_particles(child).values())]:
-            holder.remove(term)
+        kept = [term for term in holder if not (own := _particles(term)) or between_bodies(own.values())]
+        if len(kept) < len(holder):
+            holder[:] = kept
     return any(True for _ in _terms(tree))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from types import FrameType
 from typing import Any
@@ -36,3 +37,29 @@ class Signals:
     def _catch(self, number: int, frame: FrameType | None) -> None:
         self.caught = number
         self.__exit__()
+
+
+class LostInterrupts:
+    """Keep the KeyboardInterrupt of Ctrl-C that Python drops, in a destructor or a callback from C, for `check`."""
+
+    def __init__(self) -> None:
+        self.lost = False
+        self._before = sys.unraisablehook
+
+    def __enter__(self) -> LostInterrupts:
+        self._before, sys.unraisablehook = sys.unraisablehook, self._dropped
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        sys.unraisablehook = self._before
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if one was dropped."""
+        if self.lost:
+            raise KeyboardInterrupt
+
+    def _dropped(self, unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            self.lost = True
+        else:
+            self._before(unraisable)

@@ -52,7 +52,7 @@ def switch(value: Any, name: str) -> bool:
 
 
 def array(
-    value: Any, name: str, asked: str = "rows of real numbers of equal length, without a unit"
+    value: Any, name: str, asked: str = "real numbers in rows of equal length, without a unit"
 ) -> NDArray[np.float64]:
     """Return real numbers, also nan or infinite, as an array of floats.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import copy
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -157,7 +156,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
             f"{what} have the shape {array.shape}, but the System has {system.getNumParticles()} particles"
         )
     if not np.isfinite(array).all():
-        raise ValueError(f"{what} are not finite")
+        raise ValueError(f"{what} are not finite: give finite ones")
     return array
 
 
@@ -189,7 +188,8 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
     states = [state]
     for k in range(1, number):
         integrator.setVelocitiesToTemperature(temperature, seed + k)
-        for _ in itertools.islice(heat(integrator, context), _APART):
-            pass
+        for _ in range(_APART):
+            with contextlib.suppress(IntegrationError):  # the next part starts from the last valid step
+                next(heat(integrator, context))
         states.append(state.updated(context))
     return states

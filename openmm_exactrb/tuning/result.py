@@ -187,6 +187,8 @@ class Tuning:
         points = [p for name in self._methods(method) for p in self.curve(name)]
         if not points and self.floor is not None:
             return f"an error of {target:.3g} kJ/mol per body is out of reach. {self._about_floor()}"
+        if not self.points:
+            return "the budget was spent before a run ended: pass a larger one"
         if not points:
             return "no run was stable: the start is far from equilibrium, or the forces are not those of a potential"
         least, why = min(points, key=lambda p: p.error), "not reached: the smallest found is"

@@ -202,6 +202,27 @@ def made(tmp_path, rng, frames=4000, barostat="MonteCarloBarostat"):
     return file
 
 
+@pytest.mark.parametrize("model", ["tip4pew", "tip5p"])
+def test_the_pressure_is_that_of_openmm(tmp_path, model):
+    """But for kinetic energy: OpenMM takes that of the moment, the reporter its mean. Virtual sites count as atoms."""
+    topology, system, positions = rb.rigid_water(27, model=model, nonbondedMethod=app.PME, nonbondedCutoff=0.4)
+    barostat = openmm.MonteCarloBarostat(1.0, 300.0, 0)
+    system.addForce(barostat)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.001)
+    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation.context.setPositions(positions)
+    integrator.setVelocitiesToTemperature(300.0, 2)
+    file = tmp_path / "water.csv"
+    with reporting(simulation, file, 1, pressure=True):
+        simulation.step(3)
+    momenta = integrator.bodyState()[1].P
+    state = simulation.context.getState()
+    kinetic = (momenta**2).sum() / integrator.bodyState()[0].mass[0]
+    moment = BAR * (27 * KT - kinetic / 3.0) / state.getPeriodicBoxVolume()._value
+    theirs = barostat.computeCurrentPressure(simulation.context).value_in_unit(unit.bar)
+    assert read(file)[1]["pressure"][-1] == pytest.approx(theirs + moment, abs=1.0)
+
+
 def test_the_pressure_has_the_parameters_of_the_context(tmp_path):
     tension = openmm.CustomVolumeForce("tension*v")
     tension.addGlobalParameter("tension", 0.0)
@@ -309,7 +330,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
     with pytest.raises(ValueError, match="at constant volume, to which no pressure belongs"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
-    few.write_text("".join(file.read_text().splitlines(keepends=True)[:20]))
+    few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
     other = made(tmp_path, np.random.default_rng(7), frames=100, barostat="MonteCarloMembraneBarostat")

@@ -63,7 +63,7 @@ IDLE = [
 @pytest.fixture
 def files(droplet, serialised, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    lines = droplet.read_text().splitlines()
+    lines = droplet.read_text(encoding="utf-8").splitlines()
     (tmp_path / "cut.pdb").write_text("\n".join(lines[:10]))
 
 
@@ -159,12 +159,12 @@ def test_files_of_others_are_seen_before_anything_is_prepared(droplet, tmp_path,
     errors = capsys.readouterr().err
     assert f"{name} belongs to an earlier run" in errors
     assert errors.count("\n") == 1
-    assert {file.name: file.read_text() for file in out.iterdir()} == {name: "something else"}
+    assert {file.name: file.read_text(encoding="utf-8") for file in out.iterdir()} == {name: "something else"}
 
 
 @pytest.mark.parametrize("nothing", [None, 3, b"state.xml"])
 def test_a_state_is_one_or_a_file_of_one(serialised, nothing):
-    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+    system = openmm.XmlSerializer.deserialize(serialised[0].read_text(encoding="utf-8"))
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     with pytest.raises(ValueError, match=f"saveState wrote, not a {type(nothing).__name__}"):
         rb.loadState(context, nothing)

@@ -9,6 +9,8 @@ from processes_of_command import launch
 from openmm_exactrb.command.main import main
 from openmm_exactrb.runs.lock import only_process
 
+# Status of a command after Ctrl-C. A shell shows 130 for both: CPython ends itself by the signal if it came in exec.
+STOPPED = 130, -signal.SIGINT
 SHORT = "--forcefield", "tip3p.xml", "--step", "2fs", "--interval", "4fs", "--duration", "20fs"
 PLAIN = "--platform", "Reference", "--quiet", "--no-picture"
 LONG, BRIEF = ("--equilibrate", "100"), ("--equilibrate", "0.01")
@@ -89,7 +91,8 @@ def test_ctrl_c_in_the_equilibration_is_one_line(run, tmp_path, heard, capsys):
     wait(process, (tmp_path / "out").exists)
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
-    assert (process.returncode, said) == (130, "")
+    assert process.returncode in STOPPED
+    assert said == ""
     assert errors == "exactrb run: SIGINT: stopped; to resume it, repeat the command with --resume\n"
     assert carry_out(capsys, *run, *BRIEF, "--resume")[0] == 0
 
@@ -99,7 +102,8 @@ def test_ctrl_c_in_a_tuning_is_one_line(serialised, heard):
     told = process.stderr.readline()
     process.send_signal(signal.SIGINT)
     said, errors = process.communicate()
-    assert (process.returncode, said) == (130, "")
+    assert process.returncode in STOPPED
+    assert said == ""
     assert "errors hold for 1e+03 ps" in told
     assert errors.splitlines()[-1] == "exactrb tune: SIGINT: stopped"
     assert "Traceback" not in errors

@@ -90,7 +90,7 @@ def test_a_topology_of_amber_is_read_with_its_positions_in_either_order(tmp_path
         assert "2 rigid bodies of 3 particles (HOH): 6 degrees of freedom, moments 0.006149 0.01155 0.0177" in lines
         assert "everything is supported" in lines
     short = tmp_path / "one.rst7"
-    header, count, *rows, box = files[1].read_text().splitlines()
+    header, count, *rows, box = files[1].read_text(encoding="utf-8").splitlines()
     short.write_text("\n".join([header, count.replace("6", "5", 1), *rows[:2], rows[2][:36], box, ""]))
     assert main(["info", str(files[0]), str(short)]) == 2
     assert "has 5 particles, but" in capsys.readouterr().err

@@ -50,7 +50,7 @@ def test_a_system_and_a_state_move_as_in_python(serialised, tmp_path, capsys):
     options = "--duration", "0.02", "--no-picture", "--out", tmp_path / "out"
     status, _, errors = carry_out(capsys, "run", *serialised, *SHORT, *options)
     assert (status, errors) == (0, "")
-    system = openmm.XmlSerializer.deserialize(serialised[0].read_text())
+    system = openmm.XmlSerializer.deserialize(serialised[0].read_text(encoding="utf-8"))
     context = openmm.Context(
         system, rb.ExactRigidBodyIntegrator(0.002, scheme="S2_2"), openmm.Platform.getPlatform("Reference")
     )
@@ -81,11 +81,11 @@ def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path):
     assert finish(*command, once, "--duration", "0.4")[0] == 0
     process = launch(*command, killed, "--duration", "0.4")
     energies = killed / "energies.csv"
-    while process.poll() is None and not (energies.exists() and energies.read_text().count("\n") > 8):
+    while process.poll() is None and not (energies.exists() and energies.read_text(encoding="utf-8").count("\n") > 8):
         time.sleep(0.01)
     process.kill()
     process.communicate()
-    assert energies.read_text().count("\n") < 102, "it was killed too late"
+    assert energies.read_text(encoding="utf-8").count("\n") < 102, "it was killed too late"
     status, _, errors = finish(*command, killed, "--duration", "0.4", "--resume")
     assert (status, errors) == (0, "")
     assert energies.read_bytes() == (once / "energies.csv").read_bytes()
@@ -107,7 +107,7 @@ def test_the_measured_step_is_kept(serialised, tmp_path, capsys):
     """It depends on how busy the machine was: a run that goes on must not measure again."""
     options = "--scheme", "S2_2", "--target", "0.05", "--budget", "4", "--no-picture", "--out", tmp_path / "out", *PLAIN
     assert carry_out(capsys, "run", *serialised, "--duration", "0.05", *options)[0] == 0
-    kept = json.loads((tmp_path / "out" / "step.json").read_text())
+    kept = json.loads((tmp_path / "out" / "step.json").read_text(encoding="utf-8"))
     assert kept["scheme"] == "S2_2"
     status, said, errors = carry_out(capsys, "run", *serialised, "--duration", "0.08", "--resume", *options)
     assert (status, errors) == (0, "")
@@ -207,7 +207,7 @@ def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path,
     for file, parameters in ((files[1], False), (with_parameters, True)):
         content = context.getState(positions=True, velocities=moving, parameters=parameters)
         file.write_text(openmm.XmlSerializer.serialize(content))
-    assert "MonteCarloPressure" in with_parameters.read_text()
+    assert "MonteCarloPressure" in with_parameters.read_text(encoding="utf-8")
     options = "--ensemble", "npt", "--pressure", "500", "--temperature", "280", "--duration", "0.2", "--no-picture"
     options += () if moving else ("--equilibrate", "0.05")
     volumes = []
@@ -215,9 +215,9 @@ def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path,
         out = tmp_path / file.stem
         status, _, errors = carry_out(capsys, "run", files[0], file, *SHORT, *options, "--out", out)
         assert (status, errors) == (0, "")
-        kept = openmm.XmlSerializer.deserialize((out / "start.xml").read_text()).getParameters()
+        kept = openmm.XmlSerializer.deserialize((out / "start.xml").read_text(encoding="utf-8")).getParameters()
         assert (kept["MonteCarloPressure"], kept["MonteCarloTemperature"]) == (500.0, 280.0)
-        volumes.append((out / "volume.csv").read_text())
+        volumes.append((out / "volume.csv").read_text(encoding="utf-8"))
     assert volumes[0] == volumes[1]
 
 

@@ -80,13 +80,13 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
         pytest.param("CH4", "xml", "OpenCL", marks=[pytest.mark.opencl, pytest.mark.validate]),
         ("CO2", "gromacs", "CPU"),
         ("CH4", "mixture", "CPU"),
-        ("N2", "amber", "CPU"),
+        pytest.param("N2", "amber", "CPU", marks=pytest.mark.validate),
     ],
 )
 def test_a_step_is_found_for_them(name, form, platform, tmp_path, capsys):
     skip_without(platform)
     files = files_of(name, form, tmp_path)
     options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
-    options += ["--horizon", "0.1ps", "--budget", "15", "--platform", platform, "--quiet"]
+    options += ["--horizon", "0.1ps", "--budget", "60", "--platform", platform, "--quiet"]
     assert main(["tune", *files, *options]) == 0
     assert "target 0.05: W2_1 with a step of" in capsys.readouterr().out

@@ -24,7 +24,7 @@ def test_it_reads_what_a_run_reads(droplet, capsys):
     assert "brought to 250 K" in " ".join(out.split())
     assert errors == ""
     assert main(["tune", *files, "--cutoff", "0.5"]) == 2
-    assert "leave out --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
+    assert "omit --cutoff: there is no cutoff without a periodic box" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

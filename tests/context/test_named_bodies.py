@@ -126,8 +126,8 @@ def test_groups_share_the_energy_of_all():
 @pytest.mark.parametrize(
     ("group", "message"),
     [
-        ([0, 1], r"group 'x' has some particles of body 0 \(particles 0, 1, 2, 3, 4\) and not all"),
-        ([99], "group 'x' has particle 99, but the System has 28 particles"),
+        ([0, 1], r"group 'x' contains only some particles of body 0 \(particles 0, 1, 2, 3, 4\): name all"),
+        ([99], "group 'x' contains particle 99, but the System has 28 particles"),
         ([0.5], "groups must be lists of particle indices"),
     ],
 )
@@ -150,7 +150,9 @@ def test_a_group_has_all_atoms_of_a_cluster():
     integrator.setVelocitiesToTemperature(300, 1)
     (alone,) = integrator.temperatures(groups={"chain": range(3)}).values()
     assert alone[0]._value == pytest.approx(integrator.temperatures()[0]._value, rel=1e-12)
-    with pytest.raises(ValueError, match="group 'x' has some particles of the cluster of particles 1, 0, 2 and"):
+    with pytest.raises(
+        ValueError, match="group 'x' contains only some particles of the cluster of particles 1, 0, 2: name"
+    ):
         integrator.temperatures(groups={"x": [0, 1]})
 
 

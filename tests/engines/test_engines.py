@@ -107,7 +107,7 @@ def test_a_run_from_a_checkpoint_keeps_the_engine_whose_mark_it_has(own, monkeyp
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", engine="host")
     context = context_of(integrator)
     integrator.setGlobalVariable(0, 8.0)
-    with pytest.raises(ValueError, match='of a run with engine="own"'):
+    with pytest.raises(ValueError, match='from a run with engine="own"'):
         integrator.step(1)
     integrator.setGlobalVariable(0, 16.0)
     with pytest.raises(ValueError, match="another kind of integrator"):

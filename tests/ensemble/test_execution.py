@@ -50,9 +50,9 @@ def test_ensembles_run_flexible_molecules(tmp_path):
 
 
 def kill_when_held_up(note, killed):
-    while not note.exists() or not note.read_text().endswith("\n"):
+    while not note.exists() or not note.read_text(encoding="utf-8").endswith("\n"):
         time.sleep(0.05)
-    killed.append(int(note.read_text().split()[0]))
+    killed.append(int(note.read_text(encoding="utf-8").split()[0]))
     os.kill(killed[0], signal.SIGKILL)
 
 
@@ -66,7 +66,7 @@ def test_killed_worker_changes_no_result(tmp_path):
     results = ensemble.run(jobs, tmp_path / "two", workers=2, progress=False)
     killer.join()
     # The dead worker's run was started again, in another process.
-    processes = [int(line) for line in (notes / "3").read_text().split()]
+    processes = [int(line) for line in (notes / "3").read_text(encoding="utf-8").split()]
     assert len(processes) == 3  # V2 twice, S6_10 once
     assert processes.count(killed[0]) == 1
     assert [result.error for result in results] == [None] * 16
@@ -109,7 +109,7 @@ def test_iterator_may_be_left_and_taken_up(tmp_path, scheduler):
     first.close()
     assert len(list(tmp_path.iterdir())) == 4
     torn = next(iter(tmp_path.iterdir()))
-    torn.write_text(torn.read_text()[:-20])  # a file that lost its end is done anew
+    torn.write_text(torn.read_text(encoding="utf-8")[:-20])  # a file that lost its end is done anew
     results = ensemble.run(jobs, tmp_path, scheduler=scheduler, progress=False)
     assert [result.value for result in results] == [x * x for x in range(20)]
     assert {result.job for result in results if result.cached} < {result.job for result in seen}
@@ -134,12 +134,12 @@ def test_failure_is_reported_and_stops_nothing(tmp_path, scheduler, capfd):
     assert good.value["tuple"] == [1, 2.0, None]
     assert np.isnan(good.value["nan"])
     assert "4/4" in capfd.readouterr().err
-    assert (notes / "bad").read_text() == "called\n"  # once a call
+    assert (notes / "bad").read_text(encoding="utf-8") == "called\n"  # once a call
     again = ensemble.run(jobs, tmp_path / "kept", scheduler=scheduler, progress=False)
     assert [result.cached for result in again] == [False, False, True, False]
     assert again[0].error == bad.error
-    assert (notes / "bad").read_text() == "called\ncalled\n"
-    assert (notes / "good").read_text() == "called\n"
+    assert (notes / "bad").read_text(encoding="utf-8") == "called\ncalled\n"
+    assert (notes / "good").read_text(encoding="utf-8") == "called\n"
 
 
 def test_function_that_workers_cannot_import(tmp_path, scheduler, monkeypatch):
@@ -161,7 +161,7 @@ def test_equal_jobs_are_executed_once(tmp_path, scheduler):
     notes.mkdir()
     results = ensemble.run(2 * [Job(counted, folder=notes, name="one")], tmp_path, scheduler=scheduler, progress=False)
     assert [result.value["name"] for result in results] == ["one", "one"]
-    assert (notes / "one").read_text() == "called\n"
+    assert (notes / "one").read_text(encoding="utf-8") == "called\n"
     assert ensemble.run([], tmp_path, progress=False) == []
 
 

@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "contributing.md"
 
 def blocks():
     """Return the recipe's three pieces of code: the module, the line of the imports, the test."""
-    section = re.split(r"^## ", PAGE.read_text(), flags=re.M)
+    section = re.split(r"^## ", PAGE.read_text(encoding="utf-8"), flags=re.M)
     (recipe,) = (text for text in section if text.startswith("A potential"))
     return re.findall(r"```python\n(.*?)```", recipe, flags=re.S)
 
@@ -28,7 +28,7 @@ def typed(monkeypatch):
     """Return what the test of the recipe defines, after the module and the import are where the page says."""
     module, line, test = blocks()
     (name,) = re.findall(r"from (\S+) import", line)
-    assert f"`{name.replace('.', '/')}.py`" in PAGE.read_text()
+    assert f"`{name.replace('.', '/')}.py`" in PAGE.read_text(encoding="utf-8")
     spheres = ModuleType(name)
     monkeypatch.setitem(sys.modules, name, spheres)
     exec(compile(module, f"{name}.py", "exec"), vars(spheres))

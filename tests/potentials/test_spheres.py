@@ -124,7 +124,7 @@ def test_the_pressure_is_that_of_an_own_virial(options):
     ("n", "tolerances"),
     [
         (125, (1e-3, 1e-4, 1e-6, 1e-9)),
-        (1000, (1e-3, 1e-4, 1e-6, 1e-9)),
+        pytest.param(1000, (1e-3, 1e-4, 1e-6, 1e-9), marks=pytest.mark.validate),
         pytest.param(8000, (1e-3, 1e-4), marks=pytest.mark.validate),
     ],
 )
@@ -136,7 +136,7 @@ def test_the_tolerance_of_an_ewald_sum_changes_its_own_error_alone(n, tolerances
         assert abs(energy - energies[-1]) < (tolerance + tolerances[-1]) * n * mean_field
 
 
-@pytest.mark.parametrize("n", [216, 512])
+@pytest.mark.parametrize("n", [216, pytest.param(512, marks=pytest.mark.validate)])
 def test_boundaries_and_kernels_have_the_same_spheres(n):
     """With all kernels, and all cutoffs of the dipoles, which hardly have moments here."""
     wanted = energy_of(n, rb.ReactionField(), **LENNARD_JONES)[0]

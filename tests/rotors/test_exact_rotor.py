@@ -102,7 +102,7 @@ def assert_random_walk(n_steps, method):
 
 
 def test_invariants_walk_randomly_over_many_steps(twin):
-    assert_random_walk(3000, twin)
+    assert_random_walk(1000, twin)
 
 
 @pytest.mark.validate

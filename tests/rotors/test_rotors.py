@@ -215,10 +215,10 @@ def test_quaternion_of_a_matrix_is_the_quaternion(rng):
 )
 def test_what_are_no_real_numbers_gets_one_sentence(name, value):
     arguments = {"inertia": [1.0, 2.0, 3.0], "q0": [1.0, 0, 0, 0], "m0": [1.0, 0, 0], "t": 0.1} | {name: value}
-    with pytest.raises(ValueError, match=f"^{name} must be rows of real numbers of equal length, without a unit, not "):
+    with pytest.raises(ValueError, match=f"^{name} must be real numbers in rows of equal length, without a unit, not "):
         rb.free_rotor(**arguments)
     if name == "inertia":
-        with pytest.raises(ValueError, match=r"^inertia must be rows of real numbers of equal length"):
+        with pytest.raises(ValueError, match=r"^inertia must be real numbers in rows of equal length"):
             rb.rotors.rotor("exact", value)
 
 

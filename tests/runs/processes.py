@@ -25,7 +25,7 @@ class Script:
 
     @property
     def errors(self):
-        return self.errors_file.read_text()
+        return self.errors_file.read_text(encoding="utf-8")
 
     @property
     def running(self):

@@ -118,9 +118,9 @@ def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path
     shell = ["unshare", "-rm", "sh", "-c", script, "sh", *map(str, command)]
     done = subprocess.run(shell, capture_output=True, text=True, env=os.environ | SETTINGS)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "status").read_text() == "1\n"
-    assert "No space left on device" in one_line((tmp_path / "full").read_text())
-    assert "No space left on device" in one_line((tmp_path / "again").read_text())
+    assert (tmp_path / "status").read_text(encoding="utf-8") == "1\n"
+    assert "No space left on device" in one_line((tmp_path / "full").read_text(encoding="utf-8"))
+    assert "No space left on device" in one_line((tmp_path / "again").read_text(encoding="utf-8"))
     check_joined(tmp_path / "out", whole)
 
 

@@ -62,7 +62,7 @@ def test_what_another_process_did_meanwhile_is_seen(half):
     late.advance(droplet(), 40)  # which is behind
     same_bytes(half, half.parent / "whole")
     make(half.parent / "new").advance(droplet(), 7)
-    with pytest.raises(FileExistsError, match="of an earlier run"):
+    with pytest.raises(FileExistsError, match="to an earlier run"):
         fresh.advance(droplet(), 60)
 
 
@@ -88,7 +88,7 @@ def test_a_first_checkpoint_that_could_not_be_written_is_tried_again(tmp_path, m
         with pytest.raises(OSError, match="No space left"):
             run.advance(simulation, 10)
     run.advance(simulation, 10)
-    assert len((tmp_path / "energies.csv").read_text().splitlines()) == 3
+    assert len((tmp_path / "energies.csv").read_text(encoding="utf-8").splitlines()) == 3
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_overwrite_replaces_and_resume_comes_first(half):
     make(half, overwrite=True, resume=True).advance(droplet(), 60)
     same_bytes(half, half.parent / "whole")
     make(half, overwrite=True).advance(droplet(), 7)
-    assert len((half / "energies.csv").read_text().splitlines()) == 3
+    assert len((half / "energies.csv").read_text(encoding="utf-8").splitlines()) == 3
     assert len(mdtraj.load(str(half / "trajectory.dcd"), top=str(half / "topology.pdb"))) == 2
 
 

@@ -111,8 +111,8 @@ def test_a_reporter_of_ones_own_gets_what_it_asks_for_and_loses_no_line(tmp_path
             run = rb.Run(folder, resume=True)
             run.add_reporter(OfForces, "forces.txt", 2)
             run.advance(droplet(), until)
-    assert (whole / "forces.txt").read_text() == (parts / "forces.txt").read_text()
-    assert len((whole / "forces.txt").read_text().splitlines()) == 11
+    assert (whole / "forces.txt").read_text(encoding="utf-8") == (parts / "forces.txt").read_text(encoding="utf-8")
+    assert len((whole / "forces.txt").read_text(encoding="utf-8").splitlines()) == 11
 
 
 def test_lines_that_a_reporter_holds_back_are_in_every_checkpoint(tmp_path):
@@ -120,7 +120,9 @@ def test_lines_that_a_reporter_holds_back_are_in_every_checkpoint(tmp_path):
     run, simulation = rb.Run(tmp_path, every=0.0), droplet()
     run.add_reporter(OfForces, "forces.txt", 2)
     lengths = []
-    run.advance(simulation, 30, lambda steps: lengths.append((tmp_path / "forces.txt").read_text().count("\n")))
+    run.advance(
+        simulation, 30, lambda steps: lengths.append((tmp_path / "forces.txt").read_text(encoding="utf-8").count("\n"))
+    )
     assert lengths == [0, 0, 6, 11]  # of the checkpoint before
 
 

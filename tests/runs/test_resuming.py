@@ -52,8 +52,10 @@ def test_a_run_writes_what_a_simulation_with_the_same_reporters_does(half):
     simulation.reporters.pop().close()
     simulation.reporters.clear()
     go_on(half)
-    lines = (half / "energies.csv").read_text().splitlines()
-    assert lines[0:1] + lines[2:] == (plain / "energies.csv").read_text().splitlines()  # but for the start
+    lines = (half / "energies.csv").read_text(encoding="utf-8").splitlines()
+    assert (
+        lines[0:1] + lines[2:] == (plain / "energies.csv").read_text(encoding="utf-8").splitlines()
+    )  # but for the start
     frames = [mdtraj.load(str(f / "trajectory.dcd"), top=str(half / "topology.pdb")).xyz for f in (half, plain)]
     np.testing.assert_array_equal(frames[0][1:], frames[1])
 
@@ -86,7 +88,7 @@ def test_resume_where_there_is_nothing_begins(tmp_path):
     run = make(tmp_path / "new", resume=True)
     assert not run.resuming
     run.advance(droplet(), 7)
-    assert len((tmp_path / "new" / "energies.csv").read_text().splitlines()) == 3
+    assert len((tmp_path / "new" / "energies.csv").read_text(encoding="utf-8").splitlines()) == 3
 
 
 def test_a_run_may_be_made_longer_and_continue_in_the_same_process(half):
@@ -119,8 +121,10 @@ def test_other_reporters_and_integrators_can_be_used(tmp_path):
             run = rb.Run(tmp_path / name, resume=True)
             run.add_reporter(table, "log.csv", 5)
             run.advance(simulation, until)
-    assert (tmp_path / "parts" / "log.csv").read_text() == (tmp_path / "whole" / "log.csv").read_text()
-    assert len((tmp_path / "whole" / "log.csv").read_text().splitlines()) == 6
+    assert (tmp_path / "parts" / "log.csv").read_text(encoding="utf-8") == (tmp_path / "whole" / "log.csv").read_text(
+        encoding="utf-8"
+    )
+    assert len((tmp_path / "whole" / "log.csv").read_text(encoding="utf-8").splitlines()) == 6
 
 
 def test_costs_are_carried_over(half):

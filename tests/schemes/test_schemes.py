@@ -49,7 +49,7 @@ def test_steps_advance_both_flows_by_the_time(n, h, name):
 
 
 def test_a_table_of_the_wrong_length_is_refused():
-    with pytest.raises(ValueError, match="leave 1 free, 2 are given"):
+    with pytest.raises(ValueError, match="leave 1 free, but 2 were given"):
         symmetric("bad", order=4, stages=3, first="kick", a=(0.1, 0.2), b=(0.1,))
     with pytest.raises(ValueError, match="not finite"):
         symmetric("bad", order=4, stages=3, first="kick", a=(float("nan"),), b=(0.1,))

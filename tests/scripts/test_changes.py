@@ -157,7 +157,8 @@ def test_a_cluster_job_that_reads_everything_from_xml_fails_loudly(tmp_path):
     for name, what in (("system", simulation.system), ("integrator", simulation.integrator)):
         (tmp_path / f"{name}.xml").write_text(openmm.XmlSerializer.serialize(what))
     system, integrator = (
-        openmm.XmlSerializer.deserialize((tmp_path / f"{name}.xml").read_text()) for name in ("system", "integrator")
+        openmm.XmlSerializer.deserialize((tmp_path / f"{name}.xml").read_text(encoding="utf-8"))
+        for name in ("system", "integrator")
     )
     job = app.Simulation(simulation.topology, system, integrator, REFERENCE)
     job.loadState(str(tmp_path / "state.xml"))

@@ -106,7 +106,7 @@ def test_energies_of_another_integrator_are_refused_and_nothing_is_left(tmp_path
     run = rb.Run(tmp_path / "run")
     run.add_reporter(rb.EnergyReporter, "energies.csv", 1)
     quietly(run.advance, water(), 2)
-    assert len((tmp_path / "run" / "energies.csv").read_text().splitlines()) == 4
+    assert len((tmp_path / "run" / "energies.csv").read_text(encoding="utf-8").splitlines()) == 4
 
 
 def test_a_reporter_that_cannot_append_is_refused_before_anything_is_written(tmp_path):

@@ -14,4 +14,4 @@ def test_a_file_written_whole_is_there_only_when_it_is_complete(tmp_path):
         assert [f.name for f in tmp_path.iterdir()] == ([] if old is None else ["file"])
         with rb.written_whole(file) as out:
             out.write("old")
-        assert file.read_text() == "old"
+        assert file.read_text(encoding="utf-8") == "old"

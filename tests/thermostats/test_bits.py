@@ -160,7 +160,7 @@ def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_thermostat(t
         with pytest.raises(ValueError, match="belongs to another run: integrator"):
             advance("parts", 40, **change)
     advance("parts", 40)
-    files = [(tmp_path / folder / "energies.csv").read_text() for folder in ("whole", "parts")]
+    files = [(tmp_path / folder / "energies.csv").read_text(encoding="utf-8") for folder in ("whole", "parts")]
     assert files[0] == files[1]
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.part import Flexible, FlexiblePart
 from openmm_exactrb.engines.device.program import Launch, Program, Source
 from openmm_exactrb.engines.device.rigid import Demands, RigidPart, parts_of
-from openmm_exactrb.engines.device.segments import Sequences, Step, Table
+from openmm_exactrb.engines.device.segments import ALL, Sequences, Step, Table
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.moves import Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
@@ -30,6 +31,8 @@ class Assembly:
     scheme : Scheme
     fast_evaluations : int
         Evaluations of fast forces in a step.
+    evaluated : int
+        Those of them that OpenMM makes.
     """
 
     def __init__(
@@ -40,15 +43,19 @@ class Assembly:
         sites: bool,
         factors: Factors | None = None,
         flexible: Flexible | None = None,
+        evaluated: Evaluated | None = None,
     ) -> None:
         self.scheme, processed = scheme, bool(scheme.processor)
+        scheme = scheme if evaluated is None else evaluated.within(scheme)
         late = flexible is not None and flexible.molecules.late
         rows = canonical_momenta(scheme.sequence) if late else scheme.sequence
         inner = None if flexible is None else flexible.molecules.inner
         moves = [move for row in rows for move in of_substep(*row)]
         drifts = [move.part for move in moves if move.op == Op.DRIFT and move.bodies != "others"]
-        self.fast_evaluations = 0 if inner is None else sum(map(inner.evaluations, drifts))
-        step = Step.of(rows, splits_exchanges=factors is not None, remembers=any(scheme.memory))
+        kicks = ALL if evaluated is None else evaluated.slow
+        step = Step.of(rows, splits_exchanges=factors is not None, remembered=kicks if any(scheme.memory) else None)
+        self.evaluated = 0 if evaluated is None else step.evaluations(evaluated.groups)
+        self.fast_evaluations = self.evaluated if inner is None else sum(map(inner.evaluations, drifts))
         own = tuple(dict.fromkeys(move.text for move in _moves(scheme) if move.text))
         (forces, differences), (per_step, of_differences) = scheme.memory, step.remembered
         self._demands = demands = Demands(

@@ -14,7 +14,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
-from openmm_exactrb.engines.device.flexible.molecules import found, molecules_of
+from openmm_exactrb.engines.device.flexible.molecules import found, served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
@@ -25,6 +25,7 @@ from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
 # Of the bodies that are lost, so many are named.
@@ -64,6 +65,8 @@ class DevicePropagator:
         self._kept = 0.0  # the mark of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
         self._load()
+        if (evaluated := self._served.evaluated) is not None:
+            warn(evaluated.warning)
 
     @property
     def outdated(self) -> bool:
@@ -84,11 +87,18 @@ class DevicePropagator:
 
     def _load(self) -> None:
         """Give the integrator the program of the settings, and its tables."""
+        context: Any = self.sync.context
+        self._served = served(context.getSystem(), self.sync.bodies, self._fast, self._settings)
         self._assembly = assembly = Assembly(
-            self.sync.bodies, self._settings.scheme, self.updates, self._sites, self._factors, self._flexible
+            self.sync.bodies,
+            self._settings.scheme,
+            self.updates,
+            self._sites,
+            self._factors,
+            self._flexible,
+            self._served.evaluated,
         )
         self.device.load(assembly.program.text)
-        context: Any = self.sync.context
         self.sync.begin(self.device, assembly.parts, self._processed, platforms.is_single(context))
         for part in assembly.parts:
             for name, values in part.tables().items():
@@ -98,9 +108,8 @@ class DevicePropagator:
     @property
     def _flexible(self) -> Flexible | None:
         """The flexible molecules, with fast forces in double precision where all forces are."""
-        context: Any = self.sync.context
-        molecules = molecules_of(context.getSystem(), self.sync.bodies, self._fast, self._settings)
-        precision = np.float64 if platforms.is_double(context) else np.float32
+        molecules = self._served.molecules
+        precision = np.float64 if platforms.is_double(self.sync.context) else np.float32
         return None if molecules is None else Flexible(molecules, self.sync.particles, precision)
 
     @property
@@ -217,7 +226,8 @@ class DevicePropagator:
                 raise
             self._refuse(n)
         finally:
-            self._timings.evaluations += device.evaluations - before + self.updates.trial_energies(n)
+            slow = device.evaluations - before - n * self._assembly.evaluated
+            self._timings.evaluations += slow + self.updates.trial_energies(n)
             self._timings.fast_evaluations += n * self._assembly.fast_evaluations
             self.sync.moved_on()
 

@@ -9,7 +9,7 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, molecules_of
+from openmm_exactrb.engines.device.flexible.molecules import NotServedError, found, served
 from openmm_exactrb.engines.device.library import MissingLibraryError, describe, library
 from openmm_exactrb.engines.device.propagator import DevicePropagator
 from openmm_exactrb.engines.engine import Engine, Propagator, Settings
@@ -17,6 +17,7 @@ from openmm_exactrb.moves import Op, of_substep
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.openmm_access.rebind import rebind
 from openmm_exactrb.rotors import ROTORS
+from openmm_exactrb.support.warn import warn
 
 _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
@@ -49,12 +50,12 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
         warnings.simplefilter("ignore")  # the propagator, or that of another engine, says what there is to say
         bodies, _, fast = found(context, settings)
     try:
-        molecules = molecules_of(context.getSystem(), bodies, fast, settings)
+        molecules, evaluated = served(context.getSystem(), bodies, fast, settings)
     except NotServedError as error:
         return str(error)
-    if molecules is not None:
-        return _unsupported_beside_molecules(settings)
-    return None
+    if evaluated is not None and settings.scheme.has_gradients:
+        return f"the device has no kernel for {evaluated.what}, which the force gradients of {settings.outer.name} need"
+    return None if molecules is None else _unsupported_beside_molecules(settings)
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
@@ -96,6 +97,11 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
     """Return a propagator, with an integrator of the library behind the Python object."""
     if not library().owns(integrator):
+        if integrator.getGlobalVariable(0) in _marks(settings):
+            warn(
+                "a checkpoint of the device was loaded before the engine was chosen, so that the run continues from "
+                "positions and velocities, and not to the last bit: call step(0) before loadCheckpoint()"
+            )
         program = openmm.CustomIntegrator(0.0)
         _declare(program, settings)
         rebind(context, integrator, program)

@@ -27,6 +27,8 @@ from openmm_exactrb.schemes.scheme import Scheme
 Array = NDArray[np.float64]
 Rows = Iterable[tuple[object, float]]
 
+#: The groups of all forces that act, as bits.
+ALL = -1
 # Integers of a move in the table.
 _COLUMNS = 4
 
@@ -72,7 +74,7 @@ class Segment:
 
 
 def divided(
-    rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembers: bool = False
+    rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembered: int | None = None
 ) -> list[Segment]:
     """Divide substeps with their parts of a step at the force evaluations.
 
@@ -83,8 +85,8 @@ def divided(
         The groups of the forces that are known before.
     splits_exchanges : bool, optional
         Whether heat exchanges need the kinetic energy.
-    remembers : bool, optional
-        Whether forces of all groups are remembered.
+    remembered : int, optional
+        The groups whose forces are remembered, None for none.
 
     Raises
     ------
@@ -93,7 +95,7 @@ def divided(
     """
     segments, time = [Segment()], 0.0
     moves: list[Move] = []
-    remembered = differences = 0
+    memories = differences = 0
 
     def begin(**what: object) -> None:
         segments[-1] = replace(segments[-1], moves=tuple(moves))
@@ -106,9 +108,9 @@ def divided(
             known = move.groups
             if move.op == Op.DISPLACED_KICK:
                 move, differences = replace(move, number=differences), differences + 1
-            elif remembers and move.groups == -1:
-                moves.append(Move(Op.REMEMBER, number=remembered))
-                remembered += 1
+            elif move.groups == remembered:
+                moves.append(Move(Op.REMEMBER, number=memories))
+                memories += 1
         if move.op == Op.EXCHANGE and splits_exchanges:
             begin(reduces=True)
         moves.append(move)
@@ -154,11 +156,11 @@ class Step:
     needs: int | None  # the groups whose forces the first one needs
 
     @classmethod
-    def of(cls, rows: Rows, splits_exchanges: bool = False, remembers: bool = False) -> Step:
-        """Return those of a scheme's sequence."""
+    def of(cls, rows: Rows, splits_exchanges: bool = False, remembered: int | None = None) -> Step:
+        """Return those of a scheme's sequence; arguments are those of `divided`."""
         rows = tuple(rows)
         known = known_after(divided(rows))
-        segments = divided(rows, known, splits_exchanges, remembers)
+        segments = divided(rows, known, splits_exchanges, remembered)
         if len(segments) == 1:
             segments.insert(0, Segment())
         before = itertools.takewhile(lambda segment: segment.groups is None, segments)
@@ -172,6 +174,10 @@ class Step:
         first, last = self.segments[0], self.segments[-1]
         late = tuple(replace(move, late=True) for move in first.moves)
         return replace(last, moves=last.moves + late, shows=False, leaves=first.leaves)
+
+    def evaluations(self, groups: int) -> int:
+        """Return how often the forces of these groups are evaluated."""
+        return sum(segment.groups == groups for segment in self.segments)
 
     @property
     def remembered(self) -> tuple[int, int]:

@@ -13,6 +13,7 @@ import openmm_exactrb as rb
 from on_device import REFERENCE
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
+from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 
 pytestmark = pytest.mark.opencl
@@ -190,6 +191,32 @@ def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
     for context in (one, other):
         context.getIntegrator().step(9)
     assert apart(one, other) == 0.0 if how == "checkpoint" else apart(one, other) < 1e-12  # OpenMM sorts molecules anew
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_auto_continues_a_run_of_the_device(box, first, monkeypatch):
+    """To the last bit if the engine was chosen before; else with a warning, from positions and velocities."""
+    scheme = "W2_1" if first else "S2_2"
+    one = on_device(box, make(scheme))
+    one.getIntegrator().step(8)
+    checkpoint = one.createCheckpoint()
+    one.loadCheckpoint(checkpoint)
+    one.getIntegrator().step(3)
+    integrator = rb.ExactRigidBodyIntegrator(H, scheme, engine="auto")
+    other = on_device(box, integrator, kelvin=None)
+    if first:
+        monkeypatch.setattr(platforms, "no_gpu", lambda context: None)  # else auto prefers the host
+        integrator.step(0)
+    other.loadCheckpoint(checkpoint)
+    if first:
+        integrator.step(3)
+        assert apart(one, other) == 0.0
+        assert integrator.getEngine() == "device"
+    else:
+        with pytest.warns(UserWarning, match=r"call step\(0\) before loadCheckpoint\(\)"):
+            integrator.step(3)
+        assert integrator.getEngine() == "device"
+        assert apart(one, other) < 1e-12
 
 
 def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box):

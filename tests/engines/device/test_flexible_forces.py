@@ -21,8 +21,6 @@ from starts import context_of
 
 pytestmark = pytest.mark.opencl
 RNG = np.random.default_rng(11)
-#: Forms that single precision misses by more than 1e-6 of the largest force.
-MISSED_IN_SINGLE = ("lennard_jones_pairs", "maps")
 
 
 def kicked(system, x, precision):
@@ -63,10 +61,7 @@ def test_each_form_is_openmms(make, precision, tolerance, monkeypatch):
     context = context_of(system, openmm.VerletIntegrator(0.001), x)
     theirs = context.getState(forces=True).getForces(asNumpy=True)._value
     resolution = 8.0 * 2.0**-32  # of sums in fixed point, for a few terms on an atom
-    missed = np.abs(ours - theirs).max() > tolerance * np.abs(theirs).max() + resolution
-    if missed and precision is np.float32 and make.__name__ in MISSED_IN_SINGLE:
-        pytest.xfail("single precision misses 1e-6 of the largest force for this form")
-    assert not missed
+    assert np.abs(ours - theirs).max() < tolerance * np.abs(theirs).max() + resolution
 
 
 def test_forces_that_have_no_place_in_sums_are_no_numbers():

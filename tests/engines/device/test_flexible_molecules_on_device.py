@@ -129,6 +129,39 @@ def test_a_checkpoint_continues_to_the_bit_whenever_it_is_loaded():
     np.testing.assert_allclose(again[0], end, rtol=0.0, atol=5e-12)
 
 
+def tether(i, j):
+    """Return a bonded force of a form that no kernel has."""
+    force = openmm.CustomBondForce("pull*(r-0.3)^4")
+    force.addGlobalParameter("pull", 1e3)
+    force.addBond(i, j, [])
+    force.setName("tether")
+    return force
+
+
+@pytest.mark.parametrize(
+    ("scheme", "friction", "constraints", "of_water"),
+    [("S2_2", None, "HBonds", False), ("W2_1", None, "AllBonds", True), ("W2_3m", 5.0, "AllBonds", True)],
+)
+def test_fast_groups_without_a_kernel_are_openmms(scheme, friction, constraints, of_water):
+    """Of a form of its own, or on rigid bodies; its parameter changes in the run."""
+    topology, system, x = in_water(constraints, 30)
+    atoms = topology.getNumAtoms()
+    system.addForce(tether(0, atoms - 3 if of_water else 9))
+    assert rb.separate_bonded(system) == 1
+    make = nested(scheme, 0.002, friction, fast=(1,), innerSteps=3)
+    contexts = pair(system, x, make)
+    with pytest.warns(UserWarning, match="no kernel for .*: OpenMM evaluates all forces of the fast groups"):
+        contexts[1].getIntegrator().step(1)
+    contexts[0].getIntegrator().step(1)
+    for pull in (1e3, 2e3):
+        for context in contexts:
+            context.setParameter("pull", pull)
+            context.getIntegrator().step(3)
+        assert apart(*contexts) < DOUBLE
+    ours, theirs = (context.getIntegrator().timings.fast_evaluations for context in contexts[::-1])
+    assert 0 < ours <= theirs + 8
+
+
 def refusal(system, x, **options):
     """Return what the integrator says when the device is asked for."""
     integrator = rb.ExactRigidBodyIntegrator(0.002, engine="device", **({"scheme": "S2_2"} | options))
@@ -142,12 +175,13 @@ def refusal(system, x, **options):
 def test_what_is_not_served_is_named():
     _, system, x = peptide()
     assert "no force-gradient kicks of flexible molecules, which Chin4A needs" in refusal(system, x, scheme="Chin4A")
-    own = openmm.CustomBondForce("k*(r-0.3)^4")
-    own.addPerBondParameter("k")
-    own.addBond(0, 9, [10.0])
-    own.setName("tether")
-    system.addForce(own)
-    assert "no kernel for the fast force tether" in refusal(system, x, fast="bonded")
+    system.addForce(tether(0, 9))
+    assert "no kernel for the fast force tether: give" in refusal(system, x, fast="bonded")
+    _, hub, _ = peptide()
+    (bonds,) = (force for force in hub.getForces() if isinstance(force, openmm.HarmonicBondForce))
+    for _ in range(401):
+        bonds.addBond(0, 14, 0.5, 1.0)
+    assert "particle 0 is in 418 bonded terms" in refusal(hub, x, fast="bonded")
     chain, places = openmm.System(), np.zeros((40, 3))
     places[:, 0], places[:, 1] = 0.1 * np.arange(40), 0.05 * (np.arange(40) % 2)
     for i in range(40):

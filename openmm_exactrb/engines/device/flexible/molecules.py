@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,10 +14,12 @@ from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.flexible.blocks import Group
 from openmm_exactrb.engines.device.flexible.constraints import LARGEST
+from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
+from openmm_exactrb.engines.device.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES
+from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
@@ -25,6 +27,10 @@ from openmm_exactrb.openmm_access import arrays
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+
+#: The most bonded terms of a particle, for whose partners a block has room in local memory.
+MOST_TERMS = 400
 
 
 class NotServedError(Exception):
@@ -59,6 +65,13 @@ class Molecules:
     late: bool = False
 
 
+class Served(NamedTuple):
+    """What the kernels have of the flexible molecules, and the fast forces that OpenMM evaluates in inner steps."""
+
+    molecules: Molecules | None
+    evaluated: Evaluated | None = None
+
+
 class Found(NamedTuple):
     """The bodies of a Context and its fast forces.
 
@@ -86,15 +99,23 @@ def found(context: Any, settings: Any) -> Found:
     if not len(whole.clusters) and fast is None:
         return Found(whole, whole, None)
     bodies = find_bodies(system, x, settings.named, box, pairs=True)
-    if fast is None or fast.excerpt is not None:  # which bodies are in an excerpt depends on pairs
-        fast = fast_forces(system, bodies, settings.fast)
+    if fast is not None and fast.excerpt is not None:
+        fast = replace(fast, excerpt=_of_bodies(fast.excerpt, bodies))
     return Found(bodies, whole, fast)
 
 
-def molecules_of(
-    system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any
-) -> Molecules | None:
-    """Return the molecules whose atoms constraints hold or fast forces move, None if there are none.
+def _of_bodies(excerpt: Excerpt, bodies: RigidBodies) -> Excerpt:
+    """Return an excerpt with other bodies of the same particles."""
+    number = np.full(len(bodies.owner), -1)
+    number[excerpt.particles] = np.arange(len(excerpt.particles))
+    chosen = np.zeros(len(bodies) + 1, dtype=bool)  # the last one is no body
+    chosen[bodies.owner[excerpt.particles]] = True
+    chosen = chosen[:-1]
+    return replace(excerpt, part=Part(bodies.chosen(chosen, number, len(excerpt.particles)), chosen))
+
+
+def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
+    """Return the molecules whose atoms constraints hold or fast forces move, and the fast forces without a kernel.
 
     Parameters
     ----------
@@ -107,28 +128,35 @@ def molecules_of(
     Raises
     ------
     NotServedError
-        If a cluster is too large, or fast forces are of other kinds, or act on rigid bodies.
+        If a cluster is too large, or bonded forces are of other kinds, or act on rigid bodies.
     """
-    _refuse_large(bodies)
+    _require_small_clusters(bodies)
     scheme, h = settings.splitting, settings.h
-    excerpt = None if fast is None or not fast.acts(scheme, h) else _excerpt(system, bodies, fast)
     masses = np.array([mass._value for mass in map(system.getParticleMass, range(system.getNumParticles()))])
     clusters = [Group(kind.particles, kind.pairs, kind.lengths) for kind in bodies.clusters.kinds]
-    if fast is None or excerpt is None:
-        return Molecules(clusters, masses, bodies.owner) if clusters else None
-    single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
+    without_terms = Molecules(clusters, masses, bodies.owner) if clusters else None
+    if fast is None or not fast.acts(scheme, h):
+        return Served(without_terms)
     repetitions = fast.repetitions(scheme, h)
-    return Molecules(
-        [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))],
-        masses,
-        bodies.owner,
-        _terms(excerpt, settings.groups),
-        InnerSteps(fast.inner(scheme).sequence, lambda part: repetitions(part * h)),
-        late=fast.excerpt is not None,
-    )
+    inner = InnerSteps(fast.inner(scheme).sequence, lambda part: repetitions(part * h))
+    excerpt = _excerpt(system, bodies, fast)
+    if what := _without_kernel(system, bodies, fast, excerpt):
+        if not fast.groups:
+            raise NotServedError(
+                f"the device has no kernel for {what}: give the fast forces a force group of their own, as "
+                "separate_bonded(system) does, and name it, such as fast=(1,)"
+            )
+        return Served(without_terms, Evaluated(fast.groups, inner, what))
+    if excerpt is None:
+        return Served(without_terms)
+    single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
+    groups = [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
+    late, terms = fast.excerpt is not None, _terms(excerpt, settings.groups)
+    _require_room(terms)
+    return Served(Molecules(groups, masses, bodies.owner, terms, inner, late))
 
 
-def _refuse_large(bodies: RigidBodies) -> None:
+def _require_small_clusters(bodies: RigidBodies) -> None:
     for kind in bodies.clusters.kinds:
         if kind.particles.shape[1] > LARGEST:
             raise NotServedError(
@@ -137,23 +165,39 @@ def _refuse_large(bodies: RigidBodies) -> None:
             )
 
 
+def _require_room(terms: Terms) -> None:
+    """Raise NotServedError if a particle has so many terms that a block has no room for the others in them."""
+    count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
+    if count.max() > MOST_TERMS:
+        raise NotServedError(
+            f"particle {count.argmax()} is in {count.max()} bonded terms, and a block of the device has room for "
+            f"{MOST_TERMS}: distribute them over several particles, or use a CustomExternalForce for restraints"
+        )
+
+
+def _named(fast: FastForces) -> list[int]:
+    """Return the force groups that are named."""
+    return [group for group in range(32) if fast.groups >> group & 1]
+
+
 def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Excerpt | None:
-    """Return the fast forces on the atoms of molecules."""
-    excerpt = fast.excerpt
-    if excerpt is None:
-        named = [group for group in range(32) if fast.groups >> group & 1]
-        for force in system.getForces():
-            if force.getForceGroup() in named and not isinstance(force, BONDED_FORCES):
-                raise NotServedError(f"the device has no kernel for a fast {type(force).__name__}")
-        excerpt = bonded_excerpt(system, bodies, named)
+    """Return the fast bonded forces on the atoms of molecules."""
+    return fast.excerpt or bonded_excerpt(system, bodies, _named(fast))
+
+
+def _without_kernel(
+    system: openmm.System, bodies: RigidBodies, fast: FastForces, excerpt: Excerpt | None
+) -> str | None:
+    """Return for which fast forces there is no kernel, or None."""
+    for force in acting(system) if fast.groups else []:
+        if groups_of(force) & set(_named(fast)) and not isinstance(force, BONDED_FORCES):
+            return f"the fast force {force.getName()}"
     if excerpt is None:
         return None
-    turning = excerpt.part.turning
-    if len(turning):
-        raise NotServedError(f"fast forces act on {bodies.name(int(turning[0]))}, which the device keeps rigid")
-    if force := unknown(excerpt.system):
-        raise NotServedError(f"the device has no kernel for the fast force {force}")
-    return excerpt
+    if len(excerpt.part.turning):
+        return f"fast forces on {bodies.name(int(excerpt.part.turning[0]))}, which is rigid"
+    force = unknown(excerpt.system)
+    return force and f"the fast force {force}"
 
 
 def _terms(excerpt: Excerpt, groups: int) -> Terms:

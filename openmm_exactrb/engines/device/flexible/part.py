@@ -29,7 +29,7 @@ THREADS = 64
 _MOVES, _PLACES, _PROJECTS, _SHOWS = 1, 2, 4, 8
 _CONTEXT = ("posq", "posqCorrection", "velm", "force", "places", "box")
 _ATOMS = ("atoms", "bodies", "inverse")
-_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "patches")
+_TABLES = ("blocks", "block_atoms", "clusters", "lengths", "ends", "room", "members", "constants", "exact")
 
 
 class Flexible(NamedTuple):

@@ -15,6 +15,8 @@ Indices = NDArray[np.int64]
 
 #: Kinds of terms in the order of the kernel's tables.
 KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
+#: Those whose numbers are double whatever the precision is.
+EXACT = ("pairs", "maps")
 
 
 class Kind(NamedTuple):
@@ -113,18 +115,18 @@ def arrays(
     constants = {"BLOCKS": len(blocks), "PLACES_IN_ALL": len(room.atoms), "HARMONICS": terms.of_torsions.shape[1]}
     constants["PLACES_OF_BLOCK"] = int(np.diff(room.first).max(initial=1))
     constants["OWN_OF_BLOCK"] = int(np.diff(blocks.first_atom).max(initial=1))
-    members, numbers = [np.zeros(0, int)], [np.zeros(0)]
+    members, numbers, exact = [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     table = [blocks.first_cluster[:-1], np.diff(blocks.first_cluster), room.first[:-1], np.diff(room.first)]
     table.append(np.diff(blocks.first_atom))
     for name, kind in kinds.items():
-        which = found[name]
+        which, own = found[name], exact if name in EXACT else numbers
         constants |= {
             name.upper(): len(which.terms),
             f"MEMBERS_OF_{name.upper()}": sum(map(len, members)),
-            f"NUMBERS_OF_{name.upper()}": sum(map(len, numbers)),
+            f"NUMBERS_OF_{name.upper()}": sum(map(len, own)),
         }
         members += [places(which, blocks, room).T.ravel(), kind.others[:, which.terms].ravel()]
-        numbers.append(kind.numbers[:, which.terms].ravel())
+        own.append(kind.numbers[:, which.terms].ravel())
         first = np.searchsorted(which.block, np.arange(len(blocks) + 1))
         table += [first[:-1], first[1:]]
     made = {
@@ -132,6 +134,6 @@ def arrays(
         "block_atoms": room.atoms.astype(np.int32),
         "members": np.concatenate(members).astype(np.int32),
         "constants": np.concatenate(numbers).astype(precision),
-        "patches": terms.patches.astype(precision),
+        "exact": np.concatenate([*exact, terms.patches.ravel()]),
     }
-    return made, constants
+    return made, constants | {"PATCHES": sum(map(len, exact))}

@@ -1,6 +1,6 @@
 // Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms within a block of clusters, with the
 // formulas of openmm_exactrb.kernels.compiled.bonded. Differences of positions are taken in double precision; what
-// follows from them is `fine`, float or double.
+// follows from them is of the type NUMERIC: `fine`, which is float or double, but double where float costs accuracy.
 //
 // Columns of a table stand behind each other: number k of term t is numbers[k*count+t]. Terms are found by their places
 // in the block, of which the first `own` are moved by it: others have the same term among their own.
@@ -11,12 +11,13 @@ typedef struct { int first, last, count; } Terms; // of the block, and how many 
 #define NUMBER(k) numbers[(k)*terms.count+t]
 #define EACH_TERM for (int t = terms.first+LOCAL_ID; t < terms.last; t += LOCAL_SIZE)
 #define IN_BLOCK LOCAL_ARG const double* xs, LOCAL_ARG mm_ulong* sums, LOCAL_ARG int* broken, int own, Terms terms, GLOBAL const int* terms_of, \
-    GLOBAL const fine* numbers
+    GLOBAL const NUMERIC* numbers
+#define NUMERIC fine
 
-#define DIFFERENCE(u, a, b) const fine u##0 = (fine) (xs[3*(a)]-xs[3*(b)]), u##1 = (fine) (xs[3*(a)+1]-xs[3*(b)+1]), \
-    u##2 = (fine) (xs[3*(a)+2]-xs[3*(b)+2])
+#define DIFFERENCE(u, a, b) const NUMERIC u##0 = (NUMERIC) (xs[3*(a)]-xs[3*(b)]), u##1 = (NUMERIC) (xs[3*(a)+1]-xs[3*(b)+1]), \
+    u##2 = (NUMERIC) (xs[3*(a)+2]-xs[3*(b)+2])
 #define DOT(u, v) (u##0*v##0+u##1*v##1+u##2*v##2)
-#define CROSS(w, u, v) const fine w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
+#define CROSS(w, u, v) const NUMERIC w##0 = u##1*v##2-u##2*v##1, w##1 = u##2*v##0-u##0*v##2, w##2 = u##0*v##1-u##1*v##0
 #define ADD(a, f, u) add((f)*u##0, (f)*u##1, (f)*u##2, a, sums, broken, own)
 
 // Sums are in fixed point, as OpenMM's: their order does not matter. A force that has no place there breaks the block.
@@ -41,18 +42,6 @@ DEVICE inline void add_bonds(IN_BLOCK) {
         if (r == 0) // it has no direction
             continue;
         const fine stretch = (fine) (square-(double) NUMBER(1)-(double) NUMBER(2))/(r+length), f = -NUMBER(3)*stretch/r;
-        ADD(a, f, u);
-        ADD(b, -f, u);
-    }
-}
-
-// Numbers: product of charges times Coulomb's constant, sigma, epsilon.
-DEVICE inline void add_pairs(IN_BLOCK) {
-    EACH_TERM {
-        const int a = ATOM(0), b = ATOM(1);
-        DIFFERENCE(u, a, b);
-        const fine square = DOT(u, u), ratio = NUMBER(1)*NUMBER(1)/square, s = ratio*ratio*ratio;
-        const fine f = (NUMBER(0)/sqrt(square)+NUMBER(2)*(48*s-24)*s)/square;
         ADD(a, f, u);
         ADD(b, -f, u);
     }
@@ -85,11 +74,11 @@ DEVICE inline void add_angles(IN_BLOCK) {
     CROSS(a, d, e); \
     CROSS(b, z, e); \
     CROSS(ba, b, a); \
-    const fine aa = DOT(a, a), bb = DOT(b, b), g = sqrt(DOT(e, e)), scale = 1/sqrt(aa*bb); \
-    const fine cosine = scale*DOT(a, b), sine = scale/g*DOT(ba, e); \
-    const fine first = -g/aa, last = g/bb, p = DOT(d, e)/(aa*g), q = -DOT(z, e)/(bb*g); \
-    const fine h0 = p*a0+q*b0, h1 = p*a1+q*b1, h2 = p*a2+q*b2; \
-    const fine m0 = h0-first*a0, m1 = h1-first*a1, m2 = h2-first*a2, o0 = h0+last*b0, o1 = h1+last*b1, o2 = h2+last*b2;
+    const NUMERIC aa = DOT(a, a), bb = DOT(b, b), g = sqrt(DOT(e, e)), scale = 1/sqrt(aa*bb); \
+    const NUMERIC cosine = scale*DOT(a, b), sine = scale/g*DOT(ba, e); \
+    const NUMERIC first = -g/aa, last = g/bb, p = DOT(d, e)/(aa*g), q = -DOT(z, e)/(bb*g); \
+    const NUMERIC h0 = p*a0+q*b0, h1 = p*a1+q*b1, h2 = p*a2+q*b2; \
+    const NUMERIC m0 = h0-first*a0, m1 = h1-first*a1, m2 = h2-first*a2, o0 = h0+last*b0, o1 = h1+last*b1, o2 = h2+last*b2;
 #define ADD_TORSION(i, j, k, l, f) \
     ADD(i, (f)*first, a); \
     ADD(j, (f), m); \
@@ -122,19 +111,37 @@ DEVICE inline void add_impropers(IN_BLOCK) {
     }
 }
 
+// In twelfth powers, and in the place within a patch of a map, the digits of float are too few.
+#undef NUMERIC
+#define NUMERIC double
+
+// Numbers: product of charges times Coulomb's constant, sigma, epsilon.
+DEVICE inline void add_pairs(IN_BLOCK) {
+    EACH_TERM {
+        const int a = ATOM(0), b = ATOM(1);
+        DIFFERENCE(u, a, b);
+        const double square = DOT(u, u), ratio = NUMBER(1)*NUMBER(1)/square, s = ratio*ratio*ratio;
+        const double f = (NUMBER(0)/sqrt(square)+NUMBER(2)*(48*s-24)*s)/square;
+        ADD(a, f, u);
+        ADD(b, -f, u);
+    }
+}
+
+#define CIRCLE 6.283185307179586
+
 // Write into which of so many parts of the circle an angle falls, and how far; the first part if it is no number.
-DEVICE inline void find_patch(fine cosine, fine sine, int size, int* part, fine* within) {
-    fine angle = atan2(sine, cosine);
+DEVICE inline void find_patch(double cosine, double sine, int size, int* part, double* within) {
+    double angle = atan2(sine, cosine);
     angle = angle < 0 ? angle+CIRCLE : angle;
     *part = max(0, min((int) (angle*(size/CIRCLE)), size-1));
     *within = angle-*part*(CIRCLE/size);
 }
 
 // Atoms of both torsions, first patch and patches per direction; numbers are none, but coefficients of patches.
-DEVICE inline void add_maps(IN_BLOCK, GLOBAL const fine* patches) {
+DEVICE inline void add_maps(IN_BLOCK, GLOBAL const double* patches) {
     EACH_TERM {
         const int size = ATOM(9);
-        fine cosines[2], sines[2], u, v, energy = 0, of_u = 0, of_v = 0;
+        double cosines[2], sines[2], u, v, energy = 0, of_u = 0, of_v = 0;
         int s, other;
         for (int n = 0; n < 2; n++) {
             TORSION(ATOM(4*n), ATOM(4*n+1), ATOM(4*n+2), ATOM(4*n+3))
@@ -143,9 +150,9 @@ DEVICE inline void add_maps(IN_BLOCK, GLOBAL const fine* patches) {
         }
         find_patch(cosines[0], sines[0], size, &s, &u);
         find_patch(cosines[1], sines[1], size, &other, &v);
-        GLOBAL const fine* patch = patches+16*(ATOM(8)+s*size+other);
+        GLOBAL const double* patch = patches+16*(ATOM(8)+s*size+other);
         for (int k = 0; k < 4; k++) {
-            fine row = 0, slope = 0;
+            double row = 0, slope = 0;
             for (int l = 0; l < 4; l++) {
                 slope = slope*v+row;
                 row = row*v+patch[4*k+l];

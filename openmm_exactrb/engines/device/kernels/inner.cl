@@ -101,7 +101,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         GLOBAL const int4* places, GLOBAL const double* box, GLOBAL const double* x, GLOBAL double* y, GLOBAL double* v, GLOBAL double* memory,
         GLOBAL const int* atoms, GLOBAL const int* bodies, GLOBAL const double* inverse, GLOBAL const int* blocks, GLOBAL const int* block_atoms,
         GLOBAL const int* clusters, GLOBAL const double* lengths, GLOBAL const int* ends, GLOBAL double* room, GLOBAL const int* members,
-        GLOBAL const fine* constants, GLOBAL const fine* patches, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
+        GLOBAL const fine* constants, GLOBAL const double* exact, GLOBAL const int* moves, GLOBAL const double* numbers, GLOBAL const double* factors,
         int first_move, int count, int what, mm_long step, double key, double turns) {
     LOCAL double xs[3*PLACES_OF_BLOCK];
     LOCAL mm_ulong sums[3*OWN_OF_BLOCK];
@@ -111,6 +111,7 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
         const int own = row[OWN], first_atom = block_atoms[row[FIRST_PLACE]], end = first_move+count;
         for (int i = LOCAL_ID; i < 3*row[PLACES]; i += LOCAL_SIZE)
             xs[i] = x[3*block_atoms[row[FIRST_PLACE]+i/3]+i%3];
+        SYNC_THREADS
         for (int begin = first_move, stop = begin; begin < end || (begin == first_move && what & PROJECTS); begin = stop+1) {
             bool kicks = false;
             for (stop = begin; stop < end && OF_MOVE(stop, OP) != DRIFT; stop++)
@@ -126,9 +127,9 @@ KERNEL void inner_steps(GLOBAL real4* posq, GLOBAL real4* posqCorrection, GLOBAL
                 add_bonds(OF_BLOCK, bonds, members+MEMBERS_OF_BONDS, constants+NUMBERS_OF_BONDS);
                 add_angles(OF_BLOCK, angles, members+MEMBERS_OF_ANGLES, constants+NUMBERS_OF_ANGLES);
                 add_torsions(OF_BLOCK, torsions, members+MEMBERS_OF_TORSIONS, constants+NUMBERS_OF_TORSIONS);
-                add_pairs(OF_BLOCK, pairs, members+MEMBERS_OF_PAIRS, constants+NUMBERS_OF_PAIRS);
+                add_pairs(OF_BLOCK, pairs, members+MEMBERS_OF_PAIRS, exact+NUMBERS_OF_PAIRS);
                 add_impropers(OF_BLOCK, impropers, members+MEMBERS_OF_IMPROPERS, constants+NUMBERS_OF_IMPROPERS);
-                add_maps(OF_BLOCK, maps, members+MEMBERS_OF_MAPS, constants, patches);
+                add_maps(OF_BLOCK, maps, members+MEMBERS_OF_MAPS, exact, exact+PATCHES);
                 SYNC_THREADS
             }
             for (int i = LOCAL_ID; i < own; i += LOCAL_SIZE) {

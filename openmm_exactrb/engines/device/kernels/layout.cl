@@ -2,7 +2,6 @@
 typedef FINE fine;
 #define FIXED_POINT 4294967296.0
 #define LARGEST_FORCE 1e9f
-#define CIRCLE ((fine) 6.283185307179586)
 #define NOT_A_NUMBER (0.0/0.0)
 
 // Moves, as openmm_exactrb.moves has them, and the columns of their table.

@@ -1,0 +1,84 @@
+"""Inner steps whose fast forces OpenMM evaluates, where there is no kernel for them: they are written into a scheme."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+from openmm_exactrb.engines.device.flexible.inner import InnerSteps
+from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.schemes.sequence import Sequence, merged, repeated
+from openmm_exactrb.substeps import DRIFT, KICK, Drift, Substep
+
+_ALL = 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class GroupsKick(Substep):
+    """A kick by the forces of some groups (bits)."""
+
+    groups: int
+
+    symbol: ClassVar[str] = "B"
+    moves: ClassVar[bool] = False
+    kicks: ClassVar[bool] = True
+    additive: ClassVar[bool] = True
+
+    def device_moves(self, part: float) -> tuple[Move, ...]:
+        """Return the kick."""
+        return (Move(Op.KICK, part, groups=self.groups),)
+
+
+class Evaluated(NamedTuple):
+    """Fast force groups (bits) that OpenMM evaluates in inner steps, since the kernels do not have `what`."""
+
+    groups: int
+    inner: InnerSteps
+    what: str
+
+    @property
+    def slow(self) -> int:
+        """The other force groups (bits)."""
+        return _ALL & ~self.groups
+
+    @property
+    def warning(self) -> str:
+        """What the user should know."""
+        groups = ", ".join(str(group) for group in range(32) if self.groups >> group & 1)
+        return (
+            f"the device has no kernel for {self.what}: OpenMM evaluates all forces of the fast groups ({groups}) at "
+            "every inner step, which is slower"
+        )
+
+    def within(self, scheme: Scheme) -> Scheme:
+        """Return a scheme of all bodies, in whose drifts the inner steps are."""
+        rows = (self._rows(some) for some in (scheme.sequence, scheme.processor, scheme.output))
+        sequence, processor, output = rows
+        return replace(scheme, sequence=sequence, processor=processor, output=output)
+
+    def _rows(self, sequence: Sequence) -> Sequence:
+        """Return the rows of a sequence: at each place one kick by the fast forces, and one by the slow ones.
+
+        The slow ones come first where the sequence begins, since it may have ended with them.
+        """
+        places = itertools.groupby(self._each(sequence), lambda row: isinstance(row[0], GroupsKick))
+        rows: list[tuple[Substep, float]] = []
+        for kicks, some in places:
+            here = list(some)
+            if kicks:
+                here.sort(key=lambda row: (row[0] == GroupsKick(self.slow)) == bool(rows))
+            rows += here
+        return merged(rows)
+
+    def _each(self, sequence: Sequence) -> Iterator[tuple[Substep, float]]:
+        fast, slow = GroupsKick(self.groups), GroupsKick(self.slow)
+        for substep, part in sequence:
+            if not isinstance(substep, Drift):
+                yield slow if substep == KICK else substep, part
+                continue
+            n = self.inner.repetitions(part)
+            for inner, of_inner in repeated(self.inner.sequence, n):
+                yield fast if inner == KICK else DRIFT, of_inner * part / n
