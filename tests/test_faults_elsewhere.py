@@ -1,4 +1,4 @@
-"""What users of other programs reported, as it is here; each test names the report."""
+"""Faults that users of other programs reported, tried here; each test names the report."""
 
 import itertools
 
@@ -81,9 +81,9 @@ def test_conserved_energies_stay_beside_fixed_molecules(make):
         system.setParticleMass(k, 0.0)
     deviations = []
     for h in (0.002, 0.001):
-        integrator = make(h)
+        context = starts.context_of(system, make(h), x)
+        integrator = context.getIntegrator()
         integrator.setRandomNumberSeed(1)
-        starts.context_of(system, integrator, x)
         integrator.minimizeEnergy(maxIterations=100)
         integrator.setVelocitiesToTemperature(200.0, 1)
         read = getattr(integrator, "conservedEnergy", None) or integrator.effectiveEnergy
@@ -114,7 +114,8 @@ def test_given_places_of_virtual_sites_do_not_matter(places):
 @pytest.mark.parametrize("atom", [None, 4], ids=["whole", "by atom"])
 def test_molecules_may_be_thousands_of_boxes_away(atom):
     """LAMMPS issue 4109: a restart failed where molecules had crossed many boundaries."""
-    shapes = [CO2 + [0.45 * k, 0.1 * k, 0.0] for k in range(4)]
+    # Not at 0: the neighbour list of OpenMM's Reference platform misses pairs of a particle at -1e-17.
+    shapes = [CO2 + [0.3 + 0.45 * k, 0.3 + 0.1 * k, 0.4] for k in range(4)]
     system, edge = rigid([12.0, 16.0, 16.0], shapes), 2.0
     force = openmm.NonbondedForce()
     force.setNonbondedMethod(force.CutoffPeriodic)
@@ -156,15 +157,16 @@ def test_a_ferrofluid_in_a_field_has_langevins_magnetisation():
     context = starts.context_of(system, integrator, positions)
     integrator.setVelocitiesToTemperature(kelvin, 1)
     found = []
-    for _ in range(80):
+    for _ in range(50):
         integrator.step(25)
         places = starts.positions_of(context)
         arrow = places[arrows[:, 1]] - places[arrows[:, 0]]
         found.append((arrow[:, 2] / np.linalg.norm(arrow, axis=1)).mean())
     expected, variance = 1 / np.tanh(x) - 1 / x, 1 / x**2 - 1 / np.sinh(x) ** 2
-    assert abs(np.mean(found[20:]) - expected) < 4.0 * np.sqrt(variance / (n * 60 / 3))
+    assert abs(np.mean(found[10:]) - expected) < 4.0 * np.sqrt(variance / (n * 40 / 3))
 
 
+@pytest.mark.validate
 def test_metadynamics_of_the_distance_of_a_dimer_finds_its_free_energy():
     """Two rigid molecules bound by a spring: the free energy is that of the spring less 2 kT ln r."""
     kelvin, stiff, mean = 300.0, 400.0, 0.6
@@ -184,9 +186,10 @@ def test_metadynamics_of_the_distance_of_a_dimer_finds_its_free_energy():
     integrator.setRandomNumberSeed(3)
     simulation = starts.simulation_of(topology, system, integrator, np.concatenate(shapes))
     integrator.setVelocitiesToTemperature(kelvin, 1)
-    bias.step(simulation, 8000)
+    bias.step(simulation, 160_000)
     r = np.linspace(0.3, 0.9, 61)
-    exact = 0.5 * stiff * (r - mean) ** 2 - 2.0 * kT * np.log(r)
+    turning = -2.0 * kT * np.log(r)
+    exact = 0.5 * stiff * (r - mean) ** 2 + turning
     near = exact - exact.min() < 3.0 * kT
     error = (bias.getFreeEnergy()._value - exact)[near]
-    assert np.std(error) < 0.5 * kT
+    assert np.std(error) < 0.5 * np.std(turning[near])
