@@ -115,7 +115,7 @@ def test_given_places_of_virtual_sites_do_not_matter(places):
 def test_molecules_may_be_thousands_of_boxes_away(atom):
     """LAMMPS issue 4109: a restart failed where molecules had crossed many boundaries."""
     # Not at 0: the neighbour list of OpenMM's Reference platform misses pairs of a particle at -1e-17.
-    shapes = [CO2 + [0.3 + 0.45 * k, 0.3 + 0.1 * k, 0.4] for k in range(4)]
+    shapes = [CO2 + np.array([0.3 + 0.45 * k, 0.3 + 0.1 * k, 0.4]) for k in range(4)]
     system, edge = rigid([12.0, 16.0, 16.0], shapes), 2.0
     force = openmm.NonbondedForce()
     force.setNonbondedMethod(force.CutoffPeriodic)
@@ -170,7 +170,7 @@ def test_a_ferrofluid_in_a_field_has_langevins_magnetisation():
 def test_metadynamics_of_the_distance_of_a_dimer_finds_its_free_energy():
     """Two rigid molecules bound by a spring: the free energy is that of the spring less 2 kT ln r."""
     kelvin, stiff, mean = 300.0, 400.0, 0.6
-    kT, shapes = starts.R * kelvin, [CO2, CO2 + [mean, 0.0, 0.0]]
+    kT, shapes = starts.R * kelvin, [CO2, CO2 + np.array([mean, 0.0, 0.0])]
     system = rigid([12.0, 16.0, 16.0], shapes)
     spring, distance = openmm.HarmonicBondForce(), openmm.CustomBondForce("r")
     spring.addBond(0, 3, mean, stiff)

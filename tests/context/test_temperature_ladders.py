@@ -47,7 +47,7 @@ def kinetic_energy(simulation):
 
 
 def check(energies, freedom, kelvin):
-    """Compare energies with the gamma distribution of freedom/2 kT; critically damped traps correlate successive ones."""
+    """Compare energies with the gamma distribution of freedom/2 kT; critically damped traps correlate them."""
     correlation = (3.0 * np.exp(-2.0)) ** 2
     samples = len(energies) * (1.0 - correlation) / (1.0 + correlation)
     mean = np.mean(energies) / (KB * kelvin)
