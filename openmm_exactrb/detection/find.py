@@ -174,9 +174,9 @@ def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterabl
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
+    label = connected_components(graph, directed=False)[1].astype(np.intp)
     found = [group for some in _of_one_size(held, label, owner) for group in _alike(masses, *some)]
-    return [group for _, *group in sorted(found, key=lambda group: group[0])]
+    return [(particles, distances) for _, particles, distances in sorted(found, key=lambda group: group[0])]
 
 
 def _of_one_size(held: Constraints, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:

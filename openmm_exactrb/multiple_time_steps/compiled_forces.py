@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -187,10 +188,10 @@ def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
         return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))
     particles, n, cosines, sines = (np.concatenate(arrays) for arrays in zip(*series, strict=True))
     first, row = _alike(particles)
-    coefficients = np.zeros((2, n.max(initial=0) + 1, len(first)))
-    np.add.at(coefficients, (0, n, row), cosines)
-    np.add.at(coefficients, (1, n, row), sines)
-    return particles[first], np.ascontiguousarray(coefficients[:, 1:])  # a constant has no force
+    shape = int(n.max(initial=0)) + 1, len(first)
+    places = np.ravel_multi_index((n, row), shape)
+    sums = [np.bincount(places, part, math.prod(shape)).reshape(shape)[1:] for part in (cosines, sines)]
+    return particles[first], np.stack(sums)  # a constant has no force
 
 
 def _of_cosines(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:

@@ -75,7 +75,7 @@ class _Lengths:
 
     @staticmethod
     def _keys(pairs: Indices) -> Indices:
-        return (pairs.min(axis=1) << 32) + pairs.max(axis=1)
+        return np.asarray((pairs.min(axis=1) << 32) + pairs.max(axis=1))
 
     def of(self, pairs: Indices) -> Array:
         """Return the distances of pairs, nan where none is known."""

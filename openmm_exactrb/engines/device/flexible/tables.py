@@ -70,7 +70,7 @@ def particles(terms: Terms) -> list[Indices]:
 def _distinct(keys: Indices) -> Indices:
     """Return sorted keys, each once: np.unique takes longer, since it hashes them."""
     keys = np.sort(keys)
-    return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
+    return np.asarray(keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]])
 
 
 def copies(particles: Indices, blocks: Blocks) -> Copies:
