@@ -1,6 +1,6 @@
 """The bonded forces of a System, and pairs of atoms with numbers of their own, on the particles that they move.
 
-They are few beside those of a solvent, and the System of the user stays as it is.
+They are few compared with those of a solvent, and the System of the user stays as it is.
 """
 
 from __future__ import annotations

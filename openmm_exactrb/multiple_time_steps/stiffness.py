@@ -78,7 +78,7 @@ class _Lengths:
         return np.asarray((pairs.min(axis=1) << 32) + pairs.max(axis=1))
 
     def of(self, pairs: Indices) -> Array:
-        """Return the distances of pairs, nan where none is known."""
+        """Return the distances of pairs, nan for others."""
         place = np.searchsorted(self._sorted, keys := self._keys(pairs), side="right") - 1
         return np.where(np.append(self._sorted, -1)[place] == keys, self._values[place], np.nan)
 
