@@ -42,9 +42,10 @@ def test_energy_reporter_writes_every_digit(tmp_path):
     reporter.close()
     head, *lines = file.read_text(encoding="utf-8").splitlines()
     assert head.startswith("step,time (ps),translational (kJ/mol),")
-    assert head.count("(kJ/mol)") == 5
-    step, _, translational, rotational, kinetic, potential, total = map(float, lines[-1].split(","))
+    assert (head.count("(kJ/mol)"), head.count("(K)")) == (5, 2)
+    step, _, translational, rotational, *kelvin, kinetic, potential, total = map(float, lines[-1].split(","))
     assert (step, len(lines)) == (6, 2)
+    assert kelvin == [T._value for T in simulation.integrator.temperatures()]
     assert potential == energies(simulation)[0]
     assert total == kinetic + potential
     assert kinetic == translational + rotational
