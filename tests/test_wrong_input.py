@@ -164,14 +164,6 @@ def test_a_system_without_anything_to_move_is_refused():
         integrator.step(1)
 
 
-def test_positions_that_were_not_set_are_asked_for():
-    integrator = rb.ExactRigidBodyIntegrator(0.01)
-    context = openmm.Context(rb.dipole_fluid(2)[1], integrator, REFERENCE)
-    with pytest.raises(ValueError, match="no positions yet: call setPositions"):
-        integrator.step(1)
-    assert context.getStepCount() == 0
-
-
 def test_positions_that_are_not_finite_are_refused():
     simulation = simulation_of()
     simulation.step(1)
