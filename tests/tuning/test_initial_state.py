@@ -71,7 +71,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
-        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name 'V2' of another method"),
+        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name of another method, 'V2'"),
         ({"schemes": replace(rb.SCHEMES["S2_2"], name="VerletIntegrator")}, "of another method"),
         ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
