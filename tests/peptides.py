@@ -60,11 +60,11 @@ def _in_water(constraints, waters):
 
 
 def in_box(edge=2.1, cutoff=0.85):
-    """Return topology, System and positions (nm) of alanine dipeptide in a box of rigid TIP3P, with PME."""
+    """Return topology, System and positions (nm) of alanine dipeptide in a periodic box of rigid TIP3P."""
     pdb = app.PDBFile(str(PEPTIDE))
     modeller = app.Modeller(pdb.topology, pdb.positions)
     modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(edge, edge, edge) * unit.nanometer)
-    options = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "removeCMMotion": False}
+    options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": cutoff, "removeCMMotion": False}
     system = FORCE_FIELD.createSystem(modeller.topology, constraints=app.HBonds, **options)
     return modeller.topology, system, np.array(modeller.positions.value_in_unit(unit.nanometer))
 

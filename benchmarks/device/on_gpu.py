@@ -90,6 +90,14 @@ def water(n):
     return rb.rigid_water(n, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)[1:]
 
 
+def free(n):
+    """Return a System of TIP3P without forces, which shows the price of the integrators alone, and positions."""
+    system, positions = rb.rigid_water(n)[1:]
+    while system.getNumForces():
+        system.removeForce(0)
+    return system, positions
+
+
 def dipoles(n):
     """Return a System of soft dipoles whose forces stay on the device, and positions."""
     return rb.dipole_fluid(n, density=0.4, boundary=rb.ReactionField(cutoff=1.5), kernel="openmm")[1:]
@@ -239,6 +247,7 @@ def main():
     )
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--water", type=int, nargs="*", default=[64, 512, 4096, 32768, 100_000])
+    parser.add_argument("--free", type=int, nargs="*", default=[32768], help="TIP3P without forces")
     proteins = ["peptide", *(["dhfr"] if find_spec("openmmtools") else [])]
     parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, dhfr, or PDB files")
     parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
@@ -252,6 +261,7 @@ def main():
     systems = [(water, n) for n in options.water]
     systems += [(protein, name) for name in options.proteins]
     systems += [(dipoles, n) for n in options.dipoles]
+    systems += [(free, n) for n in options.free]
     with options.csv.open("w", newline="", encoding="utf-8") as file:
         measurement = Measurement(options, file)
         if not options.no_tests:
@@ -267,7 +277,7 @@ def main():
                 kinds = of_proteins(options.engines)
             else:
                 system, start = build(n)
-                kinds = of_bodies(0.001 if build is water else 0.005, options.engines)
+                kinds = of_bodies(0.005 if build is dipoles else 0.001, options.engines)
             name, size = (Path(n).stem, "") if build is protein else (build.__name__, n)
             measurement.measure(name, size, system, start, kinds, precision, 0.7 * seconds)
 
