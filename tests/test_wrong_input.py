@@ -60,7 +60,7 @@ def test_a_step_that_is_refused_changes_nothing():
 @pytest.mark.parametrize("groups", [{32}, {-1}, [0.5], [[1]], 1.5, None, "1", True, 2**33])
 def test_force_groups_are_whole_numbers(groups):
     integrator = rb.ExactRigidBodyIntegrator(0.002)
-    with pytest.raises(ValueError, match="force groups must be a set of whole numbers from 0 to 31, or their bits"):
+    with pytest.raises(ValueError, match="force groups must be a set of integers from 0 to 31, or a bit mask"):
         integrator.setIntegrationForceGroups(groups)
     integrator.setIntegrationForceGroups([5, 5])
     assert integrator.getIntegrationForceGroups() == 1 << 5

@@ -139,7 +139,7 @@ def energies_of(data):
 def draw(data):
     """Draw the paper's figure: a panel for each energy."""
     energies = energies_of(data)
-    figure, panels = plt.subplots(2, -(-len(energies) // 2), figsize=(9.0, 7.2), layout="constrained", squeeze=False)
+    figure, panels = plt.subplots(2, -(-len(energies) // 2), figsize=(6.0, 7.2), layout="constrained", squeeze=False)
     for energy, axes in zip(energies, panels.flat, strict=False):
         for scheme, (colour, marker) in STYLES.items():
             for rotor, (line, name) in ROTORS.items():
@@ -152,12 +152,12 @@ def draw(data):
         axes.minorticks_off()
         axes.grid(True, which="major", alpha=0.3)
     for axes in panels[-1]:
-        axes.set_xlabel("force evaluations in T = 1 (reduced units)")
+        axes.set_xlabel("force evaluations in T = 1\n(reduced units)")
     for axes in panels[:, 0]:
         axes.set_ylabel("mean relative energy error at T")
     starts = max(row["starts"] for row in data["averages"])
     figure.suptitle(f"{N} soft dipolar spheres, mean over {starts} starts")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     yield NAME, figure
 
 

@@ -112,7 +112,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         i, j = particles[0, pairs[worst]]
         raise ValueError(
             f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
-            f"{kind.name(0)}, which miss it by {missed[worst]:.2g} nm: correct it or remove it"
+            f"{kind.name(0)}, but differs from them by {missed[worst]:.2g} nm: correct it or remove it"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
@@ -155,7 +155,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
             raise ValueError(f"body {number} has no particle with mass")
         if len(particles) > 2 * len(massive):
             warn(
-                f"body {number} has the mass and inertia of {len(massive)} particles, for the other "
+                f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
                 "them, name the body in the System as it was before",
                 ShapeWarning,

@@ -52,7 +52,7 @@ def separate_bonded(system: openmm.System) -> int:
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
-            f"separate_bonded() takes an openmm.System, before a Simulation is made of it, not {type(system).__name__}"
+            f"separate_bonded() takes an openmm.System, before it is in a Simulation, not {type(system).__name__}"
         )
     others = {
         group for force in system.getForces() if not isinstance(force, BONDED_FORCES) for group in groups_of(force)

@@ -105,7 +105,7 @@ class Resonances:
         what = "bond" if len(found.particles) == 2 else "angle"
         particles = ", ".join(str(self._names[i]) for i in found.particles)
         warn(
-            f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
+            f"with steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
             f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "

@@ -144,7 +144,7 @@ def test_a_worker_killed_while_it_starts_is_reported(tmp_path):
     jobs = [ensemble.Job(os.path.basename, p="a/b")]
     with dask.config.set({"distributed.worker.preload": [str(killer)]}):
         one_sentence(
-            "a worker process ended at its start",
+            "a worker process exited at startup",
             lambda: list(ensemble.as_completed(jobs, tmp_path / "out", workers=1, progress=False)),
             RuntimeError,
         )
