@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -156,12 +157,12 @@ class Table:
         return [method for method in found[:n] if np.isfinite(self.rows[method, rate][0])]
 
 
-def run(constraints, waters, n_starts, leave, duration, rates, survey, named):
+def run(constraints, waters, n_starts, leave, duration, rates, survey, named, record=None):
     """Survey all methods and run the best ones for long, or run the named ones; print a table and draw it."""
     system, positions = droplet(waters, constraints)
     starts = equilibrated(system, positions, 5.0, leave + n_starts)
     apart = f"_after_{leave}" if leave else ""
-    long = Table(records.OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
+    long = Table(record or records.OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
     for method in named or ():
         for rate in rates:
             long.add(system, starts[leave:], duration, method, rate)
@@ -223,6 +224,7 @@ def main():
     )
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods to run instead of a survey")
     parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations per ps")
+    parser.add_argument("--record", type=Path, metavar="CSV", help="where the long runs go, if not to out/benchmarks")
     parser.add_argument("--quick", action="store_true", help="short runs")
     args = parser.parse_args()
     if args.quick:
@@ -237,6 +239,7 @@ def main():
             args.rates,
             SURVEY,
             args.methods,
+            args.record,
         )
 
 

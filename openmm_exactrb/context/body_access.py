@@ -218,9 +218,7 @@ class BodyAccess:
             raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
-            raise ValueError(
-                "a state of bodies must have finite numbers for all of them: use one returned by bodyState()"
-            )
+            raise ValueError("the state must have one finite row for each body: use one returned by bodyState()")
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
         sync.replace(State(*map(np.ascontiguousarray, full)))

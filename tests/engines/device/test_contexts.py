@@ -6,7 +6,6 @@ import threading
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 from zoo import apart, context_of, held, pair, water
 
 import openmm_exactrb as rb
@@ -23,7 +22,7 @@ H = 0.001
 @pytest.fixture(scope="module")
 def box():
     """A System of 27 molecules of water, and positions."""
-    return water(27, method=app.CutoffPeriodic)
+    return water()
 
 
 def make(scheme="W2_1", h=H, **options):
