@@ -3,7 +3,8 @@
 import numpy as np
 import openmm
 
-from openmm_exactrb.multiple_time_steps.bonded import pairs_by_formula
+from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
+from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
 
 RNG = np.random.default_rng(5)
 N = 140  # more terms than two blocks of the kernel have
@@ -41,8 +42,9 @@ def polynomial_torsions(first=0):
 
 def pairs(first=0):
     force = openmm.NonbondedForce()
-    some = [(i, i + 3, *RNG.uniform((-0.5, 0.2, 0.0), (0.5, 0.4, 2.0))) for i in range(first, first + N - 3)]
-    return pairs_by_formula(force, some)
+    for i in range(first, first + N - 3):
+        force.addException(i, i + 3, *RNG.uniform((-0.5, 0.2, 0.0), (0.5, 0.4, 2.0)))
+    return interacting_exceptions(force).made()
 
 
 def lennard_jones_pairs(first=0):
@@ -68,6 +70,16 @@ def harmonic_torsions_of_files(first=0):
     return harmonic_torsions(first, "3.141593;")
 
 
+def torsions_on_a_line(first=0):
+    """As charmm36.xml has them."""
+    force = openmm.CustomTorsionForce("k*(theta-theta0)^2")
+    force.addPerTorsionParameter("theta0")
+    force.addPerTorsionParameter("k")
+    for i in range(first, first + N - 3):
+        force.addTorsion(i, i + 1, i + 2, i + 3, RNG.uniform((-3.0, 1.0), (3.0, 200.0)))
+    return force
+
+
 def maps(first=0):
     force = openmm.CMAPTorsionForce()
     for size in (24, 5):
@@ -75,6 +87,11 @@ def maps(first=0):
     for i in range(first, first + N - 4):
         force.addTorsion(i % 2, i, i + 1, i + 2, i + 3, i + 1, i + 2, i + 3, i + 4)
     return force
+
+
+def terms_in(system, groups=-1):
+    """Return the terms of the bonded forces of a System, None where it has others."""
+    return terms_of([Bonded.of(force) for force in system.getForces() if isinstance(force, BONDED_FORCES)], groups)
 
 
 def system_of(*forces, n=N):
@@ -88,5 +105,5 @@ def system_of(*forces, n=N):
 
 FORMS = (
     *(bonds, angles, periodic_torsions, polynomial_torsions),
-    *(pairs, lennard_jones_pairs, harmonic_torsions, harmonic_torsions_of_files, maps),
+    *(pairs, lennard_jones_pairs, harmonic_torsions, harmonic_torsions_of_files, torsions_on_a_line, maps),
 )

@@ -9,7 +9,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from on_device import platform_for
-from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
+from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
 from starts import context_of, positions_of
 
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
@@ -32,7 +32,7 @@ def peptide(constraints="HBonds", **options):
 def bonded_apart(system):
     """Give bonded forces, and exceptions of NonbondedForces as pairs by a formula, a force group; return it."""
     for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
-        pairs = pairs_by_formula(force, interacting_exceptions(force))
+        pairs = interacting_exceptions(force).made()
         if pairs.getNumBonds():
             for number in range(force.getNumExceptions()):
                 i, j, _, sigma, _ = force.getExceptionParameters(number)

@@ -8,6 +8,7 @@ import openmm
 import pytest
 
 import small_molecules
+from on_device import device_platform
 from openmm_exactrb.command.main import main
 from small_molecules import MOLECULES
 
@@ -40,15 +41,6 @@ def files_of(name, form, folder):
     return [*map(str, arguments)]
 
 
-def skip_without(platform):
-    system = openmm.System()
-    system.addParticle(1.0)
-    try:
-        openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform(platform))
-    except openmm.OpenMMException as error:
-        pytest.skip(f"no {platform} device: {error}")
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves files open
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")  # decimals of files
 @pytest.mark.parametrize(
@@ -56,7 +48,8 @@ def skip_without(platform):
     [pytest.param(*case, marks=[pytest.mark.opencl] * (case[2] == "OpenCL"), id="-".join(case)) for case in CASES],
 )
 def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys):
-    skip_without(platform)
+    if platform == "OpenCL":
+        device_platform(["OpenCL"])
     files = files_of(name, form, tmp_path)
     assert main(["info", *files]) == 0
     said = capsys.readouterr().out
@@ -85,7 +78,8 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
     ],
 )
 def test_a_step_is_found_for_them(name, form, platform, tmp_path, capsys):
-    skip_without(platform)
+    if platform == "OpenCL":
+        device_platform(["OpenCL"])
     files = files_of(name, form, tmp_path)
     options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
     options += ["--horizon", "0.1ps", "--budget", "60", "--platform", platform, "--quiet"]

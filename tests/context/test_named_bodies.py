@@ -8,6 +8,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import topology_of
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -44,11 +45,7 @@ GROUPS = {"domains": [*range(5), *range(11, 16)], "linker": range(5, 11), "water
 
 
 def simulation_of(system, x, integrator):
-    topology = app.Topology()
-    residue = topology.addResidue("X", topology.addChain())
-    for _ in range(system.getNumParticles()):
-        topology.addAtom("X", None, residue)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation = app.Simulation(topology_of(system), system, integrator, REFERENCE)
     simulation.context.setPositions(x)
     return simulation
 

@@ -9,6 +9,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import topology_of
 
 KB = 0.00831446261815324
 REFERENCE = openmm.Platform.getPlatform("Reference")
@@ -62,11 +63,7 @@ def gas(names, named=False, remover=False):
 
 
 def simulation_of(system, places, integrator, platform=(REFERENCE,)):
-    topology = app.Topology()
-    residue = topology.addResidue("ALL", topology.addChain())
-    for i in range(system.getNumParticles()):
-        topology.addAtom(f"A{i}", None, residue)
-    simulation = app.Simulation(topology, system, integrator, *platform)
+    simulation = app.Simulation(topology_of(system), system, integrator, *platform)
     simulation.context.setPositions(places)
     return simulation
 

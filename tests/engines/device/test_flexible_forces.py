@@ -4,7 +4,7 @@ import numpy as np
 import openmm
 import pytest
 
-from bonded_terms import FORMS, N, lennard_jones_pairs, system_of
+from bonded_terms import FORMS, N, lennard_jones_pairs, system_of, terms_in
 from on_device import device_platform
 from openmm_exactrb.engines.device.flexible import blocks
 from openmm_exactrb.engines.device.flexible.blocks import Group
@@ -16,7 +16,6 @@ from openmm_exactrb.engines.device.rigid import Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Move, Op
-from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
 from starts import context_of
 
 pytestmark = pytest.mark.opencl
@@ -33,7 +32,7 @@ class Kicks:
         self.precision = precision
         self.system = system_of(*(make(N * k) for k, make in enumerate(FORMS)), n=ALL)
         single = Group(np.arange(ALL)[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))
-        molecules = Molecules([single], np.ones(ALL), np.arange(ALL), terms_of(self.system, -1))
+        molecules = Molecules([single], np.ones(ALL), np.arange(ALL), terms_in(self.system))
         self.part, table, program = (
             FlexiblePart(molecules, np.zeros((ALL, 3)), precision, Demands()),
             Table(),
