@@ -148,11 +148,13 @@ class Device:
 
         1: positions, 2: velocities, 4: what else forces depend on, 8: a checkpoint or State was loaded.
         """
-        return self._count(2, clear)
+        value = ctypes.c_int()
+        self._call("changes", clear, ctypes.byref(value))
+        return value.value
 
-    def _count(self, which: int, clear: int = 0) -> int:
+    def _count(self, which: int) -> int:
         value = ctypes.c_longlong()
-        self._call("count", which, clear, ctypes.byref(value))
+        self._call("count", which, ctypes.byref(value))
         return value.value
 
 

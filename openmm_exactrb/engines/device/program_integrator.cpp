@@ -817,43 +817,25 @@ void registerKernelFactories() {
 const char* pi_error() {
     return lastError.c_str();
 }
+// Return 0, or 1 if there is an error.
+#define EXPORT(name, parameters, action) \
+    int pi_##name parameters { \
+        return guarded(integrator, [&](ProgramIntegrator& it) { action; }); \
+    }
 int pi_owns(void* integrator) {
     return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
 }
-int pi_program(void* integrator, const char* text) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.setProgram(text); });
-}
-int pi_upload(void* integrator, const char* name, const void* data, size_t bytes) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.upload(name, data, bytes); });
-}
-int pi_download(void* integrator, const char* name, void* data, size_t bytes) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.download(name, data, bytes); });
-}
-int pi_set(void* integrator, const char* name, double value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.scalar(name) = value; });
-}
-int pi_get(void* integrator, const char* name, double* value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { *value = it.scalar(name); });
-}
-int pi_steps(void* integrator, int steps) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.makeSteps(steps); });
-}
-int pi_run(void* integrator, const char* sequence) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.runAlone(sequence); });
-}
-int pi_keep(void* integrator) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.keep(); });
-}
-int pi_restore(void* integrator) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.restore(); });
-}
-// Which: 0 launches of the program, 1 evaluations of forces, 2 changes. Those of changes in `clear` are cleared.
-int pi_count(void* integrator, int which, int clear, long long* value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) {
-        *value = which == 0 ? it.launches : which == 1 ? it.forceCalls : it.changes;
-        if (which == 2)
-            it.changes &= ~clear;
-    });
-}
+EXPORT(program, (void* integrator, const char* text), it.setProgram(text))
+EXPORT(upload, (void* integrator, const char* name, const void* data, size_t bytes), it.upload(name, data, bytes))
+EXPORT(download, (void* integrator, const char* name, void* data, size_t bytes), it.download(name, data, bytes))
+EXPORT(set, (void* integrator, const char* name, double value), it.scalar(name) = value)
+EXPORT(get, (void* integrator, const char* name, double* value), *value = it.scalar(name))
+EXPORT(steps, (void* integrator, int steps), it.makeSteps(steps))
+EXPORT(run, (void* integrator, const char* sequence), it.runAlone(sequence))
+EXPORT(keep, (void* integrator), it.keep())
+EXPORT(restore, (void* integrator), it.restore())
+EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
+// What others changed, of which some is cleared.
+EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)
 }
 #pragma GCC visibility pop
