@@ -17,6 +17,7 @@ from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import DOCS
 from benchmarks.constraints.small_molecules import small_molecules
 from benchmarks.dipoles import tables as of_dipoles
+from benchmarks.proteins import tables as of_proteins
 from benchmarks.schemes import tables as of_schemes
 from benchmarks.water import tables as of_water
 from benchmarks.water.averages import averages
@@ -45,10 +46,10 @@ def all_tables() -> dict[str, str]:
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
-        of_water.settings_of_forces,
+        *(of_water.settings_of_forces, of_proteins.peptide_errors),
         *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
-        *(averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors),
+        *(of_schemes.rotors_compared, averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors),
         *(of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
         *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
     )

@@ -66,7 +66,7 @@ class _Lines:
 class EnergyReporter(_Lines):
     """Write the energies and temperatures of rigid bodies as CSV, with all digits of float64.
 
-    Temperatures are those of `ExactRigidBodyIntegrator.temperatures`.
+    Temperatures are those of ``ExactRigidBodyIntegrator.temperatures()``.
 
     Parameters
     ----------

@@ -160,11 +160,6 @@ def test_a_platform_that_is_not_there_is_reported_and_nothing_is_left(run, tmp_p
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("example", sorted(EXAMPLES.rglob("*.py")), ids=lambda path: path.name)
-def test_an_example_compiles(example):
-    compile(example.read_text(encoding="utf-8"), str(example), "exec")
-
-
 def test_the_dielectric_constant_continues_where_it_stopped(run, tmp_path):
     """In the bytes of a run without a break, with momenta drawn at the break and after it."""
     once, twice = tmp_path / "once", tmp_path / "twice"

@@ -141,6 +141,63 @@ def test_molecules_may_be_thousands_of_boxes_away(atom):
     np.testing.assert_allclose(found[1], found[0], atol=1e-9)
 
 
+@pytest.mark.parametrize("named", [False, True], ids=["constrained", "named"])
+def test_dumbbells_have_the_pressure_of_their_centres(named):
+    """LAMMPS pull request 5065: the virial of rigid bodies depended on where they are, and on the thermostat."""
+    n, edge, masses, places = 27, 3.0, np.array([10.0, 30.0]), []
+    system, pairs, bonds = openmm.System(), openmm.NonbondedForce(), openmm.HarmonicBondForce()
+    rng, barostat = np.random.default_rng(1), openmm.MonteCarloBarostat(1.0, 300.0, 0)
+    for k, centre in enumerate(itertools.product((0.5, 1.5, 2.5), repeat=3)):
+        half = rng.normal(size=3)
+        places += [centre + 0.1 * half / np.linalg.norm(half), centre - 0.1 * half / np.linalg.norm(half)]
+        for mass in masses:
+            system.addParticle(mass)
+            pairs.addParticle(0.0, 0.3, 0.5)
+        pairs.addException(2 * k, 2 * k + 1, 0.0, 1.0, 0.0)
+        if named:  # for OpenMM a molecule is what bonds or constraints join
+            bonds.addBond(2 * k, 2 * k + 1, 0.2, 0.0)
+        else:
+            system.addConstraint(2 * k, 2 * k + 1, 0.2)
+    pairs.setNonbondedMethod(pairs.CutoffPeriodic)
+    pairs.setCutoffDistance(1.0)
+    pairs.setUseSwitchingFunction(True)
+    pairs.setSwitchingDistance(0.8)
+    pairs.setUseDispersionCorrection(False)
+    system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
+    for force in (pairs, bonds, barostat):
+        system.addForce(force)
+    bodies = np.arange(2 * n).reshape(n, 2).tolist() if named else None
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, bodies=bodies)
+    integrator.setRandomNumberSeed(1)
+    context = starts.context_of(system, integrator, np.array(places), kelvin=300.0)
+    integrator.step(100)
+    found = barostat.computeCurrentPressure(context).value_in_unit(unit.bar)
+    x, v = starts.positions_of(context).reshape(n, 2, 3), starts.velocities_of(context).reshape(n, 2, 3)
+    energies = []
+    for scale in (1.001, 0.999):
+        context.setPeriodicBoxVectors(*(scale * edge * np.eye(3)))
+        context.setPositions((x + (scale - 1.0) * x.mean(axis=1, keepdims=True)).reshape(-1, 3))
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    virial = -(energies[0] - energies[1]) / 0.002
+    momenta = np.einsum("s,nsi->ni", masses, v)
+    pressure = (
+        ((momenta**2).sum() / masses.sum() + virial) / (3.0 * edge**3) * unit.kilojoule_per_mole / unit.nanometer**3
+    )
+    bar = (pressure / unit.AVOGADRO_CONSTANT_NA).value_in_unit(unit.bar)
+    assert found == pytest.approx(bar, rel=1e-5)
+
+
+def test_the_total_momentum_of_a_periodic_box_stays():
+    """HOOMD issue 1468: that of rigid bodies did not stay."""
+    _, system, x = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+    integrator = rb.ExactRigidBodyIntegrator(0.002)
+    context = starts.context_of(system, integrator, x, kelvin=300.0)
+    masses = starts.masses_of(system)
+    before = masses @ starts.velocities_of(context)
+    integrator.step(200)
+    np.testing.assert_allclose(masses @ starts.velocities_of(context), before, atol=1e-10)
+
+
 def test_a_ferrofluid_in_a_field_has_langevins_magnetisation():
     """At low density the mean of the cosine is coth(x) - 1/x, with x the energy in the field over kT."""
     kelvin, x, n = 300.0, 2.0, 64

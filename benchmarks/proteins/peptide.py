@@ -6,6 +6,7 @@ windows of 0.5 ps and within whole runs, against evaluations of the nonbonded fo
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside. Processed schemes
 evaluate forces for output too, `Scheme.output_forces` of them, which are not counted: here that is every 20 fs.
+Names that end with ", exact inverse" have that of the processor instead of the scheme's output.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
 those of the survey with --leave. --methods runs what it names instead of a survey and its best: "Verlet", "W2_4",
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +38,7 @@ RATES = (250, 500, 1000, 2000)
 SCHEMES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_14a", "ABA_8_6_4")
 #: How our schemes are run; names of methods end so.
 PLAIN, NESTED, WITH_PAIRS = "", " nested", " nested with 1-4"
+INVERSE = ", exact inverse"
 #: Families, and the names of ours in pictures and tables.
 FAMILIES = {
     "Verlet": "",
@@ -78,7 +81,7 @@ def methods():
 
 def nesting(method):
     """Return what is nested in a method of ours: "plain", "nested" or "nested with 1-4"."""
-    return method.partition(":")[0].partition(" ")[2] or "plain"
+    return method.removesuffix(INVERSE).partition(":")[0].partition(" ")[2] or "plain"
 
 
 def family(method):
@@ -109,11 +112,12 @@ def prepared(bare, method, rate):
     elif family(method) == "MTSIntegrator":
         integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
-        scheme = method.partition(":")[0].split()[0]
+        scheme = rb.SCHEMES[method.partition(":")[0].split()[0]]
+        if method.endswith(INVERSE):
+            scheme = replace(scheme, output=())
         fast = {"plain": None, NESTED.strip(): (bonded,), WITH_PAIRS.strip(): "bonded"}[nesting(method)]
         within = {} if fast is None else inner(method)
-        h = rb.SCHEMES[scheme].forces / rate
-        return system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, fast=fast, **within)
+        return system, rb.ExactRigidBodyIntegrator(scheme.forces / rate, scheme=scheme, fast=fast, **within)
     integrator.setConstraintTolerance(1e-10)
     return system, integrator
 

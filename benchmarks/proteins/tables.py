@@ -21,7 +21,8 @@ def peptide_errors() -> str:
     }
     for (method,) in distinct(found, "method"):
         scheme, space, inner = method.partition(" ")
-        label = _PEPTIDE.get(method) or f"`{scheme}`" + (_PEPTIDE[space + inner] if inner else "")
+        inner, comma, inverse = inner.partition(",")
+        label = _PEPTIDE.get(method) or f"`{scheme}`" + (_PEPTIDE[space + inner] if inner else "") + comma + inverse
         body.append((label, *(_both(*errors[method, rate]) for rate in rates)))
     return table(("", *(f"{rate} per ps" for rate in rates)), body)
 

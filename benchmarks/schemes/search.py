@@ -77,13 +77,6 @@ def member(family, free):
     return force_gradient(family, family, order=2, a=a, b=b, e=e)
 
 
-def free_of(family, scheme):
-    """Return the free coefficients of a scheme of a family."""
-    drifts, kicks = slots(family, "A") - 1, slots(family, "BC")
-    e = [-2.0 * c / b for b, c in zip(scheme.b[:kicks], scheme.c[:kicks], strict=bool(scheme.c)) if c]
-    return [*scheme.a[:drifts], *scheme.b[: kicks - 1], *e]
-
-
 # -- stage 1: oscillators ------------------------------------------------------------------------------------------
 
 
@@ -110,23 +103,6 @@ def oscillator(scheme, x):
     with np.errstate(invalid="ignore", divide="ignore"):
         angle, ratio = np.arccos(0.5 * (qq + pp)), np.sqrt(-qp / pq)
     return ratio * angle / x, angle / (ratio * x)
-
-
-def of_order_four(family, free, x=0.05):
-    """Return the point of a family nearest to one, by Newton's method, whose oscillators are right up to order four.
-
-    The two conditions of order four are alpha = beta = 1 up to x².
-    """
-    free = np.array(free)
-
-    def conditions(free):
-        return np.ravel(oscillator(member(family, free), np.array([x]))) - 1.0
-
-    for _ in range(6):
-        defect = conditions(free)
-        slopes = np.array([(conditions(free + 1e-6 * row) - defect) / 1e-6 for row in np.eye(len(free))]).T
-        free = free - np.linalg.lstsq(slopes, defect)[0]
-    return free.tolist()
 
 
 def linear(scheme, rate, weights=None):
@@ -231,8 +207,8 @@ class _TimeIsUpError(Exception):
     """The time for a search is over."""
 
 
-def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0, order=2):
-    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a job.
+def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0):
+    """Improve a member of a family by Nelder and Mead on droplets; a job.
 
     Returns
     -------
@@ -242,7 +218,6 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
     trace, begun, starts = [], time.perf_counter(), list(itertools.product(models, seeds))
 
     def objective(free):
-        free = of_order_four(family, free) if order == 4 else free
         scheme, total = member(family, free), 0.0
         if sum(abs(part) for _, part in scheme.sequence) > 6.0 or not np.isfinite(linear(scheme, rate)):
             return LOST

@@ -25,10 +25,11 @@ RECORD = Record(
 def main() -> None:
     parser = argparse.ArgumentParser(description="Acceptance of hybrid Monte Carlo for rigid water.")
     parser.add_argument("--quick", action="store_true", help="a smaller box, fewer proposals")
+    parser.add_argument("--molecules", type=int, default=887, help="%(default)s")
     parser.add_argument("--proposals", type=int, default=2000, help="%(default)s")
     parser.add_argument("--equilibration", type=int, default=10_000, help="steps of 2 fs before (%(default)s)")
     args = parser.parse_args()
-    n, proposals, steps = (216, 100, 1000) if args.quick else (887, args.proposals, args.equilibration)
+    n, proposals, steps = (216, 100, 1000) if args.quick else (args.molecules, args.proposals, args.equilibration)
     _, system, positions = rb.rigid_water(
         n, nonbondedMethod=app.PME, nonbondedCutoff=0.8, switchDistance=0.7, ewaldErrorTolerance=1e-5
     )

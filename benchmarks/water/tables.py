@@ -1,4 +1,4 @@
-"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, reading_point.py, shadow.py and acceptance.py."""
+"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, reading_point.py and shadow.py."""
 
 from __future__ import annotations
 
@@ -90,20 +90,6 @@ def shadow_predictions() -> str:
         )
         body.append((labels.get(scheme, scheme), *(cell.replace("-", "−") for cell in cells)))
     return table(("scheme", "2 fs per force", "4 fs", "6 fs"), body)
-
-
-def acceptances() -> str:
-    """Return the part of the proposals of hybrid Monte Carlo that are accepted."""
-    body = [
-        (
-            f"`{row['scheme']}`",
-            f"{float(row['fs']):g}",
-            f"{row['accepted']} ± {row['error']}",
-            row["forces_per_proposal"],
-        )
-        for row in rows("acceptance")
-    ]
-    return table(("scheme", "fs per force", "accepted", "force evaluations per proposal"), body)
 
 
 def settings_of_forces() -> str:

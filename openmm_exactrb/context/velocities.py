@@ -16,6 +16,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
@@ -23,10 +24,6 @@ from openmm_exactrb.openmm_access.units import gas_constant_times
 Array = NDArray[np.float64]
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
-# A constraint that is missed by this part of its length is one that the box has split.
-_SPLIT = 0.5
-# The least pivot of independent constraints, whose directions are unit vectors.
-_DEPENDENT = 1e-6
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
@@ -59,41 +56,16 @@ def _masses(system: openmm.System) -> Array:
 
 
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:
-    """Return whether OpenMM can draw here: its velocities are finite, and have nothing along the constraints.
-
-    Where the box has split molecules their directions are wrong, and where constraints follow from others there are
-    motions across all of them that a rigid body does not have.
-    """
+    """Return whether constraints suit OpenMM's solver, and the velocities that it made have nothing along them."""
     system, state = context.getSystem(), context.getState(positions=True, velocities=True)
     x, v, masses = arrays.positions(state), arrays.velocities(state), _masses(system)
-    pairs, lengths = constraints(system)
-    i, j = pairs.T
+    if not np.isfinite(v).all() or not solvable(system, x):
+        return False
+    i, j = constraints(system)[0].T
     apart = x[i] - x[j]
-    distance = np.linalg.norm(apart, axis=1)
     slow = _LEFT * math.sqrt(gas_constant_times(temperature) / np.min(masses, where=masses > 0.0, initial=math.inf))
-    if not np.isfinite(v).all() or not (np.abs(distance - lengths) <= _SPLIT * lengths).all():
-        return False
-    along = np.abs(np.einsum("ij,ij->i", v[i] - v[j], apart)) / distance
-    return bool((along <= slow).all()) and not _redundant(apart / distance[:, None], pairs, len(x))
-
-
-def _redundant(directions: Array, pairs: NDArray[np.intp], n_particles: int) -> bool:
-    """Return whether velocities along some constraints (m, 3) follow from those along others."""
-    from scipy.sparse import csr_array  # here, for a short import of the package
-    from scipy.sparse.linalg import splu
-
-    if not len(pairs):
-        return False
-    columns = (3 * pairs[:, :, None] + np.arange(3)).reshape(len(pairs), 6)
-    entries = np.hstack([directions, -directions])
-    J = csr_array(
-        (entries.ravel(), columns.ravel(), 6 * np.arange(len(pairs) + 1)), shape=(len(pairs), 3 * n_particles)
-    )
-    try:
-        pivots = splu((J @ J.T).tocsc()).U.diagonal()
-    except RuntimeError:  # exactly singular
-        return True
-    return bool(np.abs(pivots).min() < _DEPENDENT)
+    along = np.abs(np.einsum("ij,ij->i", v[i] - v[j], apart)) / np.linalg.norm(apart, axis=1)
+    return bool((along <= slow).all())
 
 
 def _stop(context: Any) -> None:

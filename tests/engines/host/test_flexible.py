@@ -196,13 +196,6 @@ def test_virtual_sites_on_flexible_parents_hand_their_forces_on():
     assert slope(end, (8, 11, 16)) == pytest.approx(4, abs=0.2)
 
 
-def test_heavier_hydrogens_change_nothing_else():
-    _, system, x = peptide(hydrogenMass=3.0 * unit.dalton)
-    integrator, context = moving(system, x)
-    integrator.step(20)
-    assert violations(system, positions_of(context), velocities_of(context))[0] < 1e-15
-
-
 def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():
     pdb = app.PDBFile(str(PEPTIDE))
     topology = pdb.topology
