@@ -215,14 +215,20 @@ class Measurement:
     def measure(self, name, n, system, start, kinds, precision, seconds):
         """Measure a System from a State, or from positions, for about so many seconds."""
         begin = time.perf_counter()
-        entries = {label: self._entry(kind, system, start, precision) for label, kind in kinds.items()}
+        entries = {}
+        for label, kind in kinds.items():
+            if self.left > 0.0:
+                entries[label] = self._entry(kind, system, start, precision)
+        if not entries:
+            return
         slowest = max(entry.run(10, self._clock) for entry in entries.values())
         forces = min(self.options.forces, max(10, int(seconds / (4.0 * slowest * len(entries)))))
         for rounds in range(self.options.rounds):
             if rounds > 1 and time.perf_counter() - begin > seconds:
                 break
             for entry in entries.values():
-                entry.times.append(entry.run(forces, self._clock))
+                if self.left > 0.0 or not entry.times:
+                    entry.times.append(entry.run(forces, self._clock))
         for label, entry in entries.items():
             ratio = entry.median / entries[entry.kind.beside].median
             day = 86.4 * entry.kind.interval / entry.median
