@@ -1,4 +1,4 @@
-"""Test and measure the device engine on a GPU: water, proteins and dipoles beside OpenMM's integrators.
+"""Test and measure the device engine on a GPU: water, proteins, a membrane and dipoles beside OpenMM's integrators.
 
 In a checkout, with a C++ compiler for the library of the device engine:
 
@@ -10,8 +10,10 @@ turns, ours on the device, or on both engines with --engines device host; rows a
 is done, so that a run that is cut off keeps what it has. "ms" is the time of a force evaluation, a median of rounds;
 "ratio" is to VerletIntegrator, or to LangevinMiddleIntegrator for what has a thermostat; "ns/day" counts the time
 between two evaluations: 1 fs for water. Proteins have hydrogens of 3 amu, and 4 fs with LangevinMiddleIntegrator and
-BAOA, 8 fs with W2_3m. DHFR is that of openmmtools and left out without it; --proteins takes PDB files too, which are
-solvated. "first s" are the seconds of the first steps.
+BAOA, 8 fs with W2_3m. Villin is OpenMM's test.pdb, DHFR that of openmmtools and left out without it, and the membrane
+the patch of 128 POPC in water of which Modeller.addMembrane makes its own, with charmm36; --proteins takes PDB files
+too, which are solvated (DHFR is in OpenMM's repository, examples/benchmarks). "first s" are the seconds of the first
+steps.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cache, partial
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
@@ -43,6 +45,8 @@ from openmm_exactrb.schemes import scheme_for_thermostat
 
 COLUMNS = "system", "molecules", "precision", "integrator", "ms", "ratio", "ns/day", "rounds", "first s", "device"
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+OPENMM_DATA = Path(app.__file__).parent / "data"
+CHARMM = "charmm36.xml", "charmm36/water.xml"
 # What is tested first: schemes, bodies, noise and flexible molecules are those of the host.
 TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide"
 
@@ -103,16 +107,24 @@ def dipoles(n):
     return rb.dipole_fluid(n, density=0.4, boundary=rb.ReactionField(cutoff=1.5), kernel="openmm")[1:]
 
 
+def of_file(name):
+    """Return the PDB file of a system."""
+    return {"peptide": PEPTIDE, "villin": OPENMM_DATA / "test.pdb", "membrane": OPENMM_DATA / "POPC.pdb"}.get(
+        name, Path(name)
+    )
+
+
+@cache
 def protein(name):
-    """Return System, with bonded forces in group 1, and positions of a protein in water; hydrogens are heavy."""
+    """Return System, with bonded forces in group 1, and positions of a protein or membrane; hydrogens are heavy."""
     if name == "dhfr":
         from openmmtools import testsystems
 
         test = testsystems.DHFRExplicit()
         topology, system, positions = test.topology, test.system, test.positions
     else:
-        topology, positions = solvated(PEPTIDE if name == "peptide" else Path(name))
-        system = app.ForceField(*FORCE_FIELD).createSystem(
+        topology, positions = solvated(of_file(name))
+        system = app.ForceField(*(CHARMM if name == "membrane" else FORCE_FIELD)).createSystem(
             topology,
             nonbondedMethod=app.PME,
             nonbondedCutoff=0.85,
@@ -254,8 +266,8 @@ def main():
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--water", type=int, nargs="*", default=[64, 512, 4096, 32768, 100_000])
     parser.add_argument("--free", type=int, nargs="*", default=[32768], help="TIP3P without forces")
-    proteins = ["peptide", *(["dhfr"] if find_spec("openmmtools") else [])]
-    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, dhfr, or PDB files")
+    proteins = ["peptide", "villin", *(["dhfr"] if find_spec("openmmtools") else []), "membrane"]
+    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, villin, dhfr, membrane, or PDB files")
     parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
     parser.add_argument("--engines", nargs="+", choices=("device", "host"), default=["device"], help="of ours")
     parser.add_argument("--forces", type=int, default=400, help="at most so many force evaluations a round")
