@@ -67,7 +67,7 @@ def test_the_papers_start_has_the_wanted_energy(run, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "flies apart" in done.stdout
     table = np.loadtxt(tmp_path / "energies.csv", delimiter=",", skiprows=1)
-    assert table[0, 6] == pytest.approx(300.0, rel=1e-14)
+    assert table[0, -1] == pytest.approx(300.0, rel=1e-14)
 
 
 def test_files_of_an_earlier_run_are_not_replaced(run, tmp_path):

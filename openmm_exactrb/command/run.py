@@ -15,12 +15,11 @@ from openmm import app
 
 from openmm_exactrb.command import analysis, arguments, equilibration, inputs, setup
 from openmm_exactrb.integrator import DEFAULT
-from openmm_exactrb.openmm_access.platforms import mixed, platform_of, why_not_by_default
+from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
-from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostats import Langevin
 from openmm_exactrb.tuning.advice import BUDGET, CANDIDATES
 
@@ -105,8 +104,6 @@ def carry_out(args: argparse.Namespace) -> int:
             raise ValueError("give --step or --force-interval, not both")
         args.step = settled.step = args.force_interval * scheme.forces
     platform = platform_of(args.platform)
-    if args.platform and (why := why_not_by_default(platform)):
-        warn(f"{why}: use --platform CPU if this run ends without a message")
     box = inputs.load(settled)
     inputs.check_idle(args, box, _idle(args, box))
     setup.couple(box.system, settled)

@@ -70,7 +70,7 @@ def test_a_barostat_moves_a_peptide_as_a_whole():
     _, system, x = in_box()
     held_to = reference_of(system, openmm.VerletIntegrator(0.001), x)
     held_to.applyConstraints(1e-9)
-    force = openmm.MonteCarloBarostat(1.0, 300.0, 3)
+    force = openmm.MonteCarloBarostat(1.0, 300.0, 1)
     force.setRandomNumberSeed(1)
     system.addForce(force)
     integrator = rb.ExactRigidBodyIntegrator(1e-6, "W2_1", fast="bonded", engine="device")
@@ -87,8 +87,11 @@ def test_a_barostat_moves_a_peptide_as_a_whole():
         )
 
     before, centre, volume = seen()
-    integrator.step(14)
-    now, there, other = seen()
+    for _ in range(40):
+        integrator.step(1)
+        now, there, other = seen()
+        if other != volume:
+            break
     assert abs(other / volume - 1.0) > 1e-6
     side = (other / volume) ** (1.0 / 3.0)
     np.testing.assert_allclose(now, before, rtol=0.0, atol=1e-4)  # thermal motion
