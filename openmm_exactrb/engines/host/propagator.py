@@ -308,7 +308,8 @@ class HostPropagator:
             self._named,
         )
         step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
-        self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)
+        output = () if kinetic.split and scheme.output_of_rigid else scheme.output
+        self._step, self._output = environment.bound(step, h), environment.bound(output, h)
         self._back = environment.bound(inverse(behind_exchange(step)), h)
         self._processor, self._postprocessor = (
             environment.bound(rows, h) for rows in (scheme.processor, scheme.postprocessor)
