@@ -138,6 +138,11 @@ class Scheme:
         return inverse(self.processor)
 
     @property
+    def with_inner_steps(self) -> Scheme:
+        """The scheme as it is where drifts have inner steps: without an output that was fitted to rigid molecules."""
+        return replace(self, output=()) if self.output_of_rigid else self
+
+    @property
     def processing(self) -> int:
         """Force evaluations that the processor and its inverse cost, once a run."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)

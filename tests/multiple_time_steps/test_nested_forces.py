@@ -38,19 +38,21 @@ def test_default_inner_steps_err_no_more_than_the_outer_ones():
     assert np.abs(usual - once).max() < 5.0 * np.abs(once - finer(10)).max()
 
 
-def test_what_was_fitted_to_rigid_molecules_is_not_shown_of_flexible_ones():
+@pytest.mark.parametrize("by", ["bonded", "group"])
+def test_what_was_fitted_to_rigid_molecules_is_not_shown_of_flexible_ones(by):
     """W4_4's output is: the inverse of its processor is shown in its place."""
     _, system, x = peptide()
+    fast = "bonded" if by == "bonded" else (rb.separate_bonded(system),)
     ends = []
     for scheme in (rb.SCHEMES["W4_4"], replace(rb.SCHEMES["W4_4"], output=())):
-        integrator, context = moving(system, x, 0.008, scheme, fast="bonded")
+        integrator, context = moving(system, x, 0.008, scheme, fast=fast)
         integrator.step(3)
         ends.append(positions_of(context))
     np.testing.assert_array_equal(*ends)
-    output, _context = moving(system, x, 0.002, replace(rb.SCHEMES["W4_4"], output_of_rigid=False), fast="bonded")
+    output, _context = moving(system, x, 0.002, replace(rb.SCHEMES["W4_4"], output_of_rigid=False), fast=fast)
     output.timings.reset()
     output.step(3)
-    exact, _other = moving(system, x, 0.002, "W4_4", fast="bonded")
+    exact, _other = moving(system, x, 0.002, "W4_4", fast=fast)
     exact.timings.reset()
     exact.step(3)
     assert exact.timings.evaluations > output.timings.evaluations
