@@ -42,7 +42,6 @@ validate: $(VENV)/.validation
 	$(BIN)/python -m pytest -n auto --validate $(ARGS)
 
 benchmarks: $(VENV)/.test
-	$(BIN)/python benchmarks/cost/rotor_cost.py
 	$(BIN)/python benchmarks/cost/step_cost.py
 	$(BIN)/python benchmarks/cost/dipole_cost.py
 	$(BIN)/python benchmarks/water/droplet.py

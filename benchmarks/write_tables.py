@@ -1,7 +1,7 @@
 """Write the tables of the pages, from the records in docs/*.csv and from the catalogue of schemes.
 
 A table stands below a comment with its name, such as `<!-- table: one_line -->`; the name is that of a function in
-`tables.py`, `dipoles/tables.py` or `water/tables.py`, one of the study of equipartition, or a record shown as it is.
+`tables.py` or in one of the folders' `tables.py`, one of the study of equipartition, or a record shown as it is.
 
     python benchmarks/write_tables.py
 """
@@ -15,8 +15,10 @@ from pathlib import Path
 from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import DOCS
+from benchmarks.constraints.small_molecules import small_molecules
 from benchmarks.dipoles import tables as of_dipoles
-from benchmarks.schemes.tables import roundoff_errors
+from benchmarks.proteins import tables as of_proteins
+from benchmarks.schemes import tables as of_schemes
 from benchmarks.water import tables as of_water
 from benchmarks.water.averages import averages
 from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
@@ -44,8 +46,12 @@ def all_tables() -> dict[str, str]:
         *(tables.outputs, tables.validation, tables.ensembles, tables.earlier_schemes, tables.scheme_table),
         *(tables.protein_energies, of_water.box_energies, of_water.droplet_energies),
         *(of_water.energy_balances, of_water.reading_points, of_water.shadow_predictions),
-        *(roundoff_errors, averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors, of_dipoles.dipole_energies),
-        *(of_dipoles.stockmayer_constants, of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
+        *(of_water.settings_of_forces, of_proteins.peptide_errors),
+        *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
+        *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
+        *(of_schemes.rotors_compared, averages, of_dipoles.dipole_costs, of_dipoles.dipole_errors),
+        *(of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
+        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
     )
     shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
     return shown | {function.__name__: function() for function in functions} | dict(_equipartition())

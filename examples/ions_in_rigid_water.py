@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
     print(f"temperature of translation {translation._value:.0f} K, of rotation {rotation._value:.0f} K")
     print(f"std of the total energy {np.std(table[:, -1]) / len(bodies):.1e} kJ/mol per molecule")
     print(f"{args.out}: topology.pdb, trajectory.dcd, energies.csv, temperatures.png")
-    draw(table, integrator.degreesOfFreedom(), picture)
+    draw(table, picture)
 
 
 # %%
@@ -95,18 +95,16 @@ def equilibrate(simulation: app.Simulation, times: int = 20) -> None:
 
 
 # %%
-# A temperature is twice the kinetic energy over :math:`k_B` and the degrees of freedom: ``degreesOfFreedom()`` counts
-# three translations for every ion and no rotation.
+# A temperature is twice the kinetic energy over :math:`k_B` and the degrees of freedom, of which an ion has three of
+# translation and none of rotation.
 
 
-def draw(table: np.ndarray, degrees: tuple[int, int], file: Path) -> None:
-    kb = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+def draw(table: np.ndarray, file: Path) -> None:
     figure, axes = plt.subplots(figsize=(7.0, 3.6), layout="constrained")
-    for name, energy, n, colour, style in (
-        ("translation", table[:, 2], degrees[0], "#0072B2", "-"),
-        ("rotation", table[:, 3], degrees[1], "#D55E00", "--"),
+    for name, temperature, colour, style in (
+        ("translation", table[:, 4], "#0072B2", "-"),
+        ("rotation", table[:, 5], "#D55E00", "--"),
     ):
-        temperature = 2.0 * energy / (kb * n)
         label = f"{name}, mean {temperature.mean():.0f} K"
         axes.plot(table[:, 1], temperature, style, color=colour, label=label)
     axes.axhline(300.0, color="0.5", lw=0.8, ls=":")

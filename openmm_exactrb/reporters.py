@@ -23,7 +23,8 @@ from openmm_exactrb.support import checks
 Array = NDArray[np.float64]
 # Largest net charge of a molecule that force fields leave by rounding charges.
 _NEUTRAL = 1e-3
-_ENERGIES = ("translational", "rotational", "kinetic", "potential", "total")
+_COLUMNS = ("translational (kJ/mol)", "rotational (kJ/mol)", "translational (K)", "rotational (K)")
+_SUMS = ("kinetic (kJ/mol)", "potential (kJ/mol)", "total (kJ/mol)")
 # Of a time in ps: more would show how the steps before it were added up.
 _DIGITS = 12
 
@@ -63,7 +64,9 @@ class _Lines:
 
 
 class EnergyReporter(_Lines):
-    """Write the energies of rigid bodies as CSV, with all digits of float64.
+    """Write the energies and temperatures of rigid bodies as CSV, with all digits of float64.
+
+    Temperatures are those of ``ExactRigidBodyIntegrator.temperatures()``.
 
     Parameters
     ----------
@@ -81,8 +84,7 @@ class EnergyReporter(_Lines):
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
-        columns = ("step", "time (ps)", *(f"{name} (kJ/mol)" for name in _ENERGIES))
-        super().__init__(file, reportInterval, columns, append)
+        super().__init__(file, reportInterval, ("step", "time (ps)", *_COLUMNS, *_SUMS), append)
 
     def describeNextReport(self, simulation: Any) -> dict[str, Any]:
         """Return when the next line is due and which data it needs, as OpenMM requires.
@@ -101,10 +103,10 @@ class EnergyReporter(_Lines):
 
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line for a Simulation and a State with energies."""
-        translational, rotational = (e._value for e in simulation.integrator.kineticEnergies())
-        kinetic = translational + rotational
-        potential = state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
-        self._write(simulation, state, (translational, rotational, kinetic, potential, kinetic + potential))
+        integrator = simulation.integrator
+        motion = [a._value for a in (*integrator.kineticEnergies(), *integrator.temperatures())]
+        kinetic, potential = sum(motion[:2]), state.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+        self._write(simulation, state, (*motion, kinetic, potential, kinetic + potential))
 
 
 class MomentReporter(_Lines):

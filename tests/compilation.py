@@ -7,10 +7,10 @@ import numpy as np
 
 
 def of_bodies():
-    """Compile what moves rigid bodies and constrained clusters."""
+    """Compile what moves rigid bodies, and flexible molecules in inner steps."""
     from openmm_exactrb import kernels
 
-    for name in ("bodies", "exact", "clusters"):
+    for name in ("bodies", "exact", "clusters", "bonded", "inner_steps"):
         kernels.load(name)
 
 

@@ -24,6 +24,7 @@ def pytest_configure(config):
         if not config.option.collectonly:
             compilation.at_once()
     settings.load_profile("thorough" if config.getoption("--validate") else "fast")
+    gc.disable()  # while tests are collected: nothing that is made then goes
 
 
 def pytest_collection_modifyitems(config, items):
@@ -36,6 +37,7 @@ def pytest_collection_modifyitems(config, items):
 
 def pytest_collection_finish():
     gc.freeze()  # a Context is found among what was made since
+    gc.enable()
 
 
 @pytest.fixture

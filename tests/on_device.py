@@ -1,6 +1,7 @@
 """Where tests of an engine run: the host on Reference, the device on a GPU, or on the CPU by OpenCL."""
 
 import os
+from functools import cache
 
 import openmm
 import pytest
@@ -15,7 +16,14 @@ def device_platform(names=DEVICES):
 
     If OPENMM_DEFAULT_PLATFORM names one of them, it is that one or none.
     """
-    names = [name for name in names if name == os.environ.get("OPENMM_DEFAULT_PLATFORM")] or names
+    names = tuple(name for name in names if name == os.environ.get("OPENMM_DEFAULT_PLATFORM")) or tuple(names)
+    found, missing = _first(names)
+    return found or pytest.skip(missing)
+
+
+@cache
+def _first(names):
+    """Return the first platform of these that has a device, or None and what is missing."""
     present = {platform.getName(): platform for platform in platforms()}
     system = openmm.System()
     system.addParticle(1.0)
@@ -29,8 +37,8 @@ def device_platform(names=DEVICES):
         except openmm.OpenMMException as error:
             missing.append(f"no device for {name}: {error}")
         else:
-            return present[name]
-    return pytest.skip("; ".join(missing))
+            return present[name], ""
+    return None, "; ".join(missing)
 
 
 def platform_for(engine, precision="double"):

@@ -9,7 +9,7 @@ from openmm import app, unit
 
 import openmm_exactrb as rb
 from on_device import platform_for
-from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions, pairs_by_formula
+from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
 from starts import context_of, positions_of
 
 PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
@@ -32,7 +32,7 @@ def peptide(constraints="HBonds", **options):
 def bonded_apart(system):
     """Give bonded forces, and exceptions of NonbondedForces as pairs by a formula, a force group; return it."""
     for force in [force for force in system.getForces() if isinstance(force, openmm.NonbondedForce)]:
-        pairs = pairs_by_formula(force, interacting_exceptions(force))
+        pairs = interacting_exceptions(force).made()
         if pairs.getNumBonds():
             for number in range(force.getNumExceptions()):
                 i, j, _, sigma, _ = force.getExceptionParameters(number)
@@ -60,11 +60,11 @@ def _in_water(constraints, waters):
 
 
 def in_box(edge=2.1, cutoff=0.85):
-    """Return topology, System and positions (nm) of alanine dipeptide in a box of rigid TIP3P, with PME."""
+    """Return topology, System and positions (nm) of alanine dipeptide in a periodic box of rigid TIP3P."""
     pdb = app.PDBFile(str(PEPTIDE))
     modeller = app.Modeller(pdb.topology, pdb.positions)
     modeller.addSolvent(FORCE_FIELD, boxSize=openmm.Vec3(edge, edge, edge) * unit.nanometer)
-    options = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "removeCMMotion": False}
+    options = {"nonbondedMethod": app.CutoffPeriodic, "nonbondedCutoff": cutoff, "removeCMMotion": False}
     system = FORCE_FIELD.createSystem(modeller.topology, constraints=app.HBonds, **options)
     return modeller.topology, system, np.array(modeller.positions.value_in_unit(unit.nanometer))
 

@@ -31,6 +31,15 @@ def context_of(system, integrator, start, velocities=None, *, kelvin=None, seed=
     return context
 
 
+def topology_of(system):
+    """Return a Topology of atoms without elements or bonds, for Systems that have none."""
+    topology = app.Topology()
+    residue = topology.addResidue("ALL", topology.addChain())
+    for i in range(system.getNumParticles()):
+        topology.addAtom(f"A{i}", None, residue)
+    return topology
+
+
 def simulation_of(topology, system, integrator, start, velocities=None, *, kelvin=None, seed=1, platform=REFERENCE):
     """Return a Simulation, started as the Context of `context_of`."""
     simulation = app.Simulation(topology, system, integrator, platform)

@@ -121,11 +121,7 @@ def test_bodies_that_are_named_are_molecules(bodies):
     while system.getNumConstraints():
         system.removeConstraint(0)
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=bodies)
-    topology = app.Topology()
-    residue = topology.addResidue("X", topology.addChain())
-    for _ in range(3):
-        topology.addAtom("X", None, residue)
-    simulation = starts.simulation_of(topology, system, integrator, three_masses.POSITIONS)
+    simulation = starts.simulation_of(starts.topology_of(system), system, integrator, three_masses.POSITIONS)
     text = io.StringIO()
     simulation.reporters.append(rb.MomentReporter(text, 1, [1.0, 1.0, -2.0]))
     if bodies is None:
@@ -151,12 +147,8 @@ def test_a_molecule_that_a_box_has_split_is_whole(length):
     system.setDefaultPeriodicBoxVectors(*np.diag([2.0] * 3))
     charges, found = [1.0, 0.0, 0.0, 0.0, -1.0], []
     for places in (x, x % 2.0):
-        topology = app.Topology()
-        residue = topology.addResidue("X", topology.addChain())
-        for _ in x:
-            topology.addAtom("X", None, residue)
         integrator = rb.ExactRigidBodyIntegrator(1e-6)
-        simulation = starts.simulation_of(topology, system, integrator, places)
+        simulation = starts.simulation_of(starts.topology_of(system), system, integrator, places)
         text = io.StringIO()
         simulation.reporters.append(rb.MomentReporter(text, 1, charges))
         simulation.step(1)

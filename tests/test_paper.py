@@ -109,25 +109,6 @@ def test_no_verdict_compares_compiled_code_with_numpy(pages):
 # -- claims and criteria --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("outcomes", "verdict"),
-    [
-        ([[True, True], True], "agrees"),
-        ([[True, False], True], "agrees in part"),
-        ([[False, False], True], "agrees in part"),
-        ([[True, False]], "agrees in part"),
-        ([[False, False], False], "does not agree"),
-        ([], "cannot be decided"),
-    ],
-)
-def test_a_verdict_is_what_the_criteria_say(outcomes, verdict):
-    criteria = tuple(claims.Criterion.of("it is so", outcome) for outcome in outcomes)
-    claim = claims.Claim("A sentence.", "numbers.", criteria)
-    assert claim.verdict == verdict
-    own = claims.Claim("A sentence.", "numbers.", criteria, ours=True)
-    assert claims.OURS.index(own.verdict) == claims.VERDICTS.index(verdict)
-
-
 def test_a_criterion_without_an_outcome_is_refused():
     with pytest.raises(ValueError, match="needs an outcome"):
         claims.Criterion.of("nothing was measured", [])
@@ -152,25 +133,6 @@ def test_stricter_criteria_of_our_own_and_open_ones_do_not_make_a_claim_fail():
 def test_a_mean_is_judged_within_two_standard_errors(low, high, met):
     criterion = claims.Criterion.mean("75", [73.0, 75.0, 77.0, 73.0, 77.0, 74.0], low, high)  # 74.8 ± 0.7
     assert criterion.met is met
-
-
-def test_the_summary_counts_the_claims_and_lists_their_verdicts():
-    met, unmet = claims.Criterion.of("one", True), claims.Criterion.of("two", False)
-    judged = [
-        ("Figure 1", claims.Claim("First.", "", (met,))),
-        ("Figure 1", claims.Claim("Second.", "", (met, unmet))),
-        ("[Figure 2](two.md)", claims.Claim("Third.", "", (unmet,))),
-        ("Figure 2", claims.Claim("Ours.", "", (met,), ours=True)),
-    ]
-    text = claims.summary(judged)
-    assert "Of 3 claims of the paper, 1 agrees, 1 agrees in part and 1 does not agree." in text
-    assert "Of 1 sentences of our own, which go beyond the paper, 1 holds." in text
-    assert "| Figure 1 | 2 | 1 | Second: **agrees in part** |" in text
-    assert "| [Figure 2](two.md) | 1 | 0 | Third: **does not agree** |" in text
-    assert "| Figure 1 | First. | Agrees |" in text
-    assert "| Figure 1 | Second. | **Agrees in part** |" in text
-    assert "| [Figure 2](two.md) | Third. | **Does not agree** |" in text
-    assert "Ours." not in text
 
 
 # -- scripts ------------------------------------------------------------------------------------------------------

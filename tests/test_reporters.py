@@ -22,17 +22,6 @@ def test_intervals_are_at_least_one_step(make, interval, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_energy_reporter_appends(tmp_path):
-    simulation = simulation_of_two_dipoles()
-    for append in (False, True):
-        reporter = rb.EnergyReporter(tmp_path / "energies.csv", 1, append=append)
-        simulation.reporters = [reporter]
-        simulation.step(2)
-        reporter.close()
-    lines = (tmp_path / "energies.csv").read_text(encoding="utf-8").splitlines()
-    assert [line.split(",")[0] for line in lines] == ["step", "1", "2", "3", "4"]
-
-
 @pytest.mark.parametrize("left", ["3", "3,0.015", "<System>"])
 def test_a_file_that_ends_within_a_line_is_refused_and_left_alone(tmp_path, left):
     file = tmp_path / "energies.csv"

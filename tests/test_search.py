@@ -6,7 +6,6 @@ import pytest
 import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.schemes import search
-from orders import exponent
 from sequences import advanced
 from starts import context_of
 
@@ -31,12 +30,11 @@ def test_a_droplet_moves_as_it_does_in_openmm(model):
 
 
 @pytest.mark.parametrize("family", search.FAMILIES)
-def test_coefficients_make_a_member_of_a_family_and_come_back(family):
+def test_coefficients_make_a_member_of_a_family(family):
     free = np.random.default_rng(1).uniform(0.02, 0.1, search.dimension(family)).tolist()
     scheme = search.member(family, free)
     symbols = "".join(substep.symbol for substep, _ in scheme.sequence)
     assert symbols.replace("BC", "C") == family  # a magnified kick is two substeps
-    assert search.free_of(family, scheme) == pytest.approx(free, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["V2", "W2_4", "Chin4A", "W2_5", "SRKN4_6b"])
@@ -56,14 +54,6 @@ def test_a_step_keeps_the_hamiltonian_of_its_oscillator(name):
     # As fast as the flow of this Hamiltonian turns: five steps of the angle sqrt(alpha beta) x.
     angle, ratio = 5.0 * np.sqrt(alpha * beta) * x, np.sqrt(alpha / beta)
     assert q == pytest.approx(0.3 * np.cos(angle) + 1.1 * ratio * np.sin(angle), abs=1e-12)
-
-
-def test_the_nearest_point_of_order_four_has_it():
-    family = "BABABABABAB"
-    free = search.of_order_four(family, [0.25, -0.04, 0.08, 0.66])
-    x = np.array([0.1, 0.14, 0.2])
-    for coefficient in search.oscillator(search.member(family, free), x):
-        assert exponent(x, np.abs(coefficient - 1.0)) > 3.5
 
 
 @pytest.mark.validate

@@ -10,12 +10,6 @@ TEXTS = {
     for file in (ROOT / folder).rglob("*.py")
     if "kernels" not in file.relative_to(ROOT).parts
 }
-FUNCTIONS = [
-    (f"{name}: {node.name}", node)
-    for name, text in TEXTS.items()
-    for node in ast.walk(ast.parse(text))
-    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-]
 
 
 def lines_of(function):
@@ -35,9 +29,12 @@ def test_files_are_short():
     assert not {name: lines for name, text in TEXTS.items() if (lines := text.count("\n")) > 400}
 
 
-def test_functions_are_short():
-    assert not {name: lines for name, function in FUNCTIONS if (lines := lines_of(function)) > 60}
-
-
-def test_functions_take_few_parameters_by_position():
-    assert not {name: names for name, function in FUNCTIONS if len(names := positional(function)) > 10}
+def test_functions_are_short_and_take_few_parameters_by_position():
+    functions = [
+        (f"{name}: {node.name}", node)
+        for name, text in TEXTS.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
+    assert not {name: lines for name, function in functions if (lines := lines_of(function)) > 60}
+    assert not {name: names for name, function in functions if len(names := positional(function)) > 10}

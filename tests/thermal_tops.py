@@ -42,10 +42,6 @@ class State(NamedTuple):
     m: np.ndarray
 
 
-def flipped(state):
-    return state._replace(P=-state.P, m=-state.m)
-
-
 @dataclass(frozen=True)
 class Tops:
     """N equal bodies, each alone; a linear one has the moments (0, I, I).

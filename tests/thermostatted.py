@@ -2,7 +2,7 @@
 
 import numpy as np
 import openmm
-from openmm import app, unit
+from openmm import unit
 
 import openmm_exactrb as rb
 import starts
@@ -57,11 +57,7 @@ def trapped(waters, rods, ions, strength=1e4):
 
 def simulation_of(integrator, system, places):
     """Return a Simulation of molecules."""
-    topology = app.Topology()
-    residue = topology.addResidue("ALL", topology.addChain())
-    for i in range(system.getNumParticles()):
-        topology.addAtom(f"A{i}", None, residue)
-    return starts.simulation_of(topology, system, integrator, places)
+    return starts.simulation_of(starts.topology_of(system), system, integrator, places)
 
 
 def droplet_of(integrator, n=4):

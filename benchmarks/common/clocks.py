@@ -25,10 +25,3 @@ def in_turns(
         for name in list(runs)[:: -1 if k % 2 else 1]:
             times[name].append(timed(runs[name], clock))
     return times
-
-
-def least(run: Callable[[], Any], duration: float, clock: Callable[[], float], repeats: int = 9) -> float:
-    """Return the least mean time of a call in seconds, over several series of this duration."""
-    run()
-    calls = max(1, int(duration / (timed(run, clock) + 1e-9)))
-    return min(timed(lambda: [run() for _ in range(calls)], clock) / calls for _ in range(repeats))

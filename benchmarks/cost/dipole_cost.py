@@ -3,9 +3,7 @@
 All in turns within one run; a time is the least of the rounds, since other work on the machine only adds to it.
 OpenMM's formula is left out from N = 4000 on, where it takes seconds and its eight million bonds gigabytes. LAMMPS runs
 pair_style lj/cut/dipole/cut 60 with open boundaries and fix nve/sphere update dipole on one core, where a step is one
-force evaluation; it is left out where it is not installed. With --platform OpenCL (or CUDA, HIP) the formula runs on
-that device instead, beside our kernel on the processor, and the last line says from which N the device wins. Raw data
-go to out/benchmarks/dipole_cost.json.
+force evaluation; it is left out where it is not installed. Raw data go to out/benchmarks/dipole_cost.json.
 """
 
 from __future__ import annotations
@@ -27,27 +25,17 @@ from benchmarks.common import lammps_peer
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.records import keep
 from benchmarks.common.stockmayer import arrows
-from openmm_exactrb.kernels.build import reordered
 from openmm_exactrb.kernels.compiled import pairs
 
 STAGES = rb.SCHEMES["S6_10"].stages
 # Force evaluations a round and rounds.
 SIZES = {125: (300, 15), 250: (200, 10), 500: (100, 10), 1000: (50, 10), 2000: (20, 5), 4000: (10, 5)}
-REFERENCE = openmm.Platform.getPlatform("Reference")
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    add = parser.add_argument
-    add("-n", type=int, nargs="*", choices=SIZES, help="numbers of dipoles (125 1000 4000; on a device all but 4000)")
-    add("--platform", metavar="NAME", help="platform of a device to measure beside our kernel")
-    add("--precision", choices=("single", "mixed", "double"), default="single", help="of the device (%(default)s)")
-    arguments = parser.parse_args()
-    device = arguments.platform
-    sizes = arguments.n or (list(SIZES)[:-1] if device else [125, 1000, 4000])  # 4000 dipoles have 8 million bonds
-    rounds = {
-        n: measure_device(n, *SIZES[n], device, arguments.precision) if device else measure(n, *SIZES[n]) for n in sizes
-    }
+    parser.add_argument("-n", type=int, nargs="*", choices=SIZES, default=[125, 1000, 4000], help="numbers of dipoles")
+    rounds = {n: measure(n, *SIZES[n]) for n in parser.parse_args().n}
     machine = {
         "processor": platform.processor() or platform.machine(),
         "vectors": str(numba.config.CPU_NAME or numba.core.codegen.ll.get_host_cpu_name()),
@@ -56,32 +44,18 @@ def main():
         **{name: version(name) for name in ("numba", "openmm", "lammps") if name != "lammps" or lammps_peer.INSTALLED},
     }
     keep("dipole_cost.json", {"machine": machine, "rounds_s": rounds})
-    if device:
-        report_device(rounds, device)
-    else:
-        report(rounds)
+    report(rounds)
 
 
 def measure(n, evaluations, rounds):
     """Return the seconds of one evaluation of every contender, round by round."""
     contenders = {"pair kernel, all cores": kernel(n), "pair kernel, one core": kernel(n, threads=1)}
-    contenders["its arithmetic alone"] = arithmetic(n)
     for name in ("openmm", "compiled")[n >= 4000 :]:
         context, integrator = simulation(n, name)
         contenders[f"{name}: force"] = bare_force(context)
         contenders[f"{name}: stage"] = stage(integrator)
     if lammps_peer.INSTALLED:
         contenders["LAMMPS: step"] = lammps_step(n)
-    return seconds_of(contenders, evaluations, rounds)
-
-
-def measure_device(n, evaluations, rounds, name, precision):
-    """Return the same of the formula on a device and of our kernel beside it."""
-    device, properties = openmm.Platform.getPlatform(name), {"Precision": precision}
-    contenders = {}
-    for who, built in ((name, simulation(n, "openmm", device, properties)), ("compiled", simulation(n, "compiled"))):
-        contenders[f"{who}: force"] = bare_force(built[0])
-        contenders[f"{who}: stage"] = stage(built[1])
     return seconds_of(contenders, evaluations, rounds)
 
 
@@ -95,11 +69,11 @@ def seconds_of(contenders, evaluations, rounds):
     return {name: [seconds / counts[name] for seconds in some] for name, some in times.items()}
 
 
-def simulation(n, kernel, where=REFERENCE, properties=None):
+def simulation(n, kernel):
     """Return the Context and the integrator of a droplet."""
     topology, system, positions = rb.dipole_fluid(n, trap=0.5, kernel=kernel)
     integrator = rb.ExactRigidBodyIntegrator(0.01, scheme="S6_10", engine="host")
-    run = app.Simulation(topology, system, integrator, where, properties or {})
+    run = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     run.context.setPositions(positions)
     run.context.setVelocitiesToTemperature(12.0, 1)
     run.step(1)
@@ -162,57 +136,15 @@ def lammps_step(n):
     return lambda evaluations: lmp.command(f"run {evaluations} pre no post no")
 
 
-@reordered
-def _arithmetic(evaluations, places, steps):
-    """Do the arithmetic of the kernel's inner loop on places that walk on in registers."""
-    x, y, z, vx, vy, vz = places
-    dx, dy, dz, dvx, dvy, dvz = steps
-    ux, uy, uz = vz, vx, vy
-    energy = fx = fy = fz = gx = gy = gz = turn = 0.0
-    for _ in range(evaluations):
-        x, y, z, vx, vy, vz = x + dx, y + dy, z + dz, vx + dvx, vy + dvy, vz + dvz
-        r2 = x * x + y * y + z * z
-        uv, ur, vr = ux * vx + uy * vy + uz * vz, ux * x + uy * y + uz * z, vx * x + vy * y + vz * z
-        e, a, b, c = pairs.pair(r2, uv, ur, vr, 4.0, 2.0)
-        energy += e
-        fx, fy, fz = fx + a * x + c * ur * vx, fy + a * y + c * ur * vy, fz + a * z + c * ur * vz
-        gx, gy, gz = gx + c * vr * x - b * vx, gy + c * vr * y - b * vy, gz + c * vr * z - b * vz
-        turn += c * vr
-    return energy + fx + fy + fz + gx + gy + gz + turn
-
-
-def arithmetic(n):
-    """Return as many evaluations of a pair as the kernel does, on one core and without memory traffic: its limit."""
-    values = (0.3, 1.0, 0.5, 0.1, 0.2, 0.4), (1e-4, 2e-4, 3e-4, 1e-6, 2e-6, 3e-6)
-    _arithmetic(10, *values)
-    return lambda evaluations: _arithmetic(n * n * evaluations, *values)
-
-
 def report(rounds):
-    """Print the table: least times in ms, and what they are beside LAMMPS and beside the limit."""
+    """Print the table: least times in ms, and what they are beside LAMMPS."""
     for n, rows in rounds.items():
         best = {name: min(times) for name, times in rows.items()}
         print(f"\nN = {n:<6}{'ms':>22}{'of a LAMMPS step':>20}")
         for name, seconds in best.items():
             ratio = f"{seconds / best['LAMMPS: step']:20.3f}" if "LAMMPS: step" in best else ""
             print(f"  {name:<26}{1e3 * seconds:>6.3f}{ratio}")
-        kernel, limit = (1e9 * best[name] / n**2 for name in ("pair kernel, one core", "its arithmetic alone"))
-        print(
-            f"  {kernel:.2f} ns an evaluation of a pair on one core, {100 * limit / kernel:.0f} % of the rate of its "
-            f"arithmetic alone ({limit:.2f} ns)\n"
-            f"  every pair is evaluated from both sides: {50 * limit / kernel:.0f} % counting it once"
-        )
-
-
-def report_device(rounds, name):
-    """Print least times in ms, and from which N on a stage takes less on the device."""
-    print(f"{'N':>6}" + "".join(f"{column:>20}" for column in next(iter(rounds.values()))) + "   ms")
-    best = {n: {column: min(times) for column, times in rows.items()} for n, rows in rounds.items()}
-    for n, row in best.items():
-        print(f"{n:>6}" + "".join(f"{1e3 * seconds:>20.3f}" for seconds in row.values()))
-    loses = [n for n, row in best.items() if row[f"{name}: stage"] >= row["compiled: stage"]]
-    wins = [n for n in best if n > max(loses, default=0)]
-    print(f"{name} wins from N = {min(wins)} on" if wins else f"{name} does not win at any of these N")
+        print(f"  {1e9 * best['pair kernel, one core'] / n**2:.2f} ns an evaluation of a pair on one core")
 
 
 if __name__ == "__main__":

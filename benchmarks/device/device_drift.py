@@ -5,7 +5,8 @@ between two force evaluations. Printed and written for each run: the slope of a 
 per molecule with the standard error that four parts of the run give, and the standard deviation about that line. The
 potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
 counts, and not what its Context can show of it. LangevinMiddle has no friction here; the energy at the ends of its
-steps has errors of first order.
+steps has errors of first order. Starts, samples and checkpoints are in a folder next to the CSV file, so that the same
+command goes on with a run that was cut off; another command needs another file.
 
     python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
     python benchmarks/device/device_drift.py --platform OpenCL --droplet --molecules 27 --fs 0.4 --ps 0.4 --samples 25 \
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import sys
 import warnings
 from pathlib import Path
 
@@ -74,16 +76,41 @@ class Energies:
         self.double.setPositions(x)
         return kinetic + self.double.getState(energy=True).getPotentialEnergy()._value
 
-    def run(self, integrator, precision, start, ps, samples):
-        """Return times (ns) and total energies of a run from a State."""
-        context = self.context_of(integrator, precision)
+    def run(self, integrator, precision, start, ps, samples, file):
+        """Return times (ns) and total energies of a run from a State; what a file has of it is not made again."""
+        context, found = self.context_of(integrator, precision), []
         context.setState(start)
+        if file.exists():
+            kept = np.load(file)
+            found = kept["found"].tolist()
+            context.loadCheckpoint(kept["checkpoint"].tobytes())
         steps = round(ps / samples / integrator.getStepSize()._value)
-        found = []
-        for _ in range(samples):
+        while len(found) < samples:
             integrator.step(steps)
             found.append((1e-3 * context.getTime()._value, self.present(context)))
+            save(file, found=found, checkpoint=np.frombuffer(context.createCheckpoint(), dtype=np.uint8))
         return np.array(found).T
+
+
+def save(file, **arrays):
+    """Write arrays to a file in one step."""
+    temporary = file.with_suffix(".part.npz")
+    np.savez(temporary, **arrays)
+    temporary.replace(file)
+
+
+def folder_of(options):
+    """Return the folder of what is kept; an error if it is that of another command."""
+    folder, what = (
+        options.csv.with_suffix(""),
+        f"{options.molecules} {options.droplet} {options.fs} {options.ps} {options.samples}",
+    )
+    folder.mkdir(exist_ok=True)
+    settings = folder / "settings.txt"
+    if settings.exists() and settings.read_text(encoding="utf-8") != what:
+        sys.exit(f"{folder} has runs of another command: remove it, or name another file with --csv")
+    settings.write_text(what, encoding="utf-8")
+    return folder
 
 
 def slopes(times, energies):
@@ -113,13 +140,17 @@ def main():
     made = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "switchDistance": cutoff - 0.1}
     _, system, positions = rb.rigid_water(n, **({} if options.droplet else made | {"ewaldErrorTolerance": 1e-5}))
     energies = Energies(system, openmm.Platform.getPlatform(options.platform))
-    start = energies.start(positions)
+    folder = folder_of(options)
+    if not (folder / "start.xml").exists():
+        (folder / "start.xml").write_text(openmm.XmlSerializer.serialize(energies.start(positions)), encoding="utf-8")
+    start = openmm.XmlSerializer.deserialize((folder / "start.xml").read_text(encoding="utf-8"))
     with options.csv.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(COLUMNS)
         for name, engine in (which.split(":") for which in options.integrators):
             for precision in options.precisions:
-                run = energies.run(integrator_of(name, engine, h), precision, start, options.ps, options.samples)
+                kept = folder / f"{name}-{engine}-{precision}.npz"
+                run = energies.run(integrator_of(name, engine, h), precision, start, options.ps, options.samples, kept)
                 drift, error, spread = (f"{value / n:.2e}" for value in slopes(*run))
                 row = (name, engine, precision, n, options.fs, options.ps, drift, error, spread)
                 rows.writerow(row)

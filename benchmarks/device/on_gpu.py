@@ -1,4 +1,4 @@
-"""Test and measure the device engine on a GPU: water, proteins and dipoles beside OpenMM's integrators.
+"""Test and measure the device engine on a GPU: water, proteins, a membrane and dipoles beside OpenMM's integrators.
 
 In a checkout, with a C++ compiler for the library of the device engine:
 
@@ -6,11 +6,14 @@ In a checkout, with a C++ compiler for the library of the device engine:
     python benchmarks/device/on_gpu.py --platform CUDA --minutes 9
 
 First tests of the device run on the platform. Then each system is measured, in rounds in which the integrators take
-turns; rows are written to the CSV file when a system is done, so that a run that is cut off keeps what it has. "ms" is
-the time of a force evaluation, a median of rounds; "ratio" is to VerletIntegrator, or to LangevinMiddleIntegrator for
-what has a thermostat; "ns/day" counts the time between two evaluations: 1 fs for water. Proteins have hydrogens of 3
-amu, and 4 fs with LangevinMiddleIntegrator and BAOA, 8 fs with W2_3m. DHFR is that of openmmtools and left out without
-it; --proteins takes PDB files too, which are solvated. "first s" are the seconds of the first steps.
+turns, ours on the device, or on both engines with --engines device host; rows are written to the CSV file when a system
+is done, so that a run that is cut off keeps what it has. "ms" is the time of a force evaluation, a median of rounds;
+"ratio" is to VerletIntegrator, or to LangevinMiddleIntegrator for what has a thermostat; "ns/day" counts the time
+between two evaluations: 1 fs for water. Proteins have hydrogens of 3 amu, and 4 fs with LangevinMiddleIntegrator and
+BAOA, 8 fs with W2_3m. Villin is OpenMM's test.pdb, DHFR that of openmmtools and left out without it, and the membrane
+the patch of 128 POPC in water of which Modeller.addMembrane makes its own, with charmm36; --proteins takes PDB files
+too, which are solvated (DHFR is in OpenMM's repository, examples/benchmarks). "first s" are the seconds of the first
+steps.
 """
 
 from __future__ import annotations
@@ -24,7 +27,9 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache, partial
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +38,15 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
 from benchmarks.common.records import ROOT
-from benchmarks.device.engines import protein
 from openmm_exactrb.openmm_access.platforms import no_gpu
 from openmm_exactrb.schemes import scheme_for_thermostat
 
 COLUMNS = "system", "molecules", "precision", "integrator", "ms", "ratio", "ns/day", "rounds", "first s", "device"
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time}
+OPENMM_DATA = Path(app.__file__).parent / "data"
+CHARMM = "charmm36.xml", "charmm36/water.xml"
 # What is tested first: schemes, bodies, noise and flexible molecules are those of the host.
 TESTED = "moves_water or every_kind or noise_of_the_host or single_precision or peptide"
 
@@ -54,32 +61,31 @@ class Kind:
     beside: str
 
 
-def of_bodies(h):
-    """Return integrators of rigid bodies with a force evaluation every h (ps)."""
+def of_bodies(h, engines):
+    """Return integrators of rigid bodies with a force evaluation every h (ps), ours on each of the engines."""
     kinds = {
         "Verlet": Kind(lambda: openmm.VerletIntegrator(h), 1, h, "Verlet"),
         "LangevinMiddle": Kind(lambda: openmm.LangevinMiddleIntegrator(300.0, 1.0, h), 1, h, "LangevinMiddle"),
     }
-    for name, forces in (("S2_2", 2), ("W2_1", 1), ("S6_10", 10)):
-        step = forces * h
-        kinds[name] = Kind(
-            lambda s=step, n=name: rb.ExactRigidBodyIntegrator(s, n, engine="device"), forces, h, "Verlet"
-        )
-    langevin = rb.ExactRigidBodyLangevinIntegrator
-    kinds["BAOA"] = Kind(lambda: langevin(300.0, 1.0, h, "BAOA", engine="device"), 1, h, "LangevinMiddle")
+    for (name, forces), engine in product({"S2_2": 2, "W2_1": 1, "S6_10": 10}.items(), engines):
+        make = partial(rb.ExactRigidBodyIntegrator, forces * h, name, engine=engine)
+        kinds[f"{name} {engine}"] = Kind(make, forces, h, "Verlet")
+    for engine in engines:
+        make = partial(rb.ExactRigidBodyLangevinIntegrator, 300.0, 1.0, h, "BAOA", engine=engine)
+        kinds[f"BAOA {engine}"] = Kind(make, 1, h, "LangevinMiddle")
     return kinds
 
 
-def of_proteins():
-    """Return integrators of a protein with heavy hydrogens."""
-    langevin, inner = rb.ExactRigidBodyLangevinIntegrator, {"engine": "device", "fast": "bonded"}
-    kinds = {
-        "LangevinMiddle": Kind(lambda: openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.004), 1, 0.004, "LangevinMiddle"),
-        "BAOA": Kind(lambda: langevin(300.0, 5.0, 0.004, "BAOA", **inner), 1, 0.004, "LangevinMiddle"),
-    }
-    forces = scheme_for_thermostat("W2_3m").forces
-    make = lambda: langevin(300.0, 5.0, 0.008 * forces, "W2_3m", **inner)  # noqa: E731
-    return kinds | {"W2_3m": Kind(make, forces, 0.008, "LangevinMiddle")}
+def of_proteins(engines):
+    """Return integrators of a protein with heavy hydrogens, ours on each of the engines."""
+    theirs = lambda: openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.004)  # noqa: E731
+    kinds = {"LangevinMiddle": Kind(theirs, 1, 0.004, "LangevinMiddle")}
+    for (name, interval), engine in product({"BAOA": 0.004, "W2_3m": 0.008}.items(), engines):
+        forces = scheme_for_thermostat(name).forces
+        inner = {"engine": engine, "fast": "bonded"}
+        make = partial(rb.ExactRigidBodyLangevinIntegrator, 300.0, 5.0, interval * forces, name, **inner)
+        kinds[f"{name} {engine}"] = Kind(make, forces, interval, "LangevinMiddle")
+    return kinds
 
 
 def water(n):
@@ -88,9 +94,48 @@ def water(n):
     return rb.rigid_water(n, nonbondedMethod=app.PME, nonbondedCutoff=cutoff)[1:]
 
 
+def free(n):
+    """Return a System of TIP3P without forces, which shows the price of the integrators alone, and positions."""
+    system, positions = rb.rigid_water(n)[1:]
+    while system.getNumForces():
+        system.removeForce(0)
+    return system, positions
+
+
 def dipoles(n):
     """Return a System of soft dipoles whose forces stay on the device, and positions."""
     return rb.dipole_fluid(n, density=0.4, boundary=rb.ReactionField(cutoff=1.5), kernel="openmm")[1:]
+
+
+def of_file(name):
+    """Return the PDB file of a system."""
+    return {"peptide": PEPTIDE, "villin": OPENMM_DATA / "test.pdb", "membrane": OPENMM_DATA / "POPC.pdb"}.get(
+        name, Path(name)
+    )
+
+
+@cache
+def protein(name):
+    """Return System, with bonded forces in group 1, and positions of a protein or membrane; hydrogens are heavy."""
+    if name == "dhfr":
+        from openmmtools import testsystems
+
+        test = testsystems.DHFRExplicit()
+        topology, system, positions = test.topology, test.system, test.positions
+    else:
+        topology, positions = solvated(of_file(name))
+        system = app.ForceField(*(CHARMM if name == "membrane" else FORCE_FIELD)).createSystem(
+            topology,
+            nonbondedMethod=app.PME,
+            nonbondedCutoff=0.85,
+            switchDistance=0.75,
+            ewaldErrorTolerance=1e-5,
+            constraints=app.HBonds,
+            removeCMMotion=False,
+        )
+    rb.heavy_hydrogens(system, topology, 3.0, water=True)
+    rb.separate_bonded(system)
+    return system, positions
 
 
 def start_of(system, positions, platform, precision):
@@ -170,14 +215,20 @@ class Measurement:
     def measure(self, name, n, system, start, kinds, precision, seconds):
         """Measure a System from a State, or from positions, for about so many seconds."""
         begin = time.perf_counter()
-        entries = {label: self._entry(kind, system, start, precision) for label, kind in kinds.items()}
+        entries = {}
+        for label, kind in kinds.items():
+            if self.left > 0.0:
+                entries[label] = self._entry(kind, system, start, precision)
+        if not entries:
+            return
         slowest = max(entry.run(10, self._clock) for entry in entries.values())
         forces = min(self.options.forces, max(10, int(seconds / (4.0 * slowest * len(entries)))))
         for rounds in range(self.options.rounds):
             if rounds > 1 and time.perf_counter() - begin > seconds:
                 break
             for entry in entries.values():
-                entry.times.append(entry.run(forces, self._clock))
+                if self.left > 0.0 or not entry.times:
+                    entry.times.append(entry.run(forces, self._clock))
         for label, entry in entries.items():
             ratio = entry.median / entries[entry.kind.beside].median
             day = 86.4 * entry.kind.interval / entry.median
@@ -214,9 +265,11 @@ def main():
     )
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--water", type=int, nargs="*", default=[64, 512, 4096, 32768, 100_000])
-    proteins = ["peptide", *(["dhfr"] if find_spec("openmmtools") else [])]
-    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, dhfr, or PDB files")
+    parser.add_argument("--free", type=int, nargs="*", default=[32768], help="TIP3P without forces")
+    proteins = ["peptide", "villin", *(["dhfr"] if find_spec("openmmtools") else []), "membrane"]
+    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, villin, dhfr, membrane, or PDB files")
     parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
+    parser.add_argument("--engines", nargs="+", choices=("device", "host"), default=["device"], help="of ours")
     parser.add_argument("--forces", type=int, default=400, help="at most so many force evaluations a round")
     parser.add_argument("--rounds", type=int, default=7, help="at most so many")
     parser.add_argument("--clock", choices=tuple(CLOCKS), default="wall")
@@ -226,6 +279,7 @@ def main():
     systems = [(water, n) for n in options.water]
     systems += [(protein, name) for name in options.proteins]
     systems += [(dipoles, n) for n in options.dipoles]
+    systems += [(free, n) for n in options.free]
     with options.csv.open("w", newline="", encoding="utf-8") as file:
         measurement = Measurement(options, file)
         if not options.no_tests:
@@ -236,11 +290,12 @@ def main():
                 break
             seconds = measurement.left / (len(todo) - number)
             if build is protein:
-                system, positions = protein(n, heavy=True)
-                start, kinds = start_of(system, positions, measurement.platform, precision), of_proteins()
+                system, positions = protein(n)
+                start = start_of(system, positions, measurement.platform, precision)
+                kinds = of_proteins(options.engines)
             else:
                 system, start = build(n)
-                kinds = of_bodies(0.001 if build is water else 0.005)
+                kinds = of_bodies(0.005 if build is dipoles else 0.001, options.engines)
             name, size = (Path(n).stem, "") if build is protein else (build.__name__, n)
             measurement.measure(name, size, system, start, kinds, precision, 0.7 * seconds)
 

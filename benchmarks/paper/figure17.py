@@ -16,7 +16,6 @@ magnitude with every method (options `--spacing 1 --energies 1400 2000 5000 2000
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections import defaultdict
 from functools import lru_cache
@@ -44,8 +43,8 @@ STARTS = 100
 SPACING = 3.0
 ENERGIES = (4.0, 20.0, 100.0, 1000.0)
 FILES = """\
-Each run is one job of an ensemble: the command continues where it stopped. Results go to out/paper/figure17, with a table of
-all runs (CSV) next to it. --quick and other energies or lattice constants do not change docs/."""
+Each run is one job of an ensemble, whose result is a file in out/paper/figure17: the command continues where it stopped.
+--quick and other energies or lattice constants do not change docs/."""
 #: What a verdict on this figure depends on.
 GUESSED = "This holds for our lattice constant and energies, which the paper does not give"
 #: Force evaluations of the runs of S6_10 with the steps 1, 1/2, 1/4 and 1/8.
@@ -55,18 +54,6 @@ SCHEMES = {"V2": "V2_drift", "SRKN4_6b": "SRKN4_6b", "S6_10": "S6_10"}
 ROTORS = {"exact": ("-", "exact rotor"), "mclachlan_reich": ("-.", "McLachlan-Reich")}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
 STYLES = {"V2": ("#0072B2", "^"), "SRKN4_6b": ("#D55E00", "x"), "S6_10": ("#009E73", "o")}
-RUNS = (
-    "energy",
-    "seed",
-    "scheme",
-    "rotor",
-    "steps",
-    "evaluations",
-    "first_energy",
-    "last_energy",
-    "seconds",
-    "failure",
-)
 AVERAGES = ("energy", "scheme", "rotor", "steps", "evaluations", "starts", "failed", "mean_error", "max_error")
 
 
@@ -113,15 +100,6 @@ def jobs(energies, spacing, starts, costs):
     return ensemble.sweep(one_run, axes, spacing=spacing)
 
 
-def rows(results):
-    """Return the table of all runs."""
-    for result in results:
-        wanted, got = result.job.arguments, result.value or {}
-        fields = [wanted[name] for name in ("energy", "seed", "scheme", "rotor")]
-        numbers = [got.get(name, "") for name in ("steps", "evaluations", "first", "last")]
-        yield [*fields, *numbers, f"{result.seconds:.4f}", result.error or ""]
-
-
 def averages(results):
     """Return the table of arithmetic means over the starts, of |H(T) - H(0)|/|H(0)|."""
     groups = defaultdict(list)
@@ -140,21 +118,12 @@ def averages(results):
     return table
 
 
-def save(file, header, lines):
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with file.open("w", newline="") as out:
-        writer = csv.writer(out, lineterminator="\n")
-        writer.writerow(header)
-        writer.writerows(lines)
-
-
 def compute(quick, *, starts=STARTS, energies=ENERGIES, spacing=SPACING, workers=None, scheduler=None):
     """Run what is missing, and return the averages."""
     starts, energies, costs = (2, ENERGIES[::3], COSTS[:2]) if quick else (starts, energies, COSTS)
     results = ensemble.run(
         jobs(energies, spacing, starts, costs), OUT / "figure17", workers=workers, scheduler=scheduler
     )
-    save(OUT / f"figure17{'_quick' * quick}_runs.csv", RUNS, rows(results))
     return {"averages": averages(results)}
 
 
@@ -170,7 +139,7 @@ def energies_of(data):
 def draw(data):
     """Draw the paper's figure: a panel for each energy."""
     energies = energies_of(data)
-    figure, panels = plt.subplots(2, -(-len(energies) // 2), figsize=(9.0, 7.2), layout="constrained", squeeze=False)
+    figure, panels = plt.subplots(2, -(-len(energies) // 2), figsize=(6.0, 7.2), layout="constrained", squeeze=False)
     for energy, axes in zip(energies, panels.flat, strict=False):
         for scheme, (colour, marker) in STYLES.items():
             for rotor, (line, name) in ROTORS.items():
@@ -183,12 +152,12 @@ def draw(data):
         axes.minorticks_off()
         axes.grid(True, which="major", alpha=0.3)
     for axes in panels[-1]:
-        axes.set_xlabel("force evaluations in T = 1 (reduced units)")
+        axes.set_xlabel("force evaluations in T = 1\n(reduced units)")
     for axes in panels[:, 0]:
         axes.set_ylabel("mean relative energy error at T")
     starts = max(row["starts"] for row in data["averages"])
     figure.suptitle(f"{N} soft dipolar spheres, mean over {starts} starts")
-    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
     yield NAME, figure
 
 

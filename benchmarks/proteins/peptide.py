@@ -6,6 +6,7 @@ windows of 0.5 ps and within whole runs, against evaluations of the nonbonded fo
 which are made here with fixed seeds. Nested schemes and OpenMM's MTSIntegrator have the bonded forces in steps of their
 own, "with 1-4" the pairs three bonds apart too; of these, the evaluations per ps are counted beside. Processed schemes
 evaluate forces for output too, `Scheme.output_forces` of them, which are not counted: here that is every 20 fs.
+Names that end with ", exact inverse" have that of the processor instead of the scheme's output.
 
 A survey with short runs goes first; the best of each family at each rate are then run for long, from other starts than
 those of the survey with --leave. --methods runs what it names instead of a survey and its best: "Verlet", "W2_4",
@@ -18,6 +19,8 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import openmm
@@ -35,6 +38,7 @@ RATES = (250, 500, 1000, 2000)
 SCHEMES = ("S2_2", "S2_3", "W2_4", "W2_5", "W4_5", "W4_6", "SRKN4_6b", "SRKN6_14a", "ABA_8_6_4")
 #: How our schemes are run; names of methods end so.
 PLAIN, NESTED, WITH_PAIRS = "", " nested", " nested with 1-4"
+INVERSE = ", exact inverse"
 #: Families, and the names of ours in pictures and tables.
 FAMILIES = {
     "Verlet": "",
@@ -77,7 +81,7 @@ def methods():
 
 def nesting(method):
     """Return what is nested in a method of ours: "plain", "nested" or "nested with 1-4"."""
-    return method.partition(":")[0].partition(" ")[2] or "plain"
+    return method.removesuffix(INVERSE).partition(":")[0].partition(" ")[2] or "plain"
 
 
 def family(method):
@@ -108,11 +112,12 @@ def prepared(bare, method, rate):
     elif family(method) == "MTSIntegrator":
         integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
-        scheme = method.partition(":")[0].split()[0]
+        scheme = rb.SCHEMES[method.partition(":")[0].split()[0]]
+        if method.endswith(INVERSE):
+            scheme = replace(scheme, output=())
         fast = {"plain": None, NESTED.strip(): (bonded,), WITH_PAIRS.strip(): "bonded"}[nesting(method)]
         within = {} if fast is None else inner(method)
-        h = rb.SCHEMES[scheme].forces / rate
-        return system, rb.ExactRigidBodyIntegrator(h, scheme=scheme, fast=fast, **within)
+        return system, rb.ExactRigidBodyIntegrator(scheme.forces / rate, scheme=scheme, fast=fast, **within)
     integrator.setConstraintTolerance(1e-10)
     return system, integrator
 
@@ -156,12 +161,12 @@ class Table:
         return [method for method in found[:n] if np.isfinite(self.rows[method, rate][0])]
 
 
-def run(constraints, waters, n_starts, leave, duration, rates, survey, named):
+def run(constraints, waters, n_starts, leave, duration, rates, survey, named, record=None):
     """Survey all methods and run the best ones for long, or run the named ones; print a table and draw it."""
     system, positions = droplet(waters, constraints)
     starts = equilibrated(system, positions, 5.0, leave + n_starts)
     apart = f"_after_{leave}" if leave else ""
-    long = Table(records.OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
+    long = Table(record or records.OUT / f"peptide_{constraints}_{n_starts}x{duration:g}ps{apart}.csv")
     for method in named or ():
         for rate in rates:
             long.add(system, starts[leave:], duration, method, rate)
@@ -223,6 +228,7 @@ def main():
     )
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods to run instead of a survey")
     parser.add_argument("--rates", type=int, nargs="+", default=RATES, metavar="N", help="evaluations per ps")
+    parser.add_argument("--record", type=Path, metavar="CSV", help="where the long runs go, if not to out/benchmarks")
     parser.add_argument("--quick", action="store_true", help="short runs")
     args = parser.parse_args()
     if args.quick:
@@ -237,6 +243,7 @@ def main():
             args.rates,
             SURVEY,
             args.methods,
+            args.record,
         )
 
 

@@ -10,10 +10,11 @@ last one stopped:
    family are where the next stage begins.
 2. `screened` and `improve`: those points, and Nelder and Mead from the best of them, on the standard deviation of the
    energy of droplets of four water models in windows of 10 ps, in units of Verlet's, over training starts.
-3. `judge`: 30 ps from starts that nothing else has seen, of other sizes.
+3. `judge`: 30 ps from starts that nothing else has seen, of other sizes; the errors of schemes of the catalogue go to
+   docs/droplet_models.csv.
 
     python benchmarks/schemes/search.py --rates 500 1000 --families BACAB BABABAB --best 2 --budget 120
-    python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64
+    python benchmarks/schemes/search.py --judge W2_4 W2_5 --rates 500 --models tip3p --molecules 64 --starts 3
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from scipy.optimize import minimize
 import openmm_exactrb as rb
 from benchmarks.common import droplets
 from benchmarks.common.energies import variance
+from benchmarks.common.records import DOCS, Record
 from benchmarks.common.starts import R
 from openmm_exactrb.schemes import force_gradient
 from openmm_exactrb.schemes import scheme as look_up
@@ -47,6 +49,11 @@ FAMILIES = (
     *("BABACACABAB", "BABABACABABAB"),
 )
 LOST = 50.0  # the objective of what is unstable
+RECORD = Record(
+    DOCS / "droplet_models.csv",
+    ("model", "molecules", "forces_per_ps", "scheme", "ps", "starts"),
+    ("std_2_ps", "std_10_ps", "std_all", "of_oscillators"),
+)
 
 
 # -- a family: which numbers make a scheme -------------------------------------------------------------------------
@@ -68,13 +75,6 @@ def member(family, free):
     kicks = drifts + slots(family, "BC") - 1
     a, b, e = free[:drifts], free[drifts:kicks], free[kicks:]
     return force_gradient(family, family, order=2, a=a, b=b, e=e)
-
-
-def free_of(family, scheme):
-    """Return the free coefficients of a scheme of a family."""
-    drifts, kicks = slots(family, "A") - 1, slots(family, "BC")
-    e = [-2.0 * c / b for b, c in zip(scheme.b[:kicks], scheme.c[:kicks], strict=bool(scheme.c)) if c]
-    return [*scheme.a[:drifts], *scheme.b[: kicks - 1], *e]
 
 
 # -- stage 1: oscillators ------------------------------------------------------------------------------------------
@@ -103,23 +103,6 @@ def oscillator(scheme, x):
     with np.errstate(invalid="ignore", divide="ignore"):
         angle, ratio = np.arccos(0.5 * (qq + pp)), np.sqrt(-qp / pq)
     return ratio * angle / x, angle / (ratio * x)
-
-
-def of_order_four(family, free, x=0.05):
-    """Return the point of a family nearest to one, by Newton's method, whose oscillators are right up to order four.
-
-    The two conditions of order four are alpha = beta = 1 up to x².
-    """
-    free = np.array(free)
-
-    def conditions(free):
-        return np.ravel(oscillator(member(family, free), np.array([x]))) - 1.0
-
-    for _ in range(6):
-        defect = conditions(free)
-        slopes = np.array([(conditions(free + 1e-6 * row) - defect) / 1e-6 for row in np.eye(len(free))]).T
-        free = free - np.linalg.lstsq(slopes, defect)[0]
-    return free.tolist()
 
 
 def linear(scheme, rate, weights=None):
@@ -224,8 +207,8 @@ class _TimeIsUpError(Exception):
     """The time for a search is over."""
 
 
-def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0, order=2):
-    """Improve a member of a family by Nelder and Mead on droplets, within those of an order 2 or 4; a job.
+def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration=10.0):
+    """Improve a member of a family by Nelder and Mead on droplets; a job.
 
     Returns
     -------
@@ -235,7 +218,6 @@ def improve(family, rate, first, budget, n, seeds, models, window=10.0, duration
     trace, begun, starts = [], time.perf_counter(), list(itertools.product(models, seeds))
 
     def objective(free):
-        free = of_order_four(family, free) if order == 4 else free
         scheme, total = member(family, free), 0.0
         if sum(abs(part) for _, part in scheme.sequence) > 6.0 or not np.isfinite(linear(scheme, rate)):
             return LOST
@@ -292,7 +274,11 @@ def judged(candidates, rate, folder, models=MODELS, n=TEST["n"], seeds=TEST["see
         below = over_models(("V2", "None"), str(duration)) / windows[str(duration)]
         rows = " ".join(f"{w}: " + " ".join(f"{e:.2e}" for e in errors) for w, errors in windows.items())
         print(f"{rate} {family} {free}\n   below Verlet {np.round(below, 2)}; error in windows of {rows}")
-        print(f"   of oscillators alone {linear(scheme, rate) / np.sqrt(n):.2e}", flush=True)
+        alone = np.nan if scheme.processor else linear(scheme, rate) / np.sqrt(n)  # which knows one set of coordinates
+        print(f"   of oscillators alone {alone:.2e}", flush=True)
+        for model, *errors in zip(models, *windows.values(), strict=True) if free is None else ():
+            values = (model, n, rate, family, duration, len(seeds), *(f"{value:.4g}" for value in (*errors, alone)))
+            RECORD.add(dict(zip(RECORD.columns, values, strict=True)))
 
 
 def searched(families, rates, best, budget, folder, workers):
@@ -330,8 +316,9 @@ def main():
     parser.add_argument("--molecules", type=int, default=TEST["n"], help="of the droplets that judge")
     parser.add_argument("--models", nargs="+", default=list(MODELS), help="water models that judge")
     parser.add_argument("--picoseconds", type=float, default=30.0, help="of the runs that judge")
+    parser.add_argument("--starts", type=int, default=len(TEST["seeds"]), help="of each model, that judge")
     args = parser.parse_args()
-    seeds = TEST["seeds"]
+    seeds = TEST["seeds"][: args.starts]
     if args.judge:
         for rate in args.rates:
             candidates = [(name, None) for name in args.judge if name != "V2"]

@@ -90,3 +90,13 @@ def shadow_predictions() -> str:
         )
         body.append((labels.get(scheme, scheme), *(cell.replace("-", "−") for cell in cells)))
     return table(("scheme", "2 fs per force", "4 fs", "6 fs"), body)
+
+
+def settings_of_forces() -> str:
+    """Return energy errors of Verlet and W4_4 within 2 ps, with OpenMM's settings of forces and with ours."""
+    loose, tight = rows("water_boxes_loose"), [row for row in rows("water_boxes") if row["starts"] == "6"]
+    body = []
+    for label, found in (("OpenMM's defaults", loose), ("`switchDistance` and a tolerance of 1e-5", tight)):
+        std = {row["method"]: float(row["std_2_ps"]) for row in found if row["model"] == "tip3p"}
+        body.append((label, found[-1]["starts"], *(f"{std[name]:.1e}" for name in ("Verlet", "W4_4"))))
+    return table(("forces", "starts", "Verlet", "`W4_4`"), body)

@@ -24,7 +24,9 @@ from pathlib import Path
 from types import CodeType
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "examples"))  # what pages import from beside a script
+# What pages import from beside a script, or read there.
+sys.path += [str(ROOT / "examples"), str(ROOT / "benchmarks" / "constraints")]
+DATA = ROOT / "examples" / "data"
 DOCS = ROOT / "docs"
 # Built pages, copies of the examples, and recipes that have tests of their own (tests/test_recipes.py).
 ELSEWHERE = {DOCS / "_build", DOCS / "examples", DOCS / "contributing.md"}
@@ -48,6 +50,7 @@ def run(page: Path) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         for name in ("examples", "benchmarks"):
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "out"))
+        shutil.copytree(DATA, folder, dirs_exist_ok=True)
         stack.enter_context(contextlib.chdir(folder))
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("error")

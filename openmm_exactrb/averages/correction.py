@@ -138,7 +138,7 @@ def corrected(
     if pressure is not None:
         if not settings.barostat:
             raise ValueError(
-                f"{file} is of a run at constant volume, to which no pressure belongs: leave out pressure="
+                f"{file} is from a run at constant volume, which has no pressure to correct to: omit pressure="
             )
         wanted = plain(pressure, unit.bar, "a pressure")
         settings, excess = replace(settings, pressure=wanted), settings.pressure - wanted

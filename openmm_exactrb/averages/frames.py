@@ -179,7 +179,9 @@ def langevin_of(integrator: object) -> ExactRigidBodyIntegrator:
     if not any((*thermostat.frictions, *thermostat.flexible_frictions)):
         raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
     if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
-        raise ValueError("averages can be corrected only if all force groups act: set all integration force groups")
+        raise ValueError(
+            "averages can be corrected only if the integrator uses all force groups: call setIntegrationForceGroups"
+        )
     return integrator
 
 

@@ -17,7 +17,7 @@ from openmm_exactrb.runs import Run
 ENERGIES, VOLUME, PICTURE = "energies.csv", "volume.csv", "picture.png"
 
 _FEW = 3  # lines; fewer have no meaningful standard deviation
-_R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
+_TEMPERATURES = {"translation": 4, "rotation": 5}  # the columns of `EnergyReporter`
 
 
 def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
@@ -27,8 +27,7 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
     length = simulation.currentStep * integrator.getStepSize().value_in_unit(unit.picosecond)
     speed = f", {job.wall / length:.3g} s per ps, {86.4 * length / job.wall:.3g} ns/day" if job.wall > 0.0 else ""
     yield f"{integrator!r}: {length:.4g} ps{speed}"
-    temperatures = _temperatures(table, integrator.degreesOfFreedom())
-    yield "temperature: " + ", ".join(f"{name} {T.mean():.1f} K" for name, T in temperatures.items())
+    yield "temperature: " + ", ".join(f"{name} {T.mean():.1f} K" for name, T in _temperatures(table).items())
     if ensemble == "nve" and len(table) >= _FEW:
         yield f"total energy: standard deviation {table[:, -1].std() / len(bodies):.1e} kJ/mol per body"
     if ensemble == "npt":
@@ -36,11 +35,8 @@ def summary(simulation: Any, job: Run, ensemble: str) -> Iterator[str]:
     yield f"{job.folder}: {', '.join(sorted(file.name for file in job.folder.iterdir()))}"
 
 
-def draw(folder: Path, ensemble: str, freedom: tuple[int, int]) -> None:
-    """Draw energy or density, and temperatures, over time, if matplotlib is installed.
-
-    `freedom` are the translational and rotational degrees of freedom.
-    """
+def draw(folder: Path, ensemble: str) -> None:
+    """Draw energy or density, and temperatures, over time, if matplotlib is installed."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -51,7 +47,7 @@ def draw(folder: Path, ensemble: str, freedom: tuple[int, int]) -> None:
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     FigureCanvasAgg(figure)
     upper, lower = figure.subplots(2, sharex=True)
-    for name, T in _temperatures(table, freedom).items():
+    for name, T in _temperatures(table).items():
         upper.plot(table[:, 1], T, lw=1.0, label=f"{name}, mean {T.mean():.1f} K")
     upper.set_ylabel("temperature (K)")
     upper.legend(fontsize=9)
@@ -66,9 +62,9 @@ def draw(folder: Path, ensemble: str, freedom: tuple[int, int]) -> None:
     figure.savefig(folder / PICTURE, dpi=150)
 
 
-def _temperatures(table: NDArray[np.float64], freedom: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    columns = {"translation": (table[:, 2], freedom[0]), "rotation": (table[:, 3], freedom[1])}
-    return {name: 2.0 * energy / (f * _R) for name, (energy, f) in columns.items() if f > 0}
+def _temperatures(table: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Return the temperatures of what has degrees of freedom."""
+    return {name: table[:, k] for name, k in _TEMPERATURES.items() if not np.isnan(table[:, k]).any()}
 
 
 def _table(file: Path) -> NDArray[np.float64]:

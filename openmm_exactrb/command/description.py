@@ -133,8 +133,9 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
 def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
     """Yield the shortest periods of bonds and angles, those of equal frequencies once."""
     distinct: dict[float, tuple[int, ...]] = {}
-    for frequency, particles in frequencies(system):
-        distinct.setdefault(float(f"{frequency:.4g}"), particles)
+    for some, particles in frequencies(system):
+        for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
+            distinct.setdefault(float(f"{frequency:.4g}"), tuple(own))
     fastest = [frequency for frequency in sorted(distinct, reverse=True) if frequency > 0.0][:_SHOWN]
     if fastest:
         what = {2: "bond", 3: "angle"}

@@ -12,12 +12,13 @@ import openmm
 from openmm import app
 
 from openmm_exactrb.command.inputs import Box, begin_at
-from openmm_exactrb.openmm_access.platforms import mixed
+from openmm_exactrb.openmm_access.platforms import mixed, why_not_by_default
 from openmm_exactrb.runs import Run
 from openmm_exactrb.runs.signals import LostInterrupts
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.states import read_xml
 from openmm_exactrb.support.files import written_whole
+from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.advice import CANDIDATES, progress, tune
 from openmm_exactrb.tuning.preparation import heat, minimise
@@ -107,6 +108,9 @@ def _equilibrated(
     else:
         simulation.context.setPositions(box.positions)
     if not box.moves:
+        flexible = len(integrator.bodyState()[0].clusters) > 0  # which OpenMM's minimiser takes
+        if flexible and (why := why_not_by_default(platform)):
+            warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)
         integrator.setVelocitiesToTemperature(args.temperature, args.seed)
         length = length_of(args)

@@ -116,7 +116,9 @@ def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, 
 def load(args: argparse.Namespace) -> Box:
     """Return the molecules that the options of ``exactrb run`` describe; raise ValueError if they do not fit."""
     if not args.files and not args.solvate:
-        raise ValueError(f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for that much water")
+        raise ValueError(
+            f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for a box of 216 molecules of water"
+        )
     check_missing(args.files)
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
@@ -138,9 +140,11 @@ def load(args: argparse.Namespace) -> Box:
 
 def _serialised(args: argparse.Namespace) -> Box:
     if args.forcefield or args.solvate:
-        raise ValueError("--forcefield and --solvate need a PDB or PDBx file: a System already has its forces")
+        raise ValueError("--forcefield and --solvate need a PDB or PDBx file: a System already contains forces")
     if args.hydrogen_mass is not None:
-        raise ValueError("omit --hydrogen-mass: a System has its masses, which heavy_hydrogens() in Python changes")
+        raise ValueError(
+            "omit --hydrogen-mass: a System already contains masses, which heavy_hydrogens() changes in Python"
+        )
     system, state = (read_xml(file, kind) for file, kind in zip(args.files, (openmm.System, openmm.State), strict=True))
     if not state.getDataTypes() & openmm.State.Positions:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
@@ -153,7 +157,7 @@ def _serialised(args: argparse.Namespace) -> Box:
 def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Box:
     """Return the molecules of a topology of Amber or GROMACS, which has its forces."""
     if args.forcefield or args.solvate:
-        raise ValueError(f"--forcefield and --solvate go with a PDB or PDBx file: {topology} has its forces already")
+        raise ValueError(f"--forcefield and --solvate need a PDB or PDBx file: {topology} already contains forces")
     content: Any
     if places.suffix.lower() in _AMBER:
         start = _understood(str(places), app.AmberInpcrdFile, str(places))
@@ -200,7 +204,7 @@ def _water(args: argparse.Namespace) -> str:
         return str(args.water)
     named = [model for model in WATERS for file in args.forcefield if model in Path(file).stem]
     if not named:
-        raise ValueError(f"which water model? Add --water, one of {', '.join(WATERS)}")
+        raise ValueError(f"the water model is unknown: add --water with one of {', '.join(WATERS)}")
     return named[0]
 
 

@@ -151,7 +151,7 @@ def _simulate(job: Run, args: argparse.Namespace, box: inputs.Box, platform: ope
     with _progress_bar(f"{args.ensemble}, {integrator.getScheme().name}", steps, args.quiet) as tell:
         job.advance(simulation, steps, tell)
     if args.picture:
-        analysis.draw(job.folder, args.ensemble, integrator.degreesOfFreedom())
+        analysis.draw(job.folder, args.ensemble)
     print("\n".join(analysis.summary(simulation, job, args.ensemble)))
 
 

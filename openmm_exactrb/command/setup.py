@@ -33,7 +33,7 @@ def couple(system: openmm.System, args: argparse.Namespace) -> None:
     """Add the barostat of the ensemble to a System; raise ValueError if it does not allow one."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
-        raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt has its own")
+        raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")
     if args.ensemble != "npt":
         return
     if not system.usesPeriodicBoundaryConditions():

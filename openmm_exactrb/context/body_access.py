@@ -13,6 +13,8 @@ from openmm import unit
 
 from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.group_motion import of_groups
+from openmm_exactrb.context.minimiser import OPENMM
+from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.minimise import minimised
@@ -144,7 +146,8 @@ class BodyAccess:
         """Minimise the potential energy.
 
         Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method where there
-        are some. If molecules are constrained but not rigid, OpenMM's minimiser is used.
+        are some, and where constraints follow from others. If molecules are constrained but not rigid, OpenMM's
+        minimiser is used.
 
         Parameters
         ----------
@@ -179,9 +182,11 @@ class BodyAccess:
                     "bodies named by hand cannot be minimised together with flexible molecules with constraints: "
                     "minimise with an integrator without bodies= before you name them"
                 )
-            start = sync.context.getState(positions=True).getPositions()
+            start = sync.held()[0]
             try:
-                openmm.LocalEnergyMinimizer.minimize(sync.context, force, iterations)
+                if not solvable(sync.context.getSystem(), start):
+                    raise ValueError("constraints follow from others")
+                OPENMM(sync.context, force, iterations)
                 sync.pull()
             except (ValueError, openmm.OpenMMException) as error:
                 sync.context.setPositions(start)
@@ -218,9 +223,7 @@ class BodyAccess:
             raise ValueError(f"setBodyState() takes the state of bodies, bodyState()[1], not a {type(state).__name__}")
         full = state if isinstance(state, State) else State.of(state)
         if any(a.shape != b.shape or not np.isfinite(a).all() for a, b in zip(full, sync.state, strict=True)):
-            raise ValueError(
-                "a state of bodies must have finite numbers for all of them: use one returned by bodyState()"
-            )
+            raise ValueError("the state must have one finite row for each body: use one returned by bodyState()")
         if not (np.abs((full.q[0] ** 2).sum(axis=0) - 1.0) < 2e-9).all():
             raise ValueError("orientations must be quaternions of unit length: divide each by its norm")
         sync.replace(State(*map(np.ascontiguousarray, full)))

@@ -1,4 +1,4 @@
-"""OpenMM's minimiser where bodies are named by hand, of which it knows nothing."""
+"""OpenMM's minimiser where it cannot minimise: bodies named by hand, and constraints that do not suit its solver."""
 
 from __future__ import annotations
 
@@ -7,23 +7,36 @@ from typing import Any
 
 import openmm
 
+from openmm_exactrb.context.solver import solvable
+from openmm_exactrb.openmm_access import arrays
+
+#: The method of OpenMM.
+OPENMM = openmm.LocalEnergyMinimizer.minimize
+
 
 def minimise_by_integrators(kind: type[Any]) -> None:
-    """Have integrators of a kind minimise the energy, by ``minimizeEnergy``, where they have bodies named by hand.
+    """Have integrators of a kind minimise the energy, by ``minimizeEnergy``, where OpenMM's minimiser cannot.
 
-    OpenMM's minimiser would deform these, and the first step would take the deformed shape. Its method is replaced,
-    since ``Simulation.minimizeEnergy`` calls it before the integrator knows its Context.
+    It would deform bodies named by hand, and the first step would take the deformed shape. Where constraints follow
+    from others it ends in NaN or kills the process, and molecules that the box has split it drags together. Its method
+    is replaced, since ``Simulation.minimizeEnergy`` calls it before the integrator knows its Context.
     """
-    minimize = openmm.LocalEnergyMinimizer.minimize
 
-    @functools.wraps(minimize)
+    @functools.wraps(OPENMM)
     def minimise(context: Any, tolerance: Any = 10.0, maxIterations: int = 0, reporter: Any = None) -> None:
         integrator: Any = context.getIntegrator()
-        if not isinstance(integrator, kind) or not integrator.getNamedBodies():
-            minimize(context, tolerance, maxIterations, reporter)
+        if not isinstance(integrator, kind) or (not integrator.getNamedBodies() and _suits(context)):
+            OPENMM(context, tolerance, maxIterations, reporter)
             return
         if reporter is not None:
-            raise ValueError("minimisation with bodies named by hand does not support reporter=: omit it")
+            raise ValueError(
+                "minimisation with bodies named by hand, or constraints that follow from others, does not support "
+                "reporter=: omit it"
+            )
         integrator.minimizeEnergy(tolerance, maxIterations)
 
     openmm.LocalEnergyMinimizer.minimize = staticmethod(minimise)
+
+
+def _suits(context: Any) -> bool:
+    return solvable(context.getSystem(), arrays.positions(context.getState(positions=True)))

@@ -30,6 +30,8 @@ _SAME, _SAME_PART = 1e-13, 3e-14
 _RIGID = 1e-9
 # A change of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
 _SMALL = 1e-8
+# OpenMM's Reference platform loses pairs of particles whose coordinate (nm) is less than 0 by a rounding of the box.
+_LOST = 1e-14
 
 
 class Positions:
@@ -43,6 +45,7 @@ class Positions:
         self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
         self.version = 0
         self._written = -1
+        self._loses_pairs = context.getPlatform().getName() == "Reference"
 
     @property
     def context(self) -> Any:
@@ -59,8 +62,10 @@ class Positions:
     def show(self, state: State) -> None:
         """Bring the Context to the positions of any state."""
         self._written = -1
-        context = self.context
-        context.setPositions(self.placed(state))
+        context, x = self.context, self.placed(state)
+        if self._loses_pairs:
+            x[(x < 0.0) & (x > -_LOST)] = 0.0
+        context.setPositions(x)
         context.computeVirtualSites()
 
     def placed(self, state: State) -> Array:

@@ -199,6 +199,6 @@ def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> 
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():
             raise ValueError(
-                "a barostat changes the box: dipoles with kernel='bonds' cannot follow it, with 'openmm' only "
-                "while it is wide enough: use kernel='compiled', or remove the barostat"
+                "a barostat changes the box: dipoles with kernel='bonds' cannot follow it, and those with "
+                "kernel='openmm' only while it is wide enough: use kernel='compiled', or remove the barostat"
             )

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from openmm import unit
 
 from openmm_exactrb.detection.shapes import (
     RESIDUAL,
@@ -22,6 +20,7 @@ from openmm_exactrb.detection.whole import Constraints, constraints, whole_posit
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
+from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
@@ -57,22 +56,17 @@ def find_bodies(
         If nothing can move, constraints follow from each other or lead out of a body, a body is named wrongly, or the
         System has Drude particles.
     """
-    masses = np.array([system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())])
+    masses = parameters.masses(system)
     _check_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
     held = constraints(system)
     whole = whole_positions(system, positions, masses, given, box, held)
-    groups: dict[tuple[bytes, bytes], list[Indices]] = {}
-    for particles, distances in _clusters(held, masses, given):
-        groups.setdefault((masses[particles].tobytes(), distances.tobytes()), []).append(particles)
     shapes: list[Kind] = []
     flexible: list[ClusterKind] = []
-    for (mass_bytes, distance_bytes), members in groups.items():
-        body_masses = np.frombuffer(mass_bytes)
-        distances = np.frombuffer(distance_bytes).reshape(len(body_masses), -1)
-        particles = np.stack(members)
+    for particles, distances in _clusters(held, masses, given):
+        body_masses = masses[particles[0]]
         pair = pairs and len(distances) == 2 and not np.isnan(distances).any()
-        if pair or not held_rigid(distances, whole[members[0]]):
+        if pair or not held_rigid(distances, whole[particles[0]]):
             flexible.append(_flexible(particles, body_masses, distances, whole))
             continue
         if not np.isnan(distances).any():
@@ -112,7 +106,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
         i, j = particles[0, pairs[worst]]
         raise ValueError(
             f"the constraint of particles {i} and {j} to {kind.lengths[worst]:g} nm follows from the others of "
-            f"{kind.name(0)}, which miss it by {missed[worst]:.2g} nm: correct it or remove it"
+            f"{kind.name(0)}, but differs from them by {missed[worst]:.2g} nm: correct it or remove it"
         )
     x = on_constraints(particles[:1], masses, distances, positions)[particles[:1]]
     lengths = np.linalg.norm(x[0, pairs[:, 0]] - x[0, pairs[:, 1]], axis=1)
@@ -155,7 +149,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
             raise ValueError(f"body {number} has no particle with mass")
         if len(particles) > 2 * len(massive):
             warn(
-                f"body {number} has the mass and inertia of {len(massive)} particles, for the other "
+                f"body {number} has the mass and inertia of {len(massive)} particles, because the other "
                 f"{len(particles) - len(massive)} are virtual sites: if createRigidBodies or set_rigid_bodies made "
                 "them, name the body in the System as it was before",
                 ShapeWarning,
@@ -165,11 +159,11 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
 
 
 def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
-    """Yield the particles of each body, and those of their distances that constraints give (nan elsewhere)."""
+    """Return the particles (N, n) of bodies of one kind, and their distances (n, n) that constraints give, or nan."""
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
-    n, (pairs, lengths) = len(masses), held
+    n, (pairs, _) = len(masses), held
     owner = np.full(n, -1)
     for number, particles in enumerate(given):
         owner[particles] = number
@@ -180,23 +174,42 @@ def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterabl
     links = [pairs, *(np.column_stack([np.full(len(b), b[0]), b]) for b in given)]
     rows, columns = np.concatenate(links).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
+    label = connected_components(graph, directed=False)[1].astype(np.intp)
+    found = [group for some in _of_one_size(held, label, owner) for group in _alike(masses, *some)]
+    return [(particles, distances) for _, particles, distances in sorted(found, key=lambda group: group[0])]
+
+
+def _of_one_size(held: Constraints, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles (N, n) of clusters of n particles, by their labels, and their distances (N, n, n)."""
+    pairs, lengths = held
     order = np.argsort(label, kind="stable")
-    place = np.empty(n, dtype=np.intp)
-    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=n))
-    for start, stop in itertools.pairwise(bounds):
-        place[order[start:stop]] = np.arange(stop - start)
-    of_cluster = np.argsort(label[pairs[:, 0]], kind="stable")
-    limits = np.searchsorted(label[pairs[of_cluster, 0]], np.arange(len(bounds)))
-    for cluster, (start, stop) in enumerate(itertools.pairwise(bounds)):
-        particles = order[start:stop]
-        if not masses[particles].any():  # frozen, or a virtual site
-            continue
-        distances = np.full((len(particles), len(particles)), np.nan)
-        np.fill_diagonal(distances, 0.0)
-        own = of_cluster[limits[cluster] : limits[cluster + 1]]
-        i, j = place[pairs[own]].T
-        distances[i, j] = distances[j, i] = lengths[own]
-        if owner[particles[0]] >= 0:
-            distances[~np.eye(len(particles), dtype=bool)] = np.nan
+    bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=len(label)))
+    sizes, number = np.diff(bounds), label[pairs[:, 0]]
+    place = np.empty(len(label), dtype=np.intp)
+    place[order] = np.arange(len(label)) - np.repeat(bounds[:-1], sizes)
+    row = np.empty(len(sizes), dtype=np.intp)
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        row[which] = np.arange(len(which))
+        particles = order[bounds[which][:, None] + np.arange(size)]
+        distances = np.full((len(which), size, size), np.nan)
+        own = sizes[number] == size
+        (i, j), r = place[pairs[own]].T, row[number[own]]
+        distances[r, i, j] = distances[r, j, i] = lengths[own]
+        distances[owner[particles[:, 0]] >= 0] = np.nan
+        distances[:, np.arange(size), np.arange(size)] = 0.0
         yield particles, distances
+
+
+def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
+    """Yield clusters with mass by their masses and distances: the first particle, and particles (N, n)."""
+    massive = masses[particles].any(axis=1)  # others are frozen, or virtual sites
+    particles, distances = particles[massive], distances[massive]
+    if not len(particles):
+        return
+    rows = np.concatenate([masses[particles], distances.reshape(len(particles), -1)], axis=1)
+    keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
+    group = np.unique(keys, return_inverse=True)[1]
+    order = np.argsort(group, kind="stable")
+    for members in np.split(order, np.cumsum(np.bincount(group))[:-1]):
+        yield int(particles[members[0], 0]), particles[members], distances[members[0]]

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from openmm import unit
 
 from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, best_attitudes
 from openmm_exactrb.mechanics.images import Decided, decided, image_gaps, joined
 from openmm_exactrb.mechanics.links import Links, shortest_tree
+from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
@@ -34,12 +34,8 @@ Constraints = tuple[Indices, Array]
 
 def constraints(system: openmm.System) -> Constraints:
     """Return the particles (m, 2) of the constraints of a System, and their lengths (m,) in nm."""
-    count = system.getNumConstraints()
-    pairs, lengths = np.empty((count, 2), dtype=np.intp), np.empty(count)
-    for i in range(count):
-        p, q, length = system.getConstraintParameters(i)
-        pairs[i], lengths[i] = (p, q), length.value_in_unit(unit.nanometer)
-    return pairs, lengths
+    pairs, lengths = parameters.constraints(system)
+    return pairs, lengths[:, 0]
 
 
 def molecular_links(system: openmm.System, molecule: Indices) -> Links:
@@ -60,21 +56,19 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
 
 def _with_bonds(system: openmm.System, held: Constraints) -> Constraints:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
-    bonds = list(_bonds(system))
-    pairs = np.concatenate([held[0], np.array([bond[:2] for bond in bonds], dtype=np.intp).reshape(-1, 2)])
-    return pairs, np.concatenate([held[1], np.array([bond[2] for bond in bonds])])
+    pairs, lengths = zip(held, *_bonds(system), strict=True)
+    return np.concatenate(pairs), np.concatenate(lengths)
 
 
-def _bonds(system: openmm.System) -> Iterator[tuple[int, int, float]]:
-    """Yield the particles of bonds and their lengths at rest in nm: nan of those by a formula."""
+def _bonds(system: openmm.System) -> Iterator[Constraints]:
+    """Yield the particles of the bonds of forces, and their lengths at rest in nm: nan of those by a formula."""
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):
-            for i in range(force.getNumBonds()):
-                p, q, length, _ = force.getBondParameters(i)
-                yield p, q, length.value_in_unit(unit.nanometer)
+            particles, numbers = parameters.terms(force)
+            yield particles, numbers[:, 0]
         elif isinstance(force, openmm.CustomBondForce):
-            for i in range(force.getNumBonds()):
-                yield *force.getBondParameters(i)[:2], np.nan
+            particles, _ = parameters.terms(force)
+            yield particles, np.full(len(particles), np.nan)
 
 
 def whole_positions(

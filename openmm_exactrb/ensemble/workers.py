@@ -65,7 +65,10 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
     began = time.perf_counter()
     try:
         if versions() != wanted:
-            raise RuntimeError(f"this worker has openmm-exactrb and OpenMM {versions()}, but the job needs {wanted}")
+            raise RuntimeError(
+                f"this worker has openmm-exactrb and OpenMM {versions()}, but the job needs {wanted}: start "
+                "the workers in the environment of the job"
+            )
         job = pickle.loads(pickled)
         fields = {"value": _as_from_json(job.function(**job.arguments))}
     except (Exception, SystemExit) as error:
@@ -109,6 +112,6 @@ def _cluster(workers: int) -> distributed.LocalCluster:
         return distributed.LocalCluster(n_workers=workers, **options)
     except RuntimeError as error:
         raise RuntimeError(
-            f"a worker process ended at its start ({error}): it ran out of memory, or the script has no if __name__ == "
+            f"a worker process exited at startup ({error}): it ran out of memory, or the script lacks if __name__ == "
             "'__main__'"
         ) from error

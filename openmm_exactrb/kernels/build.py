@@ -62,6 +62,12 @@ def reordered(function: Function) -> Function:
     return fast
 
 
+def at_first_call(function: Function) -> Function:
+    """Compile a function at its first call with arguments of some types."""
+    own: Function = _cached(njit(nogil=True)(function))
+    return own
+
+
 def inner(function: Function) -> Function:
     """Mark a function that only compiled ones call."""
     callee: Function = njit(error_model="numpy", **_NO_WRAPPERS)(function)

@@ -156,8 +156,8 @@ class ClusterKind:
         if bad.any():
             raise ValueError(
                 f"particle {self.particles[0, np.argmax(bad)]} of {self.name(0)} has the mass "
-                f"{self.masses[np.argmax(bad)]:g}: a constraint needs masses at both ends: set a mass or remove its "
-                "constraints"
+                f"{self.masses[np.argmax(bad)]:g}, but a constraint needs masses at both ends: set a mass or "
+                "remove its constraints"
             )
         bad = ~((self.lengths > 0.0) & np.isfinite(self.lengths)) | (self.pairs[:, 0] == self.pairs[:, 1])
         if bad.any():

@@ -77,8 +77,8 @@ class Overheating:
             if excess > _TOO_HOT + _ERRORS * math.sqrt(2.0 / (freedom * _SAMPLES)):
                 self._told = True
                 warn(
-                    f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, in the "
-                    f"mean over {duration:.3g} ps, which its friction does not explain: use a "
+                    f"the temperature of the {name} is {100.0 * excess:.0f} % above that of the thermostat, "
+                    f"averaged over {duration:.3g} ps, which its friction does not explain: use a "
                     "smaller step size, or more friction",
                     StepSizeWarning,
                 )

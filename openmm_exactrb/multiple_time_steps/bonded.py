@@ -1,12 +1,19 @@
-"""The bonded forces of a System: which they are, and their groups."""
+"""The bonded forces of a System: which they are, their groups, and their terms as arrays."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
+import re
+from typing import Any, NamedTuple
 
+import numpy as np
 import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.openmm_access import parameters
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 #: What the bonded forces of a System are.
 BONDED_FORCES = (
@@ -23,9 +30,16 @@ BONDED_FORCES = (
 COULOMB = (1.602176634e-19) ** 2 * 6.02214076e23 * 1e6 / (4.0 * math.pi * 8.8541878128e-12)
 #: The formula of exceptions of a NonbondedForce.
 PAIR = f"{COULOMB!r}*charges/r + 4*epsilon*((sigma/r)^12 - (sigma/r)^6)"
+#: That of pairs three bonds apart in OpenMM's CHARMM force fields, without blanks.
+LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6\)")
+# Which of the whole numbers of a term are particles, if not all.
+_PARTICLES = {openmm.PeriodicTorsionForce: slice(0, 4), openmm.CMAPTorsionForce: slice(1, 9)}
+# The terms in the XML of a force, of torsions and maps too.
+_LISTS = re.compile(r"<(Bonds|Angles|Torsions)>.*?</\1>", re.DOTALL)
 # What acts between steps has no forces on atoms.
 _NO_FORCES = ("AndersenThermostat", "CMMotionRemover")
 _GROUPS = 32
+_CUSTOM = openmm.CustomBondForce, openmm.CustomAngleForce, openmm.CustomTorsionForce
 
 
 def separate_bonded(system: openmm.System) -> int:
@@ -52,7 +66,7 @@ def separate_bonded(system: openmm.System) -> int:
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
-            f"separate_bonded() takes an openmm.System, before a Simulation is made of it, not {type(system).__name__}"
+            f"separate_bonded() takes an openmm.System, before it is in a Simulation, not {type(system).__name__}"
         )
     others = {
         group for force in system.getForces() if not isinstance(force, BONDED_FORCES) for group in groups_of(force)
@@ -66,23 +80,66 @@ def separate_bonded(system: openmm.System) -> int:
     return free[0]
 
 
-def interacting_exceptions(force: openmm.NonbondedForce) -> list[tuple[Any, ...]]:
-    """Return the exceptions that interact: particles, product of charges, sigma and epsilon of each."""
-    if not force.getIncludeDirectSpace():  # where OpenMM has them
-        return []
-    exceptions = map(force.getExceptionParameters, range(force.getNumExceptions()))
-    return [tuple(exception) for exception in exceptions if exception[2]._value or exception[4]._value]
+class Bonded(NamedTuple):
+    """Bonds, angles or torsions of the form of a force, and in its group; its own ones may be others.
+
+    Attributes
+    ----------
+    force : openmm.Force
+    whole : (n, k) array
+        Whole numbers of each, particles among them, in OpenMM's order.
+    numbers : (n, m) array
+    """
+
+    force: Any
+    whole: Indices
+    numbers: Array
+
+    @classmethod
+    def of(cls, force: Any) -> Bonded:
+        """Return the terms of a bonded force."""
+        return cls(force, *parameters.terms(force))
+
+    @property
+    def particles(self) -> Indices:
+        """The particles of each."""
+        return self.whole[:, _PARTICLES.get(type(self.force), slice(None))]
+
+    def chosen(self, which: NDArray[np.bool_]) -> Bonded:
+        """Return some of them (n,)."""
+        return self._replace(whole=self.whole[which], numbers=self.numbers[which])
+
+    def numbered(self, number: NDArray[Any]) -> Bonded:
+        """Return them with other numbers of particles."""
+        there = self._replace(whole=self.whole.copy())
+        there.particles[:] = number[self.particles]
+        return there
+
+    def made(self) -> Any:
+        """Return a force of these terms alone."""
+        force = openmm.XmlSerializer.deserialize(_LISTS.sub(r"<\1/>", openmm.XmlSerializer.serialize(self.force)))
+        add = next(getattr(force, name) for name in ("addBond", "addAngle", "addTorsion") if hasattr(force, name))
+        custom = isinstance(force, _CUSTOM)
+        for whole, numbers in zip(self.whole.tolist(), self.numbers.tolist(), strict=True):
+            add(*whole, *([numbers] if custom else numbers))
+        return force
 
 
-def pairs_by_formula(force: openmm.NonbondedForce, pairs: Iterable[tuple[Any, ...]]) -> openmm.CustomBondForce:
-    """Return a force of pairs that interact as exceptions of a NonbondedForce, in its group."""
+def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:
+    """Return the exceptions of a force that interact, as bonds of a formula in its group."""
+    whole, numbers = parameters.exceptions(force)
+    which = (numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0)
+    which &= force.getIncludeDirectSpace()  # where OpenMM has them
+    return Bonded(_pair_force(force), whole[which], numbers[which])
+
+
+def _pair_force(force: openmm.NonbondedForce) -> openmm.CustomBondForce:
+    """Return a force without pairs, of the form and in the group of the exceptions of a NonbondedForce."""
     apart = openmm.CustomBondForce(PAIR)
     for name in ("charges", "sigma", "epsilon"):
         apart.addPerBondParameter(name)
     cut = force.getNonbondedMethod() != openmm.NonbondedForce.NoCutoff  # without, OpenMM ignores what follows
     apart.setUsesPeriodicBoundaryConditions(cut and force.getExceptionsUsePeriodicBoundaryConditions())
-    for i, j, charges, sigma, epsilon in pairs:
-        apart.addBond(i, j, [getattr(value, "_value", value) for value in (charges, sigma, epsilon)])
     apart.setName(f"exceptions of {force.getName()}")
     apart.setForceGroup(force.getForceGroup())
     return apart

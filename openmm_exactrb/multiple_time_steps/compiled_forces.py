@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,15 +19,18 @@ from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.environment import Force
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import State
-from openmm_exactrb.multiple_time_steps.bonded import COULOMB, PAIR
+from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-# Formulas of OpenMM's CHARMM force fields, without blanks: pairs three bonds apart, and harmonic torsions.
-_LENNARD_JONES = re.compile(r"([\d.]+)\*epsilon\*\(\(sigma/r\)\^12-\(sigma/r\)\^6\)")
-_HARMONIC = re.compile(r"k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-theta0\);pi=([\d.]+);?")
-_PARAMETERS = {_LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
+# Harmonic torsions of OpenMM's CHARMM force fields, without blanks: on a circle, or on the line from -pi to pi.
+_HARMONIC = re.compile(
+    r"k\*\(theta-theta0\)\^2|k\*min\(dtheta,2\*pi-dtheta\)\^2;dtheta=abs\(theta-theta0\);pi=([\d.]+);?"
+)
+_PARAMETERS = {LENNARD_JONES: {"sigma", "epsilon"}, _HARMONIC: {"k", "theta0"}}
+# A circle so large that no difference of angles is half of it.
+_LINE = 1e9
 
 
 #: No terms at all.
@@ -73,34 +76,33 @@ class BondedForces(ContextForces):
         return found
 
 
-def terms_of(system: openmm.System, groups: int) -> Terms | None:
-    """Return the terms of a System in some groups (bits), None where it has terms of other forms."""
-    forces = list(system.getForces())
-    if not all(map(_known, forces)):
+def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
+    """Return the terms of forces in some groups (bits), None if there are forces of other forms in any."""
+    if unknown(forces):
         return None
-    some = [force for force in forces if groups >> force.getForceGroup() & 1]
+    some = [force for force in forces if groups >> force.force.getForceGroup() & 1]
     bonds, angles, pairs, impropers = (
-        _arrays([term for force in some if isinstance(force, kind) for term in terms(force)], particles, numbers)
-        for kind, terms, particles, numbers in (
-            (openmm.HarmonicBondForce, _bonds, 2, 2),
-            (openmm.HarmonicAngleForce, _angles, 3, 3),
-            (openmm.CustomBondForce, _pairs, 2, 3),
-            (openmm.CustomTorsionForce, _impropers, 4, 3),
+        _joined([(of.particles, numbers(of)) for of in some if isinstance(of.force, kind)], width, count)
+        for kind, numbers, width, count in (
+            (openmm.HarmonicBondForce, _of_bonds, 2, 2),
+            (openmm.HarmonicAngleForce, _of_angles, 3, 3),
+            (openmm.CustomBondForce, _of_pairs, 2, 3),
+            (openmm.CustomTorsionForce, _of_impropers, 4, 3),
         )
     )
     return Terms(*bonds, *angles, *_torsions(some), *pairs, *impropers, *_maps(some))
 
 
-def unknown(system: openmm.System) -> str | None:
-    """Return the name of a force of a System that has terms of other forms, or None."""
-    return next((force.getName() for force in system.getForces() if not _known(force)), None)
+def unknown(forces: Iterable[Bonded]) -> str | None:
+    """Return the name of a force of another form, or None."""
+    return next((of.force.getName() for of in forces if not _known(of.force)), None)
 
 
 def _known(force: Any) -> bool:
     if force.usesPeriodicBoundaryConditions():
         return False
     if isinstance(force, openmm.CustomBondForce):
-        return force.getEnergyFunction() == PAIR or _has(force, _LENNARD_JONES, force.getPerBondParameterName)
+        return force.getEnergyFunction() == PAIR or _has(force, LENNARD_JONES, force.getPerBondParameterName)
     if isinstance(force, openmm.CustomTorsionForce):
         return _has(force, _HARMONIC, force.getPerTorsionParameterName)
     kinds = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.PeriodicTorsionForce, openmm.RBTorsionForce
@@ -117,51 +119,52 @@ def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bo
 def _number(force: Any, formula: re.Pattern[str]) -> float | None:
     """Return the number in the formula of a force, None if it is another formula."""
     found = formula.fullmatch(force.getEnergyFunction().replace(" ", ""))
-    return None if found is None else float(found[1])
+    return None if found is None else float(found[1] or 0.5 * _LINE)
 
 
-def _bonds(force: openmm.HarmonicBondForce) -> Iterator[tuple[float, ...]]:
-    for i, j, length, strength in map(force.getBondParameters, range(force.getNumBonds())):
-        yield i, j, length._value, strength._value
+def _joined(some: list[tuple[Indices, list[Array]]], width: int, count: int) -> tuple[Indices, Array]:
+    """Return the particles (n, width) and numbers (count, n) of terms of one kind."""
+    particles = np.concatenate([np.zeros((0, width), np.int64), *(rows for rows, _ in some)])
+    return particles, np.concatenate([np.zeros((count, 0)), *(np.stack(numbers) for _, numbers in some)], axis=1)
 
 
-def _angles(force: openmm.HarmonicAngleForce) -> Iterator[tuple[float, ...]]:
-    for i, j, k, angle, strength in map(force.getAngleParameters, range(force.getNumAngles())):
-        yield i, j, k, math.cos(angle._value), math.sin(angle._value), strength._value
+def _of_bonds(bonds: Bonded) -> list[Array]:
+    return list(bonds.numbers.T)
 
 
-def _pairs(force: openmm.CustomBondForce) -> Iterator[tuple[float, ...]]:
-    factor = _number(force, _LENNARD_JONES)
+def _of_angles(angles: Bonded) -> list[Array]:
+    angle, strength = angles.numbers.T
+    return [np.cos(angle), np.sin(angle), strength]
+
+
+def _of_pairs(pairs: Bonded) -> list[Array]:
+    force, factor = pairs.force, _number(pairs.force, LENNARD_JONES)
     names = [force.getPerBondParameterName(i) for i in range(force.getNumPerBondParameters())]
-    for i, j, values in map(force.getBondParameters, range(force.getNumBonds())):
-        of_pair = dict(zip(names, values, strict=True))
-        if factor is None:
-            yield i, j, COULOMB * of_pair["charges"], of_pair["sigma"], of_pair["epsilon"]
-        else:
-            yield i, j, 0.0, of_pair["sigma"], 0.25 * factor * of_pair["epsilon"]
+    own = dict(zip(names, pairs.numbers.T, strict=True))
+    if factor is None:
+        return [COULOMB * own["charges"], own["sigma"], own["epsilon"]]
+    return [np.zeros(len(pairs.whole)), own["sigma"], 0.25 * factor * own["epsilon"]]
 
 
-def _impropers(force: openmm.CustomTorsionForce) -> Iterator[tuple[float, ...]]:
-    half_circle = _number(force, _HARMONIC)
+def _of_impropers(torsions: Bonded) -> list[Array]:
+    half_circle = _number(torsions.force, _HARMONIC)
     assert half_circle is not None  # `_known`
-    names = [force.getPerTorsionParameterName(i) for i in range(2)]
-    for *four, values in map(force.getTorsionParameters, range(force.getNumTorsions())):
-        of_torsion = dict(zip(names, values, strict=True))
-        yield *four, of_torsion["theta0"], of_torsion["k"], 2.0 * half_circle
+    own = {torsions.force.getPerTorsionParameterName(i): torsions.numbers[:, i] for i in range(2)}
+    return [own["theta0"], own["k"], np.full(len(torsions.whole), 2.0 * half_circle)]
 
 
-def _maps(forces: list[Any]) -> tuple[Indices, Array]:
+def _maps(forces: list[Bonded]) -> tuple[Indices, Array]:
     """Return particles, first patch and patches per direction (M, 10), and the coefficients of patches (., 4, 4)."""
-    rows: list[tuple[int, ...]] = []
-    patches = [np.zeros((0, 4, 4))]
-    for force in forces:
-        if isinstance(force, openmm.CMAPTorsionForce):
-            of_maps = [force.getMapParameters(i) for i in range(force.getNumMaps())]
-            first = np.cumsum([sum(map(len, patches)), *(size * size for size, _ in of_maps)]).tolist()
+    rows, patches = [np.zeros((0, 10), np.int64)], [np.zeros((0, 4, 4))]
+    for of in forces:
+        if isinstance(of.force, openmm.CMAPTorsionForce):
+            of_maps = [of.force.getMapParameters(i) for i in range(of.force.getNumMaps())]
+            sizes = np.array([size for size, _ in of_maps], dtype=np.int64)
+            first = sum(map(len, patches)) + np.cumsum([0, *sizes**2])[:-1]
             patches += [_patches(size, np.array(energy._value)) for size, energy in of_maps]
-            for number, *eight in map(force.getTorsionParameters, range(force.getNumTorsions())):
-                rows.append((*eight, first[number], of_maps[number][0]))
-    return np.array(rows, dtype=np.int64).reshape(-1, 10), np.concatenate(patches)
+            number = of.whole[:, 0]
+            rows.append(np.column_stack([of.particles, first[number], sizes[number]]))
+    return np.concatenate(rows), np.concatenate(patches)
 
 
 def _patches(size: int, energy: Array) -> Array:
@@ -178,29 +181,46 @@ def _patches(size: int, energy: Array) -> Array:
     return np.ascontiguousarray(of_both.transpose(3, 1, 2, 0).reshape(size * size, 4, 4))
 
 
-def _arrays(terms: list[tuple[float, ...]], particles: int, numbers: int) -> tuple[Indices, Array]:
-    """Return particles (n, particles) and numbers (numbers, n)."""
-    rows = np.array(terms, dtype=np.float64).reshape(len(terms), particles + numbers)
-    return rows[:, :particles].astype(np.int64), np.ascontiguousarray(rows[:, particles:].T)
-
-
-def _torsions(forces: list[Any]) -> tuple[Indices, Array]:
+def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
     """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines; all terms of four particles are one."""
-    series: dict[tuple[int, ...], list[tuple[int, float, float]]] = {}
-    for force in forces:
-        if isinstance(force, openmm.PeriodicTorsionForce):
-            for *four, n, phase, strength in map(force.getTorsionParameters, range(force.getNumTorsions())):
-                k, delta = strength._value, phase._value
-                series.setdefault(tuple(four), []).append((n, k * np.cos(delta), k * np.sin(delta)))
-        elif isinstance(force, openmm.RBTorsionForce):  # a polynomial in cos(phi - pi)
-            for *four, c0, c1, c2, c3, c4, c5 in map(force.getTorsionParameters, range(force.getNumTorsions())):
-                of_cosines = np.polynomial.chebyshev.poly2cheb([c._value for c in (c0, c1, c2, c3, c4, c5)])
-                terms = [(n, (-1) ** n * a, 0.0) for n, a in enumerate(of_cosines.tolist()) if n]
-                series.setdefault(tuple(four), []).extend(terms)
-    highest = max((n for terms in series.values() for n, *_ in terms), default=0)
-    coefficients = np.zeros((2, highest, len(series)))
-    for row, terms in enumerate(series.values()):
-        for n, a, b in terms:
-            if n:  # a constant has no force
-                coefficients[:, n - 1, row] += a, b
-    return np.array(list(series), dtype=np.int64).reshape(-1, 4), coefficients
+    series = [series(of) for of in forces for kind, series in _SERIES.items() if isinstance(of.force, kind)]
+    if not series:
+        return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))
+    particles, n, cosines, sines = (np.concatenate(arrays) for arrays in zip(*series, strict=True))
+    first, row = _alike(particles)
+    shape = int(n.max(initial=0)) + 1, len(first)
+    places = np.ravel_multi_index((n, row), shape)
+    sums = [np.bincount(places, part, math.prod(shape)).reshape(shape)[1:] for part in (cosines, sines)]
+    return particles[first], np.stack(sums)  # a constant has no force
+
+
+def _of_cosines(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
+    """Return particles, n, and coefficients of cos n phi and sin n phi for each term."""
+    phase, strength = torsions.numbers.T
+    return torsions.particles, torsions.whole[:, 4], strength * np.cos(phase), strength * np.sin(phase)
+
+
+def _of_polynomials(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
+    """Return the same of polynomials in cos(phi - pi)."""
+    as_cosines = np.array([np.polynomial.chebyshev.poly2cheb(row).tolist() + [0.0] * (5 - k) for k, row in _POWERS])
+    signs = (-1.0) ** np.arange(6)
+    cosines = (torsions.numbers @ as_cosines * signs).ravel()
+    return np.repeat(torsions.particles, 6, axis=0), np.tile(np.arange(6), len(torsions.whole)), cosines, 0.0 * cosines
+
+
+_POWERS = [(k, [0.0] * k + [1.0]) for k in range(6)]
+_SERIES: dict[Any, Callable[[Bonded], tuple[Indices, Indices, Array, Array]]] = {
+    openmm.PeriodicTorsionForce: _of_cosines,
+    openmm.RBTorsionForce: _of_polynomials,
+}
+
+
+def _alike(rows: Indices) -> tuple[Indices, Indices]:
+    """Return the first of each group of equal rows, in their order, and the group of each row."""
+    order = np.lexsort(rows.T)
+    new = np.append(True, (np.diff(rows[order], axis=0) != 0).any(axis=1))[: len(rows)]
+    first = order[new]  # the sort is stable
+    rank = np.argsort(np.argsort(first))
+    group = np.empty(len(rows), np.int64)
+    group[order] = rank[np.cumsum(new) - 1]
+    return np.sort(first), group

@@ -190,7 +190,7 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
 
 def _bonded(system: openmm.System, bodies: RigidBodies, settings: MultipleTimeSteps) -> FastForces | None:
     excerpt = bonded_excerpt(system, bodies)
-    frequency = 0.0 if excerpt is None else fastest(excerpt.system)
+    frequency = 0.0 if excerpt is None else fastest(system, forces=excerpt.forces)
     if not settings.asked_for:
         return FastForces(settings, frequency, excerpt) if frequency and others(system) else None
     if excerpt is None:

@@ -27,7 +27,7 @@ from openmm_exactrb.multiple_time_steps.compiled_inner_steps import CompiledInne
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.rotors import COMPILED, Rotor, rotor_of_sums
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import Sequence, bound, repeated, through
@@ -45,10 +45,9 @@ class InnerDrift:
         self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
         self._rotor, self._free = rotor, free_motion(self._part, rotor)
         groups = [group for group in range(32) if fast.groups >> group & 1]
-        if fast.excerpt is None:
-            self._resonances = Resonances(sync.context.getSystem(), groups)
-        else:
-            self._resonances = Resonances(fast.excerpt.system, names=fast.excerpt.particles.tolist())
+        system = sync.context.getSystem()
+        forces = None if fast.excerpt is None else fast.excerpt.forces
+        self._resonances = Resonances(system, range(32) if forces else groups, forces)
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
@@ -101,7 +100,7 @@ class InnerDrift:
         repetitions: Callable[[float], int],
     ) -> tuple[Flow[State], ContextForces]:
         """Return the drift with inner steps of the bodies of the excerpt, and their fast forces."""
-        terms, of_groups = terms_of(own.excerpt.system, forces.groups), (forces.groups, self._timings, _COUNTER)
+        terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
         if terms is None:
             fast = ContextForces(own.positions, *of_groups)
         else:
@@ -142,7 +141,7 @@ class ExcerptContext:
         platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
         self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
         self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
-        self._massless = np.flatnonzero([not excerpt.system.getParticleMass(i) for i in range(len(excerpt.particles))])
+        self._massless = np.flatnonzero(parameters.masses(excerpt.system) == 0.0)
         self._x = sync.particles[excerpt.particles]
         self._all = sync.positions
         follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected

@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
-from openmm import unit
 
 from openmm_exactrb.mechanics.overheating import StepSizeWarning
+from openmm_exactrb.multiple_time_steps.bonded import Bonded
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
+from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.substeps import DRIFT
 from openmm_exactrb.support.warn import warn
@@ -67,16 +68,16 @@ class Resonances:
     ----------
     system : openmm.System
     groups : sequence of int
-    names : sequence of int, optional
-        What its particles are called in a warning; their numbers unless given.
+    forces : sequence of Bonded, optional
+        Those that count, if not all.
     """
 
     def __init__(
-        self, system: openmm.System, groups: Sequence[int] = range(32), names: Sequence[int] | None = None
+        self, system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
     ) -> None:
-        self._names = range(system.getNumParticles()) if names is None else names
-        self._mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
-        self._modes, self._told = [*frequencies(system, groups)], False
+        masses = parameters.masses(system)
+        self._mass = np.where(masses > 0.0, masses, np.inf)
+        self._modes, self._told = [*frequencies(system, groups, forces)], False
 
     def first(self, scheme: Scheme) -> Resonance | None:
         """Return the resonance of the shortest step of a scheme; None without any that matters.
@@ -85,15 +86,18 @@ class Resonances:
         growth rate of k pi/h on either side. Both are a part of s/m, so that a bond that is softer than the slow forces
         does not matter before these do.
         """
-        rates, found = [growth(scheme, k) for k in range(1, _HARMONICS + 1)], []
+        rates, found = np.array([growth(scheme, k) for k in range(1, _HARMONICS + 1)]), []
         for frequency, particles in self._modes:
-            mass = self._lightest(particles)
-            w = frequency if len(particles) == 2 and mass <= _LIGHT else frequency / _COUPLED
-            strong = [k for k, rate in enumerate(rates, 1) if rate * _SLOW > _GROWTH * mass * w > 0.0]
-            if strong:
-                k = strong[0]
-                highest = math.sqrt(w * w + (1.0 + 2.0 * rates[k - 1]) * _SLOW / mass)
-                found.append(Resonance(k * math.pi / highest, 2.0 * math.pi / w, particles))
+            mass = self._mass[particles].min(axis=1)
+            alone = (particles.shape[1] == 2) & (mass <= _LIGHT)
+            w = np.where(alone, frequency, frequency / _COUPLED)
+            strong = (rates[:, None] * _SLOW > _GROWTH * mass * w) & (w > 0.0)
+            some, k = strong.any(axis=0), strong.argmax(axis=0)
+            highest = np.sqrt(w * w + (1.0 + 2.0 * rates[k]) * _SLOW / mass)
+            steps = np.where(some, (k + 1) * math.pi / highest, np.inf)
+            if some.any():
+                n = int(steps.argmin())
+                found.append(Resonance(float(steps[n]), 2.0 * math.pi / float(w[n]), tuple(particles[n].tolist())))
         return min(found, default=None)
 
     def warn(self, scheme: Scheme, step: float) -> None:
@@ -103,9 +107,9 @@ class Resonances:
             return
         self._told = True
         what = "bond" if len(found.particles) == 2 else "angle"
-        particles = ", ".join(str(self._names[i]) for i in found.particles)
+        particles = ", ".join(map(str, found.particles))
         warn(
-            f"in steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
+            f"with steps of {1e3 * step:.3g} fs the slow forces may heat the motion within the drifts: from "
             f"{1e3 * found.step:.3g} fs on, {scheme.name} is near a resonance with the {what} of particles "
             f"{particles}, whose period is about {1e3 * found.period:.3g} fs. Use at most "
             f"{1e3 * found.below(scheme):.1f} fs per force evaluation, {self._remedy(found.particles)}or monitor the "
@@ -113,12 +117,9 @@ class Resonances:
             StepSizeWarning,
         )
 
-    def _lightest(self, particles: tuple[int, ...]) -> float:
-        return min(self._mass[i] or math.inf for i in particles)
-
     def _remedy(self, particles: tuple[int, ...]) -> str:
         """Return what makes a bond or angle slower, or holds it; nothing for one without hydrogen."""
-        mass = self._lightest(particles)
+        mass = self._mass[list(particles)].min()
         if len(particles) == 2 and mass <= _LIGHT:
             return "constrain bonds to hydrogen (constraints=HBonds), "
         return "make hydrogens heavier (openmm_exactrb.heavy_hydrogens), " if mass < _HEAVY else ""

@@ -2,95 +2,131 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
-from openmm import unit
 
-from openmm_exactrb.multiple_time_steps.bonded import PAIR
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonded
+from openmm_exactrb.openmm_access import arrays, parameters
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 # Lengths (nm) among which the minimum of a bond is looked for.
 _LENGTHS = np.linspace(0.05, 0.3, 251)
+_SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBondForce
 
 
-def fastest(system: openmm.System, groups: Sequence[int] = range(32)) -> float:
+def fastest(system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None) -> float:
     """Return the highest of the `frequencies` in 1/ps; 0 where there are none."""
-    return max((frequency for frequency, _ in frequencies(system, groups)), default=0.0)
+    return max((float(some.max(initial=0.0)) for some, _ in frequencies(system, groups, forces)), default=0.0)
 
 
-def frequencies(system: openmm.System, groups: Sequence[int] = range(32)) -> Iterable[tuple[float, tuple[int, ...]]]:
+def frequencies(
+    system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
+) -> Iterator[tuple[Array, Indices]]:
     """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in some force groups, or all.
 
     Each bond and angle is treated individually, without those that constraints hold. A bond of a formula counts where
-    it has a minimum at the length of a chemical bond.
+    it has a minimum at the length of a chemical bond. `forces` are those of the System unless they are given.
 
     Yields
     ------
-    frequency : float
+    frequency : (n,) array
         In 1/ps.
-    particles : tuple of int
-        Two of a bond, three of an angle.
+    particles : (n, 2) or (n, 3) array
+        Those of bonds, or of angles.
     """
-    mass = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
-    held = {
-        frozenset((i, j)): d.value_in_unit(unit.nanometer)
-        for i, j, d in map(system.getConstraintParameters, range(system.getNumConstraints()))
-    }
-    every = system.getForces()
-    forces = [force for force in every if force.getForceGroup() in groups]
-    bonds = [parameters for force in forces for parameters in _bonds(force)]
-    others = [parameters for force in every if force not in forces for parameters in _bonds(force)]
-    length = held | {frozenset((i, j)): r for i, j, r, _ in (*others, *bonds)}
-    for i, j, _, k in bonds:
-        if frozenset((i, j)) not in held:
-            yield float(np.sqrt(max(k * (_inverse(mass[i]) + _inverse(mass[j])), 0.0))), (i, j)
-    for force in forces:
-        for i, j, k, angle, strength in _angles(force):
-            a, b = length.get(frozenset((i, j))), length.get(frozenset((k, j)))
-            if a and b and frozenset((i, k)) not in held:
-                middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
-                square = strength * (_inverse(mass[i]) / a**2 + _inverse(mass[k]) / b**2 + _inverse(mass[j]) * middle)
-                yield float(np.sqrt(max(square, 0.0))), (i, j, k)
+    if forces is None:
+        forces = [Bonded.of(force) for force in system.getForces() if isinstance(force, _SPRINGS)]
+    bonds = [(of.force.getForceGroup() in groups, *found) for of in forces if (found := _bonds(of)) is not None]
+    held, lengths = parameters.constraints(system)
+    known = _Lengths(held, lengths[:, 0])
+    constrained = known.has
+    for wanted in (False, True):  # those of the groups last, which count
+        known = known.with_others([(particles, r) for own, particles, r, _ in bonds if own is wanted])
+    inverse = _inverse(parameters.masses(system))
+    for own, particles, _, strength in bonds:
+        if own:
+            free = ~constrained(particles)
+            square = strength * inverse[particles].sum(axis=1)
+            yield np.sqrt(np.maximum(square, 0.0))[free], particles[free]
+    for of in forces:
+        if isinstance(of.force, openmm.HarmonicAngleForce) and of.force.getForceGroup() in groups:
+            square = _of_angles(of, known, inverse)
+            free = ~constrained(of.particles[:, ::2]) & ~np.isnan(square)
+            yield np.sqrt(np.maximum(square[free], 0.0)), of.particles[free]
 
 
-def _bonds(force: Any) -> Iterable[tuple[int, int, float, float]]:
-    """Yield the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds."""
-    if isinstance(force, openmm.HarmonicBondForce):
-        for i, j, r, k in map(force.getBondParameters, range(force.getNumBonds())):
-            yield i, j, r._value, k._value
-    # Exceptions are no bonds: where their minima are these pairs never come.
-    if isinstance(force, openmm.CustomBondForce) and force.getEnergyFunction() != PAIR:
-        yield from _bonds_by_formula(force)
+class _Lengths:
+    """Distances of pairs of particles; the last one counts."""
+
+    def __init__(self, pairs: Indices, lengths: Array) -> None:
+        self._pairs, self._lengths = pairs, lengths
+        keys = self._keys(pairs)
+        order = np.argsort(keys, kind="stable")
+        self._sorted, self._values = keys[order], np.append(lengths[order], np.nan)
+
+    def with_others(self, some: Iterable[tuple[Indices, Array]]) -> _Lengths:
+        pairs, lengths = zip((self._pairs, self._lengths), *some, strict=True)
+        return _Lengths(np.concatenate(pairs), np.concatenate(lengths))
+
+    @staticmethod
+    def _keys(pairs: Indices) -> Indices:
+        return np.asarray((pairs.min(axis=1) << 32) + pairs.max(axis=1))
+
+    def of(self, pairs: Indices) -> Array:
+        """Return the distances of pairs, nan for others."""
+        place = np.searchsorted(self._sorted, keys := self._keys(pairs), side="right") - 1
+        return np.where(np.append(self._sorted, -1)[place] == keys, self._values[place], np.nan)
+
+    def has(self, pairs: Indices) -> NDArray[np.bool_]:
+        """Return which pairs have a distance."""
+        return ~np.isnan(self.of(pairs))
 
 
-def _bonds_by_formula(force: openmm.CustomBondForce) -> Iterable[tuple[int, int, float, float]]:
-    """Yield the same of a force with a formula: where the force changes its sign, and how fast."""
-    ends = [force.getBondParameters(number)[:2] for number in range(force.getNumBonds())]
-    if not ends:
-        return
-    forces = _at_lengths(force, _LENGTHS)  # positive ones pull
+def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
+    """Return the squares of the frequencies of angles, nan where the length of a bond is not known."""
+    (i, j, k), (angle, strength) = angles.particles.T, angles.numbers.T
+    a, b = (known.of(angles.particles[:, own]) for own in ([0, 1], [2, 1]))
+    a, b = np.where(a == 0.0, np.nan, a), np.where(b == 0.0, np.nan, b)
+    middle = 1.0 / a**2 + 1.0 / b**2 - 2.0 * np.cos(angle) / (a * b)
+    return np.asarray(strength * (inverse[i] / a**2 + inverse[k] / b**2 + inverse[j] * middle))
+
+
+def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
+    """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, None of other forces."""
+    if isinstance(bonds.force, openmm.HarmonicBondForce):
+        return bonds.particles, *bonds.numbers.T
+    # Pairs three bonds apart are no bonds: where their minima are these never come.
+    if isinstance(bonds.force, openmm.CustomBondForce):
+        formula = bonds.force.getEnergyFunction()
+        if formula != PAIR and not LENNARD_JONES.fullmatch(formula.replace(" ", "")):
+            return _bonds_by_formula(bonds)
+    return None
+
+
+def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
+    """Return the same of a force with a formula: where the force changes its sign, and how fast."""
+    if not len(bonds.whole):
+        return None
+    forces = _at_lengths(bonds, _LENGTHS)  # positive ones pull
     turns = (forces[:-1] <= 0.0) & (forces[1:] > 0.0)
     slopes = np.diff(forces, axis=0) / np.diff(_LENGTHS)[:, None]
-    for bond in np.flatnonzero(turns.any(axis=0)):
-        place = int(np.argmax(turns[:, bond]))
-        yield *ends[bond], float(_LENGTHS[place]), float(slopes[place, bond])
+    found = np.flatnonzero(turns.any(axis=0))
+    place = turns.argmax(axis=0)[found]
+    return bonds.particles[found], _LENGTHS[place], slopes[place, found]
 
 
-def _at_lengths(force: openmm.CustomBondForce, lengths: Array) -> Array:
+def _at_lengths(bonds: Bonded, lengths: Array) -> Array:
     """Return dV/dr (lengths, bonds) in kJ/mol/nm of all bonds of a force, each alone with its particles."""
-    n = force.getNumBonds()
-    alone, system = openmm.XmlSerializer.clone(force), openmm.System()
+    n, system = len(bonds.whole), openmm.System()
+    alone = bonds._replace(whole=np.arange(2 * n).reshape(n, 2)).made()
     alone.setUsesPeriodicBoundaryConditions(False)
-    for number in range(n):
+    for _ in range(2 * n):
         system.addParticle(1.0)
-        system.addParticle(1.0)
-        alone.setBondParameters(number, 2 * number, 2 * number + 1, force.getBondParameters(number)[2])
     system.addForce(alone)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     x, found = np.zeros((n, 2, 3)), []
@@ -101,12 +137,6 @@ def _at_lengths(force: openmm.CustomBondForce, lengths: Array) -> Array:
     return np.nan_to_num(np.array(found))
 
 
-def _angles(force: Any) -> Iterable[tuple[int, int, int, float, float]]:
-    """Yield the particles, angles and strengths (kJ/mol) of harmonic angles."""
-    if isinstance(force, openmm.HarmonicAngleForce):
-        for i, j, k, angle, strength in map(force.getAngleParameters, range(force.getNumAngles())):
-            yield i, j, k, angle._value, strength._value
-
-
-def _inverse(mass: float) -> float:
-    return 1.0 / mass if mass else 0.0
+def _inverse(mass: Array) -> Array:
+    """Return the inverse masses, 0 of particles without mass."""
+    return np.divide(1.0, mass, out=np.zeros_like(mass), where=mass != 0.0)

@@ -61,7 +61,7 @@ def free_rotor(
         shape = np.broadcast_shapes(inertia.shape[:-1], q.shape[:-1], m.shape[:-1], t.shape)
     except ValueError:
         raise ValueError(
-            f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} are not of one number of bodies"
+            f"inertia {inertia.shape}, q0 {q.shape}, m0 {m.shape} and t {t.shape} do not agree on the number of bodies"
         ) from None
     if len(shape) > 1:
         raise ValueError(f"bodies must be listed along one axis, not along {len(shape)}")

@@ -126,7 +126,7 @@ def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
     q[:, failed] = m[:, failed] = np.nan
     warn(
         f"dmv{order}: {np.count_nonzero(failed)} of {failed.size} bodies did not converge within {MOST_ITERATIONS} "
-        "iterations and are nan: use a shorter step",
+        "iterations, and their results are nan: use a shorter step",
         NotConvergedWarning,
     )
 

@@ -40,8 +40,8 @@ class Checkpoint(NamedTuple):
             was, now = self.identity.get(name, "not there"), identity.get(name, "not there")
             if was != now:
                 raise ValueError(
-                    f"{file} belongs to another run: {name} is {was} in it, but {now} now; restore it, use another "
-                    "folder or overwrite"
+                    f"{file} belongs to another run: {name} is {was} in it, but {now} now; change it back, use another "
+                    "folder, or overwrite the run"
                 )
 
     def check_cut_files(self, folder: Path) -> None:
@@ -51,7 +51,8 @@ class Checkpoint(NamedTuple):
             found = file.stat().st_size if file.exists() else 0
             if found < length:
                 raise ValueError(
-                    f"{file} has {found} bytes, but had {length} at the checkpoint: it has been changed since then"
+                    f"{file} has {found} bytes, but had {length} at the checkpoint: restore the file, or "
+                    "overwrite the run"
                 )
 
 
@@ -68,8 +69,8 @@ def read(file: Path) -> Checkpoint:
     head, _, body = file.read_bytes().partition(b"\n")
     words = head.rsplit(b" ", 2)
     if len(words) == 3 and words[0] == _MAGIC and words[1] != FORMAT:
-        raise ValueError(f"{file} was written by another version of openmm-exactrb, in format {words[1].decode()}")
+        raise ValueError(f"{file} was written by another version of openmm-exactrb: resume the run with that version")
     if words != [_MAGIC, FORMAT, hashlib.sha256(body).hexdigest().encode()]:
-        raise ValueError(f"{file} is damaged, or not a checkpoint: use another folder or overwrite")
+        raise ValueError(f"{file} is damaged, or not a checkpoint: use another folder, or overwrite the run")
     about, _, state = body.partition(b"\n")
     return Checkpoint(**json.loads(about), state=state)

@@ -57,7 +57,7 @@ def spelled(text: str) -> Sequence:
     """
     symbols = text.split()
     if not symbols:
-        raise ValueError('a sequence needs substeps with blanks between them, such as "B A O A B"')
+        raise ValueError('a sequence needs substeps separated by spaces, such as "B A O A B"')
     return tuple((of_symbol(symbol), 1.0 / symbols.count(symbol)) for symbol in symbols)
 
 

@@ -40,7 +40,7 @@ def force_groups(value: Any) -> int:
         return int(value)
     groups: list[Any] = [*value] if _iterable(value) else [None]
     if not all(_index(group) and 0 <= group < 32 for group in groups):
-        raise ValueError(f"force groups must be a set of whole numbers from 0 to 31, or their bits, not {value!r}")
+        raise ValueError(f"force groups must be a set of integers from 0 to 31, or a bit mask, not {value!r}")
     return sum(1 << group for group in {*map(int, groups)})
 
 

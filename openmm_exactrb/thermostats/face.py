@@ -81,7 +81,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
-            raise ValueError("there has been no heat exchange yet: make a step first")
+            raise ValueError("there has been no heat exchange yet: call step first")
         energies = [self._thermal_energies(state) for state in exchange]
         pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
         R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

@@ -109,7 +109,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
     for scheme in schemes:
         name = scheme.name
         if name.endswith(NESTED) or name == VERLET or known.setdefault(name, CATALOGUE.get(name, scheme)) != scheme:
-            raise ValueError(f"a scheme of your own has the name {name!r} of another method: choose another name")
+            raise ValueError(f"a scheme of your own has the name of another method, {name!r}: choose another name")
     return list(known.values())
 
 

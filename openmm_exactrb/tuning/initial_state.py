@@ -178,7 +178,10 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
 
 
 def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
-    """Return a state and others of its temperature, apart from each other by a short run with friction."""
+    """Return a state and others of its temperature, apart from each other by a short run with friction.
+
+    ValueError if no part of such a run succeeds.
+    """
     probe, _context = state.probe()
     bodies, now = probe.bodyState()
     freedom = bodies.translational_freedom + bodies.rotational_freedom
@@ -188,8 +191,14 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
     states = [state]
     for k in range(1, number):
         integrator.setVelocitiesToTemperature(temperature, seed + k)
+        done = []
         for _ in range(_APART):
             with contextlib.suppress(IntegrationError):  # the next part starts from the last valid step
-                next(heat(integrator, context))
+                done.append(next(heat(integrator, context)))
+        if not done:
+            raise ValueError(
+                f"a short run at {temperature:.0f} K that leads from the start to another one diverges whenever it is "
+                f"tried: minimise the energy of the start first"
+            )
         states.append(state.updated(context))
     return states

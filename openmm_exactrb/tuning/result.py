@@ -141,7 +141,7 @@ class Tuning:
         """
         (name,) = self._methods(method)
         if math.isnan(step := self._largest_stable(name)):
-            raise UnreachableError(f"no step of {name} that was tried is stable")
+            raise UnreachableError(f"{name} is not stable at any step that was tried: choose another method")
         return step
 
     def curve(self, method: str) -> list[Point]:

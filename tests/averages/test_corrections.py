@@ -13,6 +13,7 @@ from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import read
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
+from starts import topology_of
 
 KT = 0.00831446261815324 * 300.0
 COUNT = 500
@@ -157,11 +158,7 @@ def test_the_slow_forces_are_those_of_the_kicks(tmp_path):
         return of
 
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, 0.002, scheme="BAOA", fast=[1], innerSteps=4)
-    topology = app.Topology()
-    residue = topology.addResidue("X", topology.addChain())
-    for _ in range(4):
-        topology.addAtom("X", None, residue)
-    simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
+    simulation = app.Simulation(topology_of(system), system, integrator, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions([[0.3, 0.1, 0.2], [0.42, 0.1, 0.2], [0.0, 0.5, 0.1], [0.0, 0.61, 0.1]])
     integrator.setVelocitiesToTemperature(300.0, 3)
     file = tmp_path / "groups.csv"
@@ -327,7 +324,7 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, np.zeros(99))
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
-    with pytest.raises(ValueError, match="at constant volume, to which no pressure belongs"):
+    with pytest.raises(ValueError, match="at constant volume, which has no pressure to correct to"):
         rb.corrected(file, "pressure", pressure=1.0)
     few = tmp_path / "few.csv"
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))

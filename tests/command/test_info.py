@@ -177,7 +177,7 @@ def test_heavy_hydrogens_have_longer_periods(droplet, serialised, capsys):
         moments.append([float(word) for word in line.split("moments ")[1].split()[:3]])
     assert (2.0 * np.array(moments[0]) < moments[1]).all()
     assert main(["info", *map(str, serialised), "--hydrogen-mass", "3"]) == 2
-    assert "omit --hydrogen-mass: a System has its masses" in capsys.readouterr().err
+    assert "omit --hydrogen-mass: a System already contains masses" in capsys.readouterr().err
 
 
 def test_the_floor_of_water_is_told_where_it_was_measured():

@@ -1,12 +1,14 @@
 """Small rigid molecules, whose constraints are redundant or on a line, through all commands and from all files."""
 
 import math
+import re
 
 import numpy as np
 import openmm
 import pytest
 
 import small_molecules
+from on_device import device_platform
 from openmm_exactrb.command.main import main
 from small_molecules import MOLECULES
 
@@ -39,15 +41,6 @@ def files_of(name, form, folder):
     return [*map(str, arguments)]
 
 
-def skip_without(platform):
-    system = openmm.System()
-    system.addParticle(1.0)
-    try:
-        openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform(platform))
-    except openmm.OpenMMException as error:
-        pytest.skip(f"no {platform} device: {error}")
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves files open
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")  # decimals of files
 @pytest.mark.parametrize(
@@ -55,7 +48,8 @@ def skip_without(platform):
     [pytest.param(*case, marks=[pytest.mark.opencl] * (case[2] == "OpenCL"), id="-".join(case)) for case in CASES],
 )
 def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys):
-    skip_without(platform)
+    if platform == "OpenCL":
+        device_platform(["OpenCL"])
     files = files_of(name, form, tmp_path)
     assert main(["info", *files]) == 0
     said = capsys.readouterr().out
@@ -84,9 +78,25 @@ def test_they_are_found_prepared_and_run(name, form, platform, tmp_path, capsys)
     ],
 )
 def test_a_step_is_found_for_them(name, form, platform, tmp_path, capsys):
-    skip_without(platform)
+    if platform == "OpenCL":
+        device_platform(["OpenCL"])
     files = files_of(name, form, tmp_path)
     options = ["--temperature", "200", "--target", "0.05", "--schemes", "W2_1", "--duration", "0.05"]
     options += ["--horizon", "0.1ps", "--budget", "60", "--platform", platform, "--quiet"]
     assert main(["tune", *files, *options]) == 0
     assert "target 0.05: W2_1 with a step of" in capsys.readouterr().out
+
+
+def test_temperatures_do_not_count_the_drift_between_removals(tmp_path, capsys):
+    """Of two molecules, whose centre of mass a CMMotionRemover stops only every 10 000 steps."""
+    system, state = small_molecules.as_xml(MOLECULES["CO2"], 2, tmp_path, cutoff=0.5)
+    content = openmm.XmlSerializer.deserialize(system.read_text(encoding="utf-8"))
+    content.removeForce(0)
+    content.addForce(openmm.CMMotionRemover(10_000))
+    system.write_text(openmm.XmlSerializer.serialize(content))
+    options = "--ensemble nvt --temperature 260 --friction 5000 --step 2fs --interval 2fs --duration 0.2ps --seed 3"
+    where = "--equilibrate", "0", "--platform", "Reference", "--no-picture", "--quiet", "--out", str(tmp_path / "out")
+    assert main(["run", str(system), str(state), *options.split(), *where]) == 0
+    found = re.search(r"temperature: translation (.*) K, rotation (.*) K", capsys.readouterr().out)
+    for kelvin, freedom in zip(map(float, found.groups()), (3, 4), strict=True):
+        assert abs(kelvin / 260.0 - 1.0) < 4.0 * math.sqrt(2.0 / (100 * freedom))

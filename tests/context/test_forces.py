@@ -242,3 +242,23 @@ def test_forces_that_depend_on_time_keep_the_order(scheme, order, inner):
     steps = {2: (64, 90, 128), 4: (24, 34, 48), 6: (12, 15, 18)}[order]
     errors = [np.abs(end_under_a_force_of_time(scheme, n, **inner) - exact).max() for n in steps]
     assert exponent(steps, errors) == pytest.approx(-order, abs=0.3), errors
+
+
+def test_the_reference_platform_loses_no_pair_of_a_particle_at_minus_zero():
+    """Its neighbour list does, of particles at -1e-17 nm, where rounding puts those of a lattice."""
+    system, force = openmm.System(), openmm.NonbondedForce()
+    for _ in range(2):
+        system.addParticle(20.0)
+        force.addParticle(0.0, 0.3, 0.5)
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    force.setCutoffDistance(0.9)
+    system.addForce(force)
+    system.setDefaultPeriodicBoxVectors(*(2.0 * np.eye(3)))
+    integrator, energies = rb.ExactRigidBodyIntegrator(0.001), []
+    context = starts.context_of(system, integrator, [[0.3, 0.3, 0.0], [0.3, 0.3, 0.4]])
+    _, state = integrator.bodyState()
+    for z in (0.1, -1e-17):
+        state.R[2] = z, z + 0.4
+        integrator.setBodyState(state)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    assert energies[1] == pytest.approx(energies[0], rel=1e-12)

@@ -3,11 +3,13 @@
 import numpy as np
 import openmm
 import pytest
+from openmm import app
 
 import openmm_exactrb as rb
+import small_molecules
 from force_laws import positions_of
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
-from starts import context_of
+from starts import context_of, simulation_of
 
 
 def spheres(distance, periodic=False):
@@ -64,3 +66,31 @@ def test_a_blow_up_names_the_closest_bodies_across_the_box():
     with pytest.raises(rb.NonFiniteError, match=r"The closest before it were the bodies 0 and 1, 0\.00"):
         integrator.step(5)
     assert np.isfinite(positions_of(context)).all()
+
+
+def test_openmms_method_minimises_straight_molecules_too():
+    """Its own minimiser ends in a segmentation fault here, or in NaN."""
+    molecule = small_molecules.MOLECULES["CO2"]
+    x, edge = small_molecules.placed(molecule, 27)
+    system, topology = small_molecules.system_of(molecule, 27, edge, 0.7), small_molecules.topology_of(molecule, 27)
+    integrator = rb.ExactRigidBodyIntegrator(0.001)
+    simulation = simulation_of(topology, system, integrator, x)
+    before = integrator.totalEnergy()._value
+    simulation.minimizeEnergy(maxIterations=20)
+    places = positions_of(simulation.context).reshape(-1, 3, 3)
+    for i, j, length in molecule.distances:
+        np.testing.assert_allclose(np.linalg.norm(places[:, i] - places[:, j], axis=1), length, atol=1e-12)
+    assert integrator.totalEnergy()._value < before
+
+
+def test_openmms_method_does_not_drag_split_molecules_through_the_box():
+    topology, system, positions = rb.rigid_water(27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4)
+    edge, whole = system.getDefaultPeriodicBoxVectors()[0][0]._value, positions._value - positions._value[1]
+    simulations = [
+        simulation_of(topology, system, rb.ExactRigidBodyIntegrator(0.001), x) for x in (np.mod(whole, edge), whole)
+    ]
+    simulations[0].minimizeEnergy(maxIterations=3)
+    simulations[1].integrator.minimizeEnergy(maxIterations=3)
+    split, never = map(positions_of, (simulation.context for simulation in simulations))
+    assert np.abs(np.mod(whole, edge) - whole).max() > 0.5 * edge
+    np.testing.assert_allclose(split - edge * np.round((split - never) / edge), never, atol=1e-9)

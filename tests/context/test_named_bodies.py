@@ -8,6 +8,7 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import topology_of
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
@@ -44,11 +45,7 @@ GROUPS = {"domains": [*range(5), *range(11, 16)], "linker": range(5, 11), "water
 
 
 def simulation_of(system, x, integrator):
-    topology = app.Topology()
-    residue = topology.addResidue("X", topology.addChain())
-    for _ in range(system.getNumParticles()):
-        topology.addAtom("X", None, residue)
-    simulation = app.Simulation(topology, system, integrator, REFERENCE)
+    simulation = app.Simulation(topology_of(system), system, integrator, REFERENCE)
     simulation.context.setPositions(x)
     return simulation
 
@@ -166,7 +163,7 @@ def test_a_body_whose_masses_openmm_moved_to_four_particles_is_pointed_out():
             system.setVirtualSite(k, openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [-1, 0, 1], x[k]))
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[range(12)])
     _kept = simulation_of(system, x, integrator)
-    with pytest.warns(rb.ShapeWarning, match="body 0 has the mass and inertia of 4 particles, for the other 8 are"):
+    with pytest.warns(rb.ShapeWarning, match="body 0 has the mass and inertia of 4 particles, because the other 8 are"):
         integrator.step(1)
 
 

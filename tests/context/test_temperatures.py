@@ -9,11 +9,14 @@ import pytest
 from openmm import app, unit
 
 import openmm_exactrb as rb
+from starts import topology_of
 
 KB = 0.00831446261815324
 REFERENCE = openmm.Platform.getPlatform("Reference")
 BATH = 260.0
 TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
+STRAIGHT = np.outer([-1.0, 0.0, 2.0], [0.0, 0.06, 0.08])
+FLAT = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 0.1, 0.0]])
 HEXAGON = np.array([[np.cos(t), np.sin(t), 0.0] for t in np.pi / 3 * np.arange(6)])
 WATER = np.array([[0.0, 0.0, 0.0], [0.0757, 0.0, 0.0587], [-0.0757, 0.0, 0.0587]])
 
@@ -60,11 +63,7 @@ def gas(names, named=False, remover=False):
 
 
 def simulation_of(system, places, integrator, platform=(REFERENCE,)):
-    topology = app.Topology()
-    residue = topology.addResidue("ALL", topology.addChain())
-    for i in range(system.getNumParticles()):
-        topology.addAtom(f"A{i}", None, residue)
-    simulation = app.Simulation(topology, system, integrator, *platform)
+    simulation = app.Simulation(topology_of(system), system, integrator, *platform)
     simulation.context.setPositions(places)
     return simulation
 
@@ -152,6 +151,39 @@ def test_a_context_draws_canonical_velocities_before_the_first_step(names, named
     assert abs(np.mean(found) - BATH) < 4.0 * BATH * np.sqrt(2.0 / (freedom * 60))
     simulation.step(2)
     assert of_particles(simulation.context, freedom) == pytest.approx(found[-1], rel=1e-9)
+
+
+@pytest.mark.parametrize("places", [STRAIGHT, FLAT], ids=["straight", "flat"])
+def test_what_a_context_draws_does_not_bend_a_body(places):
+    """OpenMM's solver may converge here, and leaves motions across all constraints: a sixth of the energy, and more."""
+    system = openmm.System()
+    for _ in places:
+        system.addParticle(12.0)
+    for i, j in itertools.combinations(range(len(places)), 2):
+        system.addConstraint(i, j, np.linalg.norm(places[i] - places[j]))
+    simulation = simulation_of(system, places, integrator := rb.ExactRigidBodyIntegrator(0.002))
+    for seed in range(1, 6):
+        simulation.context.setVelocitiesToTemperature(BATH, seed)
+        seen = of_particles(simulation.context, sum(integrator.degreesOfFreedom()))
+        assert seen == pytest.approx(integrator.computeSystemTemperature()._value, rel=1e-9)
+
+
+def test_a_context_draws_for_molecules_that_the_box_splits():
+    """Constraints along wrong directions take a third of the rotational energy."""
+    system, places, _, freedom = gas(20 * ["water"])
+    split = np.mod(places - np.repeat(places[::3], 3, axis=0), 3.0)
+    system.setDefaultPeriodicBoxVectors(*(3.0 * np.eye(3)))
+    force = openmm.CustomNonbondedForce("0")
+    force.setNonbondedMethod(force.CutoffPeriodic)
+    for _ in places:
+        force.addParticle([])
+    system.addForce(force)
+    simulation, found = simulation_of(system, split, rb.ExactRigidBodyIntegrator(0.002)), []
+    for seed in range(1, 41):
+        simulation.context.setPositions(split)
+        simulation.context.setVelocitiesToTemperature(BATH, seed)
+        found.append(simulation.integrator.computeSystemTemperature()._value)
+    assert abs(np.mean(found) - BATH) < 4.0 * BATH * np.sqrt(2.0 / (freedom * 40))
 
 
 def test_the_context_and_the_integrator_draw_the_same():

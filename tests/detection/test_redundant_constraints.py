@@ -8,40 +8,11 @@ import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
+from benchmarks.constraints.small_molecules import MOLECULES, ring
 from openmm_exactrb.detection.find import find_bodies
 from starts import context_of
 
 KB = 0.00831446261815324
-
-
-def ring(radius, n=6):
-    turns = 2.0 * np.pi / n * np.arange(n)
-    return radius * np.column_stack([np.cos(turns), np.sin(turns), np.zeros(n)])
-
-
-TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / 3**0.5
-OCTAHEDRON = np.vstack([np.eye(3), -np.eye(3)])
-#: Masses, places in nm, and the principal moments by hand: of methane 8/3 m r², of SF6 4 m r², and so on.
-MOLECULES = {
-    "methane": ([12.011, *4 * [1.008]], np.vstack([np.zeros(3), 0.109 * TETRAHEDRON]), 3 * [8 / 3 * 1.008 * 0.109**2]),
-    "SF6": ([32.06, *6 * [18.998]], np.vstack([np.zeros(3), 0.1561 * OCTAHEDRON]), 3 * [4 * 18.998 * 0.1561**2]),
-    "benzene": (
-        [*6 * [12.011], *6 * [1.008]],
-        np.vstack([ring(0.1391), ring(0.2471)]),
-        [k * (12.011 * 0.1391**2 + 1.008 * 0.2471**2) for k in (3, 3, 6)],
-    ),
-    "CO2": (
-        [12.011, 15.999, 15.999],
-        0.116 * np.array([[0, 0, 0], [0, 0, 1], [0, 0, -1]]),
-        [0, *2 * [2 * 15.999 * 0.116**2]],
-    ),
-    "formate": (
-        [12.011, 15.999, 15.999, 1.008],
-        np.array([[0, 0, 0], [0.1125, 0.055, 0], [-0.1125, 0.055, 0], [0, -0.11, 0]]),
-        None,
-    ),
-    "five points": ([1.0, 2.0, 3.0, 4.0, 5.0], 0.3 * np.random.default_rng(1).random((5, 3)), None),
-}
 
 
 def every_pair(n):
@@ -210,7 +181,7 @@ def test_rounded_redundant_constraints_are_met_as_well_as_can_be():
 
 def test_redundant_constraints_that_disagree_are_named():
     system = system_of(MASSES, BENDING, PAIRS, longer={(0, 1): 1e-3})
-    with pytest.raises(ValueError, match=r"particles 3 and 4 to 0\.115306 nm follows from the others .* miss it by"):
+    with pytest.raises(ValueError, match=r"3 and 4 to 0\.115306 nm follows from the others .* differs from them by"):
         find_bodies(system, BENDING)
 
 

@@ -4,16 +4,27 @@ import numpy as np
 import openmm
 import pytest
 
-from bonded_terms import FORMS, RNG, N, angles, bonds, maps, pairs, periodic_torsions, polynomial_torsions, system_of
+from bonded_terms import (
+    FORMS,
+    RNG,
+    N,
+    angles,
+    bonds,
+    maps,
+    pairs,
+    periodic_torsions,
+    polynomial_torsions,
+    system_of,
+    terms_in,
+)
 from openmm_exactrb import kernels
-from openmm_exactrb.multiple_time_steps.compiled_forces import terms_of
 from starts import context_of
 
 
 def both(system, x, groups=-1):
     """Return the forces of the kernel and those of OpenMM."""
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_of(system, groups), out)
+    kernels.load("bonded").forces(x, terms_in(system, groups), out)
     context = context_of(system, openmm.VerletIntegrator(0.001), x)
     return out, context.getState(forces=True, groups=groups).getForces(asNumpy=True)._value
 
@@ -46,7 +57,7 @@ def test_almost_straight_angles_and_flat_torsions_keep_their_digits(angle):
     x[:3] = [0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.12 * np.cos(angle), 0.12 * np.sin(angle), 0.0]
     x[3:7] = [0.1, 0.1, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.15], [0.1 * np.cos(angle), 0.1 * np.sin(angle), 0.25]
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_of(system_of(force, torsion), -1), out)
+    kernels.load("bonded").forces(x, terms_in(system_of(force, torsion), -1), out)
     a = abs(out[0])
     assert a[1] == pytest.approx(500.0 * abs(angle - 1.9) / 0.1, rel=1e-8)  # along the arc, strength times the rest
     turn = np.array([0.1, 0.1, 0.0])
@@ -66,7 +77,7 @@ def test_positions_that_are_not_finite_have_such_forces(make):
     x = RNG.normal(size=(N, 3))
     x[4] = np.nan
     out = np.empty_like(x)
-    kernels.load("bonded").forces(x, terms_of(system_of(make()), -1), out)
+    kernels.load("bonded").forces(x, terms_in(system_of(make()), -1), out)
     assert np.isnan(out[4]).all()
 
 
@@ -88,4 +99,4 @@ def test_other_forms_are_left_to_openmm(other):
         force.addGlobalParameter("epsilon", 1.0)
         force.addPerBondParameter("sigma")
         force.addBond(0, 3, [0.3])
-    assert terms_of(system_of(angles(), force), -1) is None
+    assert terms_in(system_of(angles(), force), -1) is None

@@ -60,23 +60,6 @@ def test_the_same_integrator_follows_its_step():
     assert integrator.timings.fast_evaluations == seen > 0
 
 
-def test_the_default_conserves_energy_where_nothing_nested_does_not():
-    """2 fs a force, 6 ps: the nested default leaves less than a third of the error."""
-    _, system, x = peptide("None")
-    spread = {}
-    for fast in (None, "auto"):
-        integrator, _context = moving(system, x, 0.004, "S2_2", fast=fast)
-        energies = []
-        try:
-            for _ in range(300):
-                integrator.step(5)
-                energies.append(integrator.totalEnergy()._value)
-            spread[fast] = np.std(energies)
-        except rb.IntegrationError:
-            spread[fast] = np.inf
-    assert spread["auto"] < 0.3 * spread[None]
-
-
 def test_nothing_is_nested_where_it_would_bring_nothing_or_not_be_all():
     """Rigid bodies, forces that are all bonded or of unknown speed, kicks by group, and substeps of your own."""
     _, water, positions = rb.rigid_water(2, nonbondedMethod=app.NoCutoff)
@@ -303,19 +286,3 @@ def test_a_scheme_without_kicks_runs():
     """Free motion alone, of which nothing can be nested."""
     _, system, x = peptide()
     assert not nests(system, x, 0.01, Scheme("free", 2, ((DRIFT, 1.0),)))
-
-
-def test_substeps_of_ones_own_may_have_any_symbol():
-    system = openmm.System()
-    system.addParticle(1.0)
-    force = openmm.CustomExternalForce("50*x^2")
-    force.addParticle(0)
-    system.addForce(force)
-    bond = openmm.HarmonicBondForce()
-    system.addParticle(1.0)
-    bond.addBond(0, 1, 0.1, 1e4)
-    system.addForce(bond)
-    scheme = Scheme("own", 2, ((Rest(), 0.5), (DRIFT, 1.0), (Rest(), 0.5)))
-    integrator, context = moving(system, [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]], 0.001, scheme)
-    integrator.step(1)
-    assert context.getStepCount() == 1

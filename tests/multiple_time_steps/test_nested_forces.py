@@ -1,7 +1,6 @@
 """Multiple time steps: which forces may be fast, what they keep, and pairs that become bonded forces."""
 
 import copy
-import pickle
 import re
 import warnings
 
@@ -126,12 +125,6 @@ def test_only_a_system_has_bonded_forces(given, name):
 def test_groups_may_be_whole_numbers_of_numpy():
     integrator = rb.ExactRigidBodyIntegrator(0.001, fast=np.array([2, 1, 2]))
     assert integrator.getMultipleTimeSteps().fast == (1, 2)
-
-
-def test_copies_nest_as_the_original_does():
-    integrator = rb.ExactRigidBodyIntegrator(0.002, fast=(1, 2), inner="V2", innerSteps=3)
-    for twin in (copy.copy(integrator), pickle.loads(pickle.dumps(integrator))):
-        assert twin.getMultipleTimeSteps() == integrator.getMultipleTimeSteps()
 
 
 def energy_and_forces(system, x, platform=REFERENCE):

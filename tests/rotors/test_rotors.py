@@ -160,7 +160,7 @@ def test_views_and_other_dtypes_are_taken(bodies):
         ({"inertia": [1.0, np.nan, 2.0]}, "positive and finite"),
         ({"q0": [1.0, 0.0, 0.0]}, "must have the shape"),
         ({"q0": [0.0, 0.0, 0.0, 0.0]}, "is zero"),
-        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "not of one number of bodies"),
+        ({"m0": np.ones((2, 3)), "t": np.ones(3)}, "do not agree on the number of bodies"),
         ({"m0": np.ones((2, 2, 3))}, "along one axis"),
     ],
 )

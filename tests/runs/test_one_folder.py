@@ -158,16 +158,6 @@ def test_a_file_with_the_name_of_a_setting_hides_nothing(tmp_path):
                 run.advance(droplet(n=n), 20)
 
 
-def test_own_schemes_of_one_name_are_distinguished(tmp_path):
-    for weight in (0.19, 0.3):
-        mine = rb.schemes.symmetric("mine", order=2, stages=2, first="drift", a=(weight,))
-        if weight == 0.19:
-            make(tmp_path).advance(droplet(scheme=mine), 10)
-        else:
-            with pytest.raises(ValueError, match="another run: integrator scheme is"):
-                make(tmp_path, resume=True).advance(droplet(scheme=mine), 20)
-
-
 def test_a_system_that_cannot_be_serialised_is_refused(tmp_path):
     topology, system, positions = rb.dipole_fluid(4, seed=1, trap=0.5)
     system.addForce(openmm.PythonForce(lambda state: (0.0, np.zeros((20, 3)))))

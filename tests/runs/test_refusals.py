@@ -62,7 +62,7 @@ def test_a_checkpoint_of_another_version_is_refused(half, monkeypatch):
         refused(half, "openmm is .* in it, but 7.0 now")
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "FORMAT", b"99")
-        refused(half, "another version of openmm-exactrb, in format 5")
+        refused(half, "another version of openmm-exactrb: resume the run with that version")
     go_on(half)
 
 

@@ -74,7 +74,7 @@ def test_a_text_is_a_sequence_whose_substeps_have_equal_shares():
     assert spelled("B A O A B") == ((KICK, half), (DRIFT, half), (HEAT_EXCHANGE, 1.0), (DRIFT, half), (KICK, half))
     assert spelled("B1 A A A B1")[1:4] == ((DRIFT, 1.0 / 3.0),) * 3
     assert spelled("B1 A B1")[0] == (SLOW, 0.5)
-    with pytest.raises(ValueError, match='substeps with blanks between them, such as "B A O A B"'):
+    with pytest.raises(ValueError, match='substeps separated by spaces, such as "B A O A B"'):
         spelled("  ")
 
 

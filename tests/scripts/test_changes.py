@@ -21,7 +21,7 @@ from boxes import (
 from openmm import app, unit
 
 import openmm_exactrb as rb
-from starts import context_of, masses_of
+from starts import context_of
 
 
 def heavier(simulation):
@@ -57,32 +57,6 @@ def test_reinitialize_and_new_positions_start_over():
     simulation.context.setPositions(x)
     simulation.context.setVelocitiesToTemperature(300, 1)
     assert quietly(swing, simulation) < 1e-3
-
-
-def test_parameters_act_from_the_next_step_on():
-    topology, positions = solvent()
-    system = water_system(topology)
-    field = openmm.CustomExternalForce("-pull*x")
-    field.addGlobalParameter("pull", 0.0)
-    for i in range(0, system.getNumParticles(), 3):
-        field.addParticle(i, [])
-    system.addForce(field)
-    simulation = simulation_of(topology, system, positions)
-    quietly(simulation.step, 2)
-    masses = masses_of(system)
-
-    def momentum():
-        v = simulation.context.getState(velocities=True).getVelocities(asNumpy=True)._value
-        return masses @ v[:, 0]
-
-    before = momentum()
-    simulation.context.setParameter("pull", 100.0)
-    simulation.step(5)
-    pushed = 100.0 * topology.getNumResidues() * 5 * 0.002
-    assert momentum() - before == pytest.approx(pushed, rel=0.02)  # PME gives a few per mille of its own
-    field.setParticleParameters(0, 0, [])
-    field.updateParametersInContext(simulation.context)
-    simulation.step(1)
 
 
 def test_force_groups_select_what_acts():

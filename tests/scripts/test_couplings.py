@@ -1,7 +1,5 @@
 """What acts between steps: all four barostats, and the remover of the motion of the centre."""
 
-import time
-
 import numpy as np
 import openmm
 import pytest
@@ -76,41 +74,6 @@ def test_without_motion_of_the_centre():
     assert swing(simulation) < 1e-3
 
 
-def test_a_remover_of_motion_costs_no_force():
-    """createSystem adds one by default."""
-    topology, positions = solvent()
-    counts = []
-    for remover in (False, True):
-        integrator = rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, scheme="V2")
-        simulation = simulation_of(topology, water_system(topology, removeCMMotion=remover), positions, integrator)
-        quietly(simulation.step, 1)
-        integrator.timings.evaluations = 0
-        simulation.step(10)
-        counts.append(integrator.timings.evaluations)
-    assert counts[0] == counts[1]
-
-
-@pytest.mark.validate
-def test_what_acts_rarely_costs_next_to_nothing():
-    topology, positions = solvent()
-    seconds = {}
-    kinds = {"nothing": None, "remover": openmm.CMMotionRemover, "barostat": lambda: BAROSTATS["isotropic"](1000)}
-    for name, make in kinds.items():
-        system = water_system(topology)
-        if make is not None:
-            system.addForce(make())
-        simulation = simulation_of(topology, system, positions, rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "V2"))
-        quietly(simulation.step, 20)
-        best = []
-        for _ in range(7):
-            began = time.process_time()
-            simulation.step(30)
-            best.append(time.process_time() - began)
-        seconds[name] = min(best)
-    assert seconds["remover"] < 1.1 * seconds["nothing"]
-    assert seconds["barostat"] < 1.1 * seconds["nothing"]
-
-
 def test_bodies_named_after_a_flexible_minimisation_are_of_one_kind():
     """A kind a molecule makes a step many times as long; `minimizeEnergy` of ours keeps bodies rigid."""
     topology, positions = solvent()
@@ -122,22 +85,6 @@ def test_bodies_named_after_a_flexible_minimisation_are_of_one_kind():
     quietly(simulation.step, 2)
     found, _ = simulation.integrator.bodyState()
     assert len(found.kinds) == 1
-
-
-def test_bodies_named_by_hand_are_minimised_as_rigid_ones():
-    topology, positions = solvent()
-    bodies = [[a.index for a in residue.atoms()] for residue in topology.residues()]
-    system = water_system(topology, rigidWater=False)
-    for i in reversed(range(system.getNumConstraints())):
-        system.removeConstraint(i)
-    integrator = rb.ExactRigidBodyIntegrator(1 * FEMTOSECONDS, "V2", bodies=bodies)
-    simulation = simulation_of(topology, system, positions, integrator, minimise=0)
-    before = simulation.context.getState(energy=True).getPotentialEnergy()._value
-    lengths = np.linalg.norm(np.diff(coordinates(simulation).reshape(-1, 3, 3), axis=1), axis=2)
-    integrator.minimizeEnergy(maxIterations=5)
-    assert simulation.context.getState(energy=True).getPotentialEnergy()._value < before - 10.0
-    after = np.linalg.norm(np.diff(coordinates(simulation).reshape(-1, 3, 3), axis=1), axis=2)
-    np.testing.assert_allclose(after, lengths, atol=2e-4)
 
 
 @pytest.mark.parametrize("fast", [None, "bonded"])

@@ -1,7 +1,5 @@
 """Every force field of rigid water that OpenMM ships: one line of the script changes."""
 
-import mdtraj
-import numpy as np
 import openmm
 import pytest
 from boxes import FEMTOSECONDS, coordinates, misfit, quietly, simulation_of, solvent, swing, water_system
@@ -14,7 +12,7 @@ CHARMM = ["water", "tip3p-pme-b", "tip3p-pme-f", "spce", "tip4pew", "tip4p2005",
 
 
 @pytest.mark.parametrize("name", [*(f"{n}.xml" for n in AMBER), *(f"charmm36/{n}.xml" for n in CHARMM)])
-def test_one_line_changes(name, tmp_path):
+def test_one_line_changes(name):
     modeller = app.Modeller(*solvent())
     modeller.addExtraParticles(app.ForceField(name))
     system = water_system(modeller.topology, name)
@@ -22,11 +20,8 @@ def test_one_line_changes(name, tmp_path):
         modeller.topology, system, modeller.positions, rb.ExactRigidBodyIntegrator(2 * FEMTOSECONDS)
     )
     start = coordinates(simulation)
-    simulation.reporters.append(app.DCDReporter(str(tmp_path / "run.dcd"), 5, enforcePeriodicBox=False))
     ours = quietly(swing, simulation)
     verlet = openmm.VerletIntegrator(2 * FEMTOSECONDS)
     verlet = simulation_of(modeller.topology, system, start, verlet, minimise=0)
     assert ours < 0.5 * swing(verlet)
     assert misfit(simulation) < 1e-6
-    frames = mdtraj.load(str(tmp_path / "run.dcd"), top=mdtraj.Topology.from_openmm(modeller.topology))
-    np.testing.assert_allclose(frames.xyz[-1], coordinates(simulation), atol=1e-5)

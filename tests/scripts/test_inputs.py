@@ -58,13 +58,6 @@ def boxed():
     )
 
 
-def test_amber(tmp_path):
-    files = program_files.amber(tmp_path, *boxed())
-    inpcrd = app.AmberInpcrdFile(str(files[1]))
-    prmtop = app.AmberPrmtopFile(str(files[0]), periodicBoxVectors=inpcrd.boxVectors)
-    a_script_ends_well(prmtop.topology, prmtop.createSystem(**SETTINGS), inpcrd.positions, tmp_path)
-
-
 def test_charmm(tmp_path):
     x, side = boxed()
     psf, crd, *parameters = map(str, program_files.charmm(tmp_path, x))
@@ -72,11 +65,3 @@ def test_charmm(tmp_path):
     psf.setBox(*[side * unit.angstrom] * 3)
     system = psf.createSystem(app.CharmmParameterSet(*parameters), **SETTINGS)
     a_script_ends_well(psf.topology, system, crd.positions, tmp_path)
-
-
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # OpenMM leaves the topology open
-def test_gromacs(tmp_path):
-    gro, top = map(str, program_files.gromacs(tmp_path, *boxed()))
-    gro = app.GromacsGroFile(gro)
-    top = app.GromacsTopFile(top, periodicBoxVectors=gro.getPeriodicBoxVectors())
-    a_script_ends_well(top.topology, top.createSystem(**SETTINGS), gro.positions, tmp_path)

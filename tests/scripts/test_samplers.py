@@ -10,32 +10,6 @@ import openmm_exactrb as rb
 import starts
 
 
-class Warmed(rb.ExactRigidBodyIntegrator):
-    """An integrator that is told a temperature, as those with a thermostat are, and draws momenta from it."""
-
-    def setTemperature(self, temperature):
-        self.setVelocitiesToTemperature(temperature, 1)
-
-
-@pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")
-def test_simulated_tempering(tmp_path):
-    simulation = water(Warmed(2 * FEMTOSECONDS))
-    quietly(simulation.step, 1)
-    tempering = app.SimulatedTempering(
-        simulation,
-        numTemperatures=3,
-        minTemperature=300 * unit.kelvin,
-        maxTemperature=320 * unit.kelvin,
-        tempChangeInterval=2,
-        reportInterval=2,
-        reportFile=str(tmp_path / "tempering.csv"),
-    )
-    tempering.step(20)
-    assert simulation.currentStep == 21
-    assert len(tempering.weights) == 3
-    assert misfit(simulation) < 1e-6
-
-
 def distance_of_two_oxygens():
     force = openmm.CustomBondForce("r")
     force.addBond(0, 3, [])
@@ -75,17 +49,6 @@ def test_metadynamics_of_a_bond_at_rest_is_no_blow_up():
     )
     bias.step(simulation, 300)
     assert simulation.currentStep == 300
-
-
-@pytest.mark.skipif(not hasattr(app, "ReplicaExchangeSampler"), reason="this OpenMM has no ReplicaExchangeSampler")
-def test_replica_exchange():
-    simulation = water()
-    quietly(simulation.step, 1)
-    sampler = app.ReplicaExchangeSampler([{"temperature": t * unit.kelvin} for t in (300, 305, 310)], simulation, 3)
-    sampler.simulate(4)
-    assert sorted(sampler.replicaStateIndex) == [0, 1, 2]
-    assert misfit(simulation) < 1e-6
-    assert np.isfinite(simulation.integrator.totalEnergy()._value)
 
 
 @pytest.mark.skipif(not hasattr(app, "ReplicaExchangeSampler"), reason="this OpenMM has no ReplicaExchangeSampler")

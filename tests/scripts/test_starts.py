@@ -1,6 +1,5 @@
 """Starts as people have them: filled by Modeller, rounded in files, far away, frozen, or broken."""
 
-import gc
 import io
 import warnings
 
@@ -237,17 +236,6 @@ def test_the_natural_order_is_bind_and_then_positions():
     context.setPositions(positions)
     quietly(integrator.step, 1)
     assert context.getStepCount() == 1
-
-
-def test_a_frozen_garbage_collector_does_not_hide_the_context():
-    gc.freeze()
-    try:
-        simulation = water()
-        gc.freeze()
-        simulation.step(1)
-    finally:
-        gc.unfreeze()
-    assert simulation.context.getStepCount() == 1
 
 
 def test_a_box_that_changes_between_steps_is_taken_up():

@@ -11,8 +11,9 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+from chains import FREQUENCY, nose_hoover
 from openmm_exactrb.context import variables
-from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, StochasticRescaling
+from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
 from thermostatted import droplet_of, molecules, simulation_of, snapshot
 
 H = 0.01
@@ -29,6 +30,15 @@ MAKERS = {
     "rescaling": lambda: rb.ExactRigidBodyRescalingIntegrator(30.0, 0.1, H),
     "hybrid": lambda: rb.ExactRigidBodyHybridIntegrator(30.0, 2.0, 30 * H, stepsPerProposal=2),
 }
+#: Which have no noise.
+CHAINS = {
+    "chain": nose_hoover,
+    "one chain": lambda: nose_hoover(together=True, chainLength=5),
+    "chain in BAOAB": lambda: nose_hoover(scheme="BAOAB"),
+}
+ALL = MAKERS | CHAINS
+#: What a run has besides positions and velocities.
+OWN = {"hybrid": "tally", "rescaling": "heat"} | dict.fromkeys(CHAINS, "conservedEnergy")
 
 
 @pytest.fixture(params=MAKERS)
@@ -54,12 +64,19 @@ def test_without_friction_it_is_the_trajectory_of_constant_energy(scheme, rotor)
     assert thermostatted.timings.evaluations == alone.timings.evaluations
 
 
-def test_ten_times_ten_steps_are_a_hundred(maker):
-    once, often = (droplet_of(seeded(maker)) for _ in range(2))
+def of_its_own(run, name):
+    """Return what a run has besides positions and velocities."""
+    return getattr(run.integrator, OWN[name])() if name in OWN else None
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_ten_times_ten_steps_are_a_hundred(name):
+    once, often = (droplet_of(seeded(ALL[name])) for _ in range(2))
     once.integrator.step(100)
     for _ in range(10):
         often.integrator.step(10)
     assert snapshot(once) == snapshot(often)
+    assert of_its_own(once, name) == of_its_own(often, name)
 
 
 THERMOSTATS = {
@@ -68,12 +85,13 @@ THERMOSTATS = {
     "ABOBA": ("ABOBA", Langevin(30.0, 2.0, rotationalFriction=7.0)),
     "rescaling": ("BAOA", StochasticRescaling(30.0, 0.1)),
     "hybrid": ("S2_2", HybridMonteCarlo(30.0, 2.0, stepsPerProposal=2)),
+    "chain": ("S2_2", NoseHooverChain(30.0, FREQUENCY)),
 }
 
 
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("name", THERMOSTATS)
 def test_a_thermostat_that_is_handed_over_makes_the_bits_of_the_integrator_named_after_it(name):
-    named, (scheme, thermostat) = seeded(MAKERS[name]), THERMOSTATS[name]
+    named, (scheme, thermostat) = seeded(ALL[name]), THERMOSTATS[name]
     handed = rb.ExactRigidBodyIntegrator(named.getStepSize(), scheme, thermostat=thermostat)
     handed.setRandomNumberSeed(3)
     runs = [droplet_of(integrator) for integrator in (named, handed)]
@@ -107,12 +125,11 @@ sys.path[:0] = sys.argv[1:3]
 import test_bits
 from thermostatted import droplet_of, snapshot
 for (name, kind), saved in pickle.load(open(sys.argv[3], "rb")).items():
-    run = droplet_of(test_bits.MAKERS[name]())
+    run = droplet_of(test_bits.ALL[name]())
     run.integrator.setVelocitiesToTemperature(500.0, 1)
     test_bits.load(run, kind, saved)
     run.step(7)
-    tally = run.integrator.tally() if name == "hybrid" else run.integrator.heat() if name == "rescaling" else None
-    print(name, kind, hashlib.sha256(snapshot(run)).hexdigest(), tally)
+    print(name, kind, hashlib.sha256(snapshot(run)).hexdigest(), test_bits.of_its_own(run, name), sep=", ")
 """
 
 
@@ -124,19 +141,17 @@ def load(run, kind, saved):
 
 
 def test_a_new_process_continues_with_the_same_bits(tmp_path):
-    """A drawn seed, the heat and the tally travel with checkpoints and States."""
+    """A drawn seed, the heat, the tally and the chains travel with checkpoints and States."""
     saved, expected = {}, []
-    for name, make in MAKERS.items():
+    for name, make in ALL.items():
         run = droplet_of(make())
         run.integrator.step(6)
         everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
         saved[name, "checkpoint"] = run.context.createCheckpoint()
         saved[name, "State"] = openmm.XmlSerializer.serialize(run.context.getState(**everything))
         run.integrator.step(7)
-        own = {"hybrid": "tally", "rescaling": "heat"}
-        tally = getattr(run.integrator, own[name])() if name in own else None
-        digest = hashlib.sha256(snapshot(run)).hexdigest()
-        expected += [f"{name} {kind} {digest} {tally}" for kind in ("checkpoint", "State")]
+        own, digest = of_its_own(run, name), hashlib.sha256(snapshot(run)).hexdigest()
+        expected += [f"{name}, {kind}, {digest}, {own}" for kind in ("checkpoint", "State")]
     file = tmp_path / "saved"
     file.write_bytes(pickle.dumps(saved))
     here = Path(__file__).parent

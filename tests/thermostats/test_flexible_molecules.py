@@ -1,10 +1,7 @@
 """Thermostats of flexible molecules: along the constraints alone, and with forces within the drifts."""
 
 import copy
-import itertools
-import os
 import pickle
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import openmm
@@ -12,10 +9,9 @@ import pytest
 from scipy import stats
 
 import openmm_exactrb as rb
-from forked import FORKED
 from on_device import platform_for
 from peptides import R, moving, peptide, positions_of, violations
-from starts import REFERENCE, context_of, velocities_of
+from starts import context_of, velocities_of
 
 
 def test_strong_friction_makes_every_kinetic_energy_canonical():
@@ -166,80 +162,6 @@ def test_more_proposals_are_taken_where_bonds_have_inner_steps():
         rates.append(integrator.acceptanceRate())
     assert rates[1] > 0.8
     assert rates[1] > rates[0] + 0.2
-
-
-def torsions(x):
-    """Return phi and psi in degrees."""
-    angles = []
-    for atoms in ([4, 6, 8, 10], [6, 8, 10, 16]):
-        a, b, c = (x[j] - x[i] for i, j in itertools.pairwise(atoms))
-        n, m = np.cross(a, b), np.cross(b, c)
-        angles.append(np.degrees(np.arctan2(np.linalg.norm(b) * (a @ m), n @ m)))
-    return angles
-
-
-#: Independent runs of each integrator, their length and how long they settle before (ps).
-RUNS, LENGTH, SETTLING = 8, 500.0, 30.0
-
-
-def populations(whose, seed, picoseconds, settling=SETTLING):
-    """Return the populations (3,) of a run: phi above -85, psi above 100 and psi below 50 degrees.
-
-    Of the places where phi is negative: it takes nanoseconds to go to the others and back. Looked at every 0.04 ps.
-    """
-    _, system, x = peptide()
-    if whose == "ours":
-        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 2.0, 0.004, "S2_2")
-        context, every = started(integrator, system, x, seed), 10
-    else:
-        integrator = openmm.LangevinMiddleIntegrator(300.0, 2.0, 0.001)
-        integrator.setRandomNumberSeed(seed)
-        context, every = openmm.Context(system, integrator, REFERENCE), 40
-        context.setPositions(x)
-        context.setVelocitiesToTemperature(300.0, seed)
-    integrator.step(round(settling / 0.04) * every)
-    found = []
-    for _ in range(round(picoseconds / 0.04)):
-        integrator.step(every)
-        phi, psi = torsions(positions_of(context))
-        if phi < 0.0:
-            found.append([phi > -85.0, psi > 100.0, psi < 50.0])
-    return np.mean(found, axis=0)
-
-
-def side_by_side(runs, picoseconds, settling=SETTLING):
-    """Return the populations (runs, 3) of independent runs of each integrator, made by as many processes as cores."""
-    sides = ["ours"] * runs + ["theirs"] * runs
-    n = len(sides)
-    with ProcessPoolExecutor(min(n, os.cpu_count() or 1), FORKED) as pool:
-        found = list(pool.map(populations, sides, range(1, n + 1), [picoseconds] * n, [settling] * n))
-    return np.array(found[:runs]), np.array(found[runs:])
-
-
-def test_populations_are_measured_side_by_side():
-    """The long test below in short: runs from different seeds differ, and all are populations."""
-    ours, theirs = side_by_side(2, 0.4, 0.04)
-    for runs in (ours, theirs):
-        assert runs.shape == (2, 3)
-        assert ((runs >= 0.0) & (runs <= 1.0)).all()
-        assert (runs[:, 1] + runs[:, 2] <= 1.0).all()
-
-
-@pytest.mark.validate
-def test_populations_of_torsions_are_those_of_small_steps():
-    """Alanine dipeptide at 4 fs against OpenMM's LangevinMiddleIntegrator at 1 fs: 4 ns of each.
-
-    Ours has inner steps by default. Errors are those of the scatter between independent runs, and the bounds
-    Student's, by Welch. Half an hour of two cores that have other work too.
-    """
-    ours, theirs = side_by_side(RUNS, LENGTH)
-    error = np.sqrt((ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / RUNS)
-    print(theirs.mean(axis=0), ours.mean(axis=0), error)  # seen with -s
-    assert (error < 0.04).all()  # else it could not tell
-    assert (stats.ttest_ind(ours, theirs, equal_var=False).pvalue > 0.001).all()
-    for state in (theirs.mean(axis=0), ours.mean(axis=0)):
-        assert (state > 0.05).all()  # all of them are states that are visited
-        assert (state < 0.95).all()
 
 
 def bent(platform, integrator, kelvin):

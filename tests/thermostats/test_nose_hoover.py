@@ -72,9 +72,9 @@ def flipped(integrator):
             variables.put(integrator, name, -variables.get(integrator, name))
 
 
-@pytest.mark.parametrize("together", [True, False])
-def test_a_run_retraces_its_steps_when_momenta_and_chains_are_turned_around(together):
-    integrator = nose_hoover(together=together)
+@pytest.mark.parametrize("options", [{"together": True}, {}, {"scheme": None}], ids=["together", "S2_2", "default"])
+def test_a_run_retraces_its_steps_when_momenta_and_chains_are_turned_around(options):
+    integrator = nose_hoover(**options)
     simulation = droplet_of(integrator)
     integrator.setVelocitiesToTemperature(60.0, 1)
     _, begin = integrator.bodyState()

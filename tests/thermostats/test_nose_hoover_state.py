@@ -4,41 +4,13 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
-from chains import FREQUENCY, H, nose_hoover
-from openmm_exactrb.thermostats import NoseHooverChain
+from chains import H, nose_hoover
 from thermostatted import (
     droplet_of,
     snapshot,
 )
 
 # -- bits, and what persists ------------------------------------------------------------------------------------------
-
-
-CHAINS = {"separate": {}, "together": {"together": True, "chainLength": 5}, "BAOAB": {"scheme": "BAOAB"}}
-
-
-@pytest.fixture(params=CHAINS)
-def options(request):
-    return CHAINS[request.param]
-
-
-def test_ten_times_ten_steps_are_a_hundred(options):
-    once, often = (droplet_of(nose_hoover(**options)) for _ in range(2))
-    once.integrator.step(100)
-    for _ in range(10):
-        often.integrator.step(10)
-    assert snapshot(once) == snapshot(often)
-    assert once.integrator.conservedEnergy() == often.integrator.conservedEnergy()
-
-
-def test_a_thermostat_that_is_handed_over_makes_the_bits_of_the_integrator_named_after_it():
-    named = nose_hoover()
-    handed = rb.ExactRigidBodyIntegrator(H, "S2_2", thermostat=NoseHooverChain(30.0, FREQUENCY))
-    runs = [droplet_of(integrator) for integrator in (named, handed)]
-    for run in runs:
-        run.integrator.step(20)
-    assert snapshot(runs[0]) == snapshot(runs[1])
-    assert named.getThermostat() == handed.getThermostat()
 
 
 EVERYTHING = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
@@ -55,20 +27,6 @@ def load(context, kind, what):
         context.loadCheckpoint(what)
     else:
         context.setState(openmm.XmlSerializer.deserialize(what))
-
-
-@pytest.mark.parametrize("kind", ["checkpoint", "State"])
-def test_a_new_context_continues_with_the_same_bits(kind, options):
-    run = droplet_of(nose_hoover(**options))
-    run.integrator.step(6)
-    taken = saved(run.context, kind)
-    run.integrator.step(7)
-    again = droplet_of(nose_hoover(**options))
-    again.integrator.step(2)
-    load(again.context, kind, taken)
-    again.integrator.step(7)
-    assert snapshot(again) == snapshot(run)
-    assert again.integrator.conservedEnergy() == run.integrator.conservedEnergy()
 
 
 def test_chains_outlive_a_reinitialisation():

@@ -217,21 +217,21 @@ def test_a_cold_start_may_be_heated_by_any_friction():
 
 def test_temperatures_around_the_thermostat_need_a_step():
     simulation = droplet_of(langevin(30.0, 1.0, 0.01, scheme="BAOAB"))
-    with pytest.raises(ValueError, match="make a step first"):
+    with pytest.raises(ValueError, match="call step first"):
         simulation.integrator.temperaturesAroundThermostat()
     simulation.step(1)
     assert all(0.0 < T._value < 100.0 for T in simulation.integrator.temperaturesAroundThermostat())
     checkpoint = simulation.context.createCheckpoint()
     simulation.step(2)
     simulation.context.loadCheckpoint(checkpoint)
-    with pytest.raises(ValueError, match="make a step first"):
+    with pytest.raises(ValueError, match="call step first"):
         simulation.integrator.temperaturesAroundThermostat()
     simulation.step(1)
     simulation.integrator.setVelocitiesToTemperature(3000.0, 1)
-    with pytest.raises(ValueError, match="make a step first"):
+    with pytest.raises(ValueError, match="call step first"):
         simulation.integrator.temperaturesAroundThermostat()
     simulation.integrator.step(0)
-    with pytest.raises(ValueError, match="make a step first"):
+    with pytest.raises(ValueError, match="call step first"):
         simulation.integrator.temperaturesAroundThermostat()
 
 

@@ -9,6 +9,7 @@ from equilibrium import arrays
 from openmm import unit
 
 import openmm_exactrb as rb
+from on_device import device_platform
 from openmm_exactrb import schemes
 from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.tuning import Choice
@@ -25,17 +26,6 @@ def error(bench, method, step, duration):
     """Return the standard deviation of the energy of a run, infinite if it was unstable."""
     run = bench.run(method, step, duration, bench.state)
     return math.inf if run is None else np.std(run.values)
-
-
-def opencl():
-    """Skip where there is no OpenCL device."""
-    try:
-        platform = openmm.Platform.getPlatform("OpenCL")
-        system = openmm.System()
-        system.addParticle(1.0)
-        openmm.Context(system, openmm.VerletIntegrator(0.001), platform)
-    except openmm.OpenMMException as error:
-        pytest.skip(f"no OpenCL device: {error}")
 
 
 def test_verlet_starts_with_the_same_energy_and_is_read_at_full_steps(droplet):
@@ -77,7 +67,7 @@ def test_a_scheme_that_cannot_be_run_is_not_called_unstable(droplet):
 @pytest.mark.opencl
 @pytest.mark.parametrize(("reason", "engine"), [(None, "device"), ("a CPU", "host")])
 def test_what_is_timed_is_what_a_choice_will_run(droplet, monkeypatch, reason, engine):
-    opencl()
+    device_platform(["OpenCL"])
     monkeypatch.setattr(platforms, "no_gpu", lambda context: reason)
     system, state = droplet
     forces = system.getNumForces()

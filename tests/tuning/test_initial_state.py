@@ -13,7 +13,7 @@ import openmm_exactrb as rb
 from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import VERLET, Benchmark, Method
 from openmm_exactrb.tuning.budget import Budget
-from openmm_exactrb.tuning.initial_state import initial_state
+from openmm_exactrb.tuning.initial_state import initial_state, others
 from starts import context_of, simulation_of
 
 PLENTY = Budget(1e6)
@@ -71,7 +71,7 @@ def test_positions_with_a_temperature_and_bodies_by_hand_are_enough():
         ({"levels": 0}, "levels must be a whole number"),
         ({"schemes": []}, "schemes is empty"),
         ({"schemes": ["RK4"]}, "unknown scheme 'RK4'"),
-        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name 'V2' of another method"),
+        ({"schemes": ["V2", replace(rb.SCHEMES["S2_2"], name="V2")]}, "has the name of another method, 'V2'"),
         ({"schemes": replace(rb.SCHEMES["S2_2"], name="VerletIntegrator")}, "of another method"),
         ({"platform": "Abacus"}, "there is no platform 'Abacus'"),
         ({"system": "system.xml"}, "must be an openmm.System or a Simulation"),
@@ -153,3 +153,14 @@ def test_two_molecules_far_apart_get_no_step_in_which_they_turn_round():
     result = rb.tune(system, x, temperature=300.0, velocities=np.zeros_like(x) + 1e-9, **options)
     assert result.largest_stable_step("S2_2") / 2.0 < 0.12  # a radian at 300 K takes 0.06 ps
     assert any("bodies hardly interact" in note for note in result.notes)
+
+
+def test_a_start_that_leads_to_no_other_one_is_refused():
+    """Beside it is a wall that no step is short enough for."""
+    system, force = openmm.System(), openmm.CustomExternalForce("x+1e14*step(x-1e-7)*(x-1e-7)^2")
+    system.addParticle(18.0)
+    force.addParticle(0)
+    system.addForce(force)
+    begin, _ = initial_state(system, np.zeros((1, 3)), np.full((1, 3), 0.3), "Reference", None, None)
+    with pytest.raises(ValueError, match=r"diverges whenever it is tried: minimise"):
+        others(begin, 2, 0)

@@ -148,11 +148,13 @@ class Device:
 
         1: positions, 2: velocities, 4: what else forces depend on, 8: a checkpoint or State was loaded.
         """
-        return self._count(2, clear)
+        value = ctypes.c_int()
+        self._call("changes", clear, ctypes.byref(value))
+        return value.value
 
-    def _count(self, which: int, clear: int = 0) -> int:
+    def _count(self, which: int) -> int:
         value = ctypes.c_longlong()
-        self._call("count", which, clear, ctypes.byref(value))
+        self._call("count", which, ctypes.byref(value))
         return value.value
 
 
@@ -262,7 +264,7 @@ def private_folder() -> Path:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise MissingLibraryError(f"the folder {folder} cannot be made: {error}; name another in {CACHE}") from error
+        raise MissingLibraryError(f"the folder {folder} cannot be created: {error}; name another in {CACHE}") from error
     _check_owner(folder)
     return folder
 
@@ -274,5 +276,5 @@ def _check_owner(path: Path) -> None:
     status = path.stat()
     if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:  # noqa: TID251
         raise MissingLibraryError(
-            f"{path} is not loaded because it is not yours alone: remove it, or name another folder in {CACHE}"
+            f"{path} is not loaded because other users have access to it: remove it, or name another folder in {CACHE}"
         )

@@ -46,7 +46,7 @@ struct Array {
     size_t size = 0;
     bool saved = false;      // belongs to checkpoints, States and what `keep` keeps
     vector<char> data;       // on the host: what `build` uploads
-    DeviceArray device, kept;
+    DeviceArray device;
     size_t bytes() const {
         return size * elementSize;
     }
@@ -160,6 +160,10 @@ private:
         return cc != NULL && !program.empty();
     }
     vector<char> present(const Array& a) const;
+    void save(std::ostream& stream, bool all) const;
+    void load(std::istream& stream);
+    string savedText(bool all) const;
+    void loadText(const string& text);
     template <class Named> static int indexOf(const vector<Named>& all, const string& name, const char* what) {
         for (int i = 0; i < (int) all.size(); i++)
             if (all[i].name == name)
@@ -212,7 +216,7 @@ private:
         vector<int> order;
         vector<mm_int4> cells;
         vector<Scalar> scalars;
-        DeviceArray posq, correction, velm;
+        std::map<ArrayInterface*, DeviceArray> copies;
     } kept;
 };
 
@@ -291,7 +295,7 @@ void ProgramIntegrator::takeLoaded() {
             s.value = loaded.scalars[s.name];
     for (Array& a : arrays) {
         auto found = loaded.arrays.find(a.name);
-        if (!a.saved || found == loaded.arrays.end() || found->second.size() != a.bytes())
+        if (found == loaded.arrays.end() || found->second.size() != a.bytes())
             continue;
         a.data = found->second;
         if (a.device)
@@ -302,37 +306,23 @@ void ProgramIntegrator::takeLoaded() {
 }
 
 Operation ProgramIntegrator::operation(const string& word, std::istringstream& words) const {
-    Operation made;
-    string name;
-    if (word == "run") {
-        made.kind = Operation::Run;
-        words >> name;
-        made.which = indexOf(kernels, name, "kernel");
-    }
-    else if (word == "forces")
-        made.kind = Operation::Forces, words >> made.which;
-    else if (word == "sites")
-        made.kind = Operation::Sites;
-    else if (word == "reorder")
-        made.kind = Operation::Reorder;
-    else if (word == "clock")
-        made.kind = Operation::Clock, words >> made.value;
-    else if (word == "step")
-        made.kind = Operation::Step;
-    else if (word == "add") {
-        made.kind = Operation::Add;
-        words >> name >> made.value;
-        made.which = indexOf(scalars, name, "scalar");
-    }
-    else if (word == "copy") {
-        made.kind = Operation::Copy;
-        words >> name;
-        made.which = indexOf(arrays, name, "array");
-        words >> name;
-        made.other = indexOf(arrays, name, "array");
-    }
-    else
+    static const std::map<string, Operation::Kind> kinds = {
+        {"run", Operation::Run}, {"forces", Operation::Forces}, {"sites", Operation::Sites}, {"reorder", Operation::Reorder},
+        {"clock", Operation::Clock}, {"step", Operation::Step}, {"add", Operation::Add}, {"copy", Operation::Copy}};
+    if (!kinds.count(word))
         throw error("unknown operation " + word);
+    Operation made{kinds.at(word)};
+    string name, to;
+    if (made.kind == Operation::Run && words >> name)
+        made.which = indexOf(kernels, name, "kernel");
+    else if (made.kind == Operation::Forces)
+        words >> made.which;
+    else if (made.kind == Operation::Clock)
+        words >> made.value;
+    else if (made.kind == Operation::Add && words >> name >> made.value)
+        made.which = indexOf(scalars, name, "scalar");
+    else if (made.kind == Operation::Copy && words >> name >> to)
+        made.which = indexOf(arrays, name, "array"), made.other = indexOf(arrays, to, "array");
     return made;
 }
 
@@ -363,9 +353,14 @@ void ProgramIntegrator::initialize(ContextImpl& impl) {
 
 void ProgramIntegrator::cleanup() {
     CustomIntegrator::cleanup();
-    if (hasProgram())
-        for (Array& a : arrays)
-            a.device->download(a.data.data());
+    if (hasProgram()) {
+        try {
+            for (Array& a : arrays)
+                a.data = present(a);
+        }
+        catch (OpenMMException&) {  // the device is lost, and its Context is being destroyed
+        }
+    }
     release();
     places.reset(), box.reset();
     cc = NULL;
@@ -373,7 +368,7 @@ void ProgramIntegrator::cleanup() {
 
 void ProgramIntegrator::release() {
     for (Array& a : arrays)
-        a.device.reset(), a.kept.reset();
+        a.device.reset();
     for (Kernel& k : kernels)
         k.kernel.reset();
     kept = Kept();
@@ -398,21 +393,14 @@ void ProgramIntegrator::build() {
 // Arguments: arrays of OpenMM and of the program by name, a scalar $name, the step size $h, the step count #step (long
 // long), or a whole number (int).
 void ProgramIntegrator::bind(Kernel& k) {
+    std::map<string, ArrayInterface*> given = {{"posq", &cc->getPosq()}, {"velm", &cc->getVelm()},
+        {"posqCorrection", cc->getUseMixedPrecision() ? &cc->getPosqCorrection() : &cc->getPosq()},
+        {"force", &cc->getLongForceBuffer()}, {"places", places.get()}, {"box", box.get()}};
     k.scalars.clear();
     for (int i = 0; i < (int) k.arguments.size(); i++) {
         const string& name = k.arguments[i];
-        if (name == "posq")
-            k.kernel->addArg(cc->getPosq());
-        else if (name == "posqCorrection")
-            k.kernel->addArg(cc->getUseMixedPrecision() ? cc->getPosqCorrection() : cc->getPosq());
-        else if (name == "velm")
-            k.kernel->addArg(cc->getVelm());
-        else if (name == "force")
-            k.kernel->addArg(cc->getLongForceBuffer());
-        else if (name == "places")
-            k.kernel->addArg(*places);
-        else if (name == "box")
-            k.kernel->addArg(*box);
+        if (given.count(name))
+            k.kernel->addArg(*given[name]);
         else if (name == "#step") {
             k.scalars.push_back({i, StepCount});
             k.kernel->addArg((long long) 0);
@@ -582,14 +570,6 @@ void ProgramIntegrator::update(int calls, bool leaves) {
 
 // -- what is kept, saved and loaded -----------------------------------------------------------------------------------
 
-void copyInto(DeviceArray& copy, ArrayInterface& array, ComputeContext& cc) {
-    if (!copy) {
-        copy.reset(cc.createArray());
-        copy->initialize(cc, array.getSize(), array.getElementSize(), array.getName() + "Kept");
-    }
-    array.copyTo(*copy);
-}
-
 // Keep the state of the Context and of the program, for `restore`.
 void ProgramIntegrator::keep() {
     requireDevice();
@@ -597,18 +577,23 @@ void ProgramIntegrator::keep() {
     kept.time = cc->getTime(), kept.steps = cc->getStepCount();
     cc->getPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
     kept.order = cc->getAtomIndex(), kept.cells = cc->getPosCellOffsets(), kept.scalars = scalars;
-    copyInto(kept.posq, cc->getPosq(), *cc);
-    copyInto(kept.velm, cc->getVelm(), *cc);
+    vector<ArrayInterface*> state = {&cc->getPosq(), &cc->getVelm()};
     if (cc->getUseMixedPrecision())
-        copyInto(kept.correction, cc->getPosqCorrection(), *cc);
+        state.push_back(&cc->getPosqCorrection());
     for (Array& a : arrays)
         if (a.saved)
-            copyInto(a.kept, *a.device, *cc);
+            state.push_back(a.device.get());
+    for (ArrayInterface* array : state) {
+        DeviceArray& copy = kept.copies[array];
+        if (!copy)
+            copy = made(array->getSize(), array->getElementSize(), array->getName() + "Kept");
+        array->copyTo(*copy);
+    }
 }
 
 void ProgramIntegrator::restore() {
     requireDevice();
-    if (!kept.posq)
+    if (kept.copies.empty())
         throw error("nothing was kept");
     Current current(cc);
     cc->setTime(kept.time), cc->setStepCount(kept.steps);
@@ -616,17 +601,12 @@ void ProgramIntegrator::restore() {
     context->setPeriodicBoxVectors(kept.box[0], kept.box[1], kept.box[2]);
     functions.setAtomIndex(cc, kept.order);
     cc->setPosCellOffsets(kept.cells);
-    kept.posq->copyTo(cc->getPosq());
-    kept.velm->copyTo(cc->getVelm());
-    if (kept.correction)
-        kept.correction->copyTo(cc->getPosqCorrection());
+    for (auto& pair : kept.copies)
+        pair.second->copyTo(*pair.first);
     vector<Vec3> x, v;  // through OpenMM, so that all that it has made of them is made again
     context->getPositions(x), context->getVelocities(v);
     context->setPositions(x), context->setVelocities(v);
     updating = false;
-    for (Array& a : arrays)
-        if (a.saved)
-            a.kept->copyTo(*a.device);
     scalars = kept.scalars;
     placesStale = forcesStale = true;
 }
@@ -653,7 +633,7 @@ void ProgramIntegrator::download(const string& name, void* data, size_t bytes) {
     memcpy(data, a.data.data(), bytes);
 }
 
-// What checkpoints have behind those of a CustomIntegrator: names and bytes.
+// What is saved, in binary: scalars and arrays by their names, whose list ends with an empty one.
 template <class T> void put(std::ostream& stream, const T& value) {
     stream.write(reinterpret_cast<const char*>(&value), sizeof(T));
 }
@@ -673,17 +653,31 @@ template <class Bytes> Bytes getBytes(std::istream& stream) {
 }
 const int Mark = 0x45584152;
 
+// Write scalars, and arrays that are saved or all.
+void ProgramIntegrator::save(std::ostream& stream, bool all) const {
+    for (const Scalar& s : scalars)
+        putBytes(stream, s.name), put(stream, s.value);
+    putBytes(stream, string());
+    for (const Array& a : arrays)
+        if (a.saved || all)
+            putBytes(stream, a.name), putBytes(stream, present(a));
+    putBytes(stream, string());
+}
+
+void ProgramIntegrator::load(std::istream& stream) {
+    loaded = Loaded();
+    for (string name = getBytes<string>(stream); !name.empty(); name = getBytes<string>(stream))
+        loaded.scalars[name] = get<double>(stream);
+    for (string name = getBytes<string>(stream); !name.empty(); name = getBytes<string>(stream))
+        loaded.arrays[name] = getBytes<vector<char> >(stream);
+    takeLoaded();
+}
+
 void ProgramIntegrator::createCheckpoint(std::ostream& stream) const {
     CustomIntegrator::createCheckpoint(stream);
     put(stream, Mark);
     put(stream, changes);
-    put(stream, (int) scalars.size());
-    for (const Scalar& s : scalars)
-        putBytes(stream, s.name), put(stream, s.value);
-    for (const Array& a : arrays)
-        if (a.saved)
-            putBytes(stream, a.name), putBytes(stream, present(a));
-    putBytes(stream, string());
+    save(stream, false);
 }
 
 void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
@@ -693,14 +687,7 @@ void ProgramIntegrator::loadCheckpoint(std::istream& stream) {
     if (get<int>(stream) != Mark)  // another kind of integrator wrote it
         return;
     changes = get<int>(stream) | Loads;
-    loaded = Loaded();
-    for (int n = get<int>(stream); n > 0; n--) {
-        string name = getBytes<string>(stream);
-        loaded.scalars[name] = get<double>(stream);
-    }
-    for (string name = getBytes<string>(stream); !name.empty(); name = getBytes<string>(stream))
-        loaded.arrays[name] = getBytes<vector<char> >(stream);
-    takeLoaded();
+    load(stream);
 }
 
 // The values of an array, from the device if they are there.
@@ -713,7 +700,7 @@ vector<char> ProgramIntegrator::present(const Array& a) const {
     return data;
 }
 
-string hex(const vector<char>& data) {
+string hex(const string& data) {
     static const char* digits = "0123456789abcdef";
     string text;
     text.reserve(2 * data.size());
@@ -722,41 +709,38 @@ string hex(const vector<char>& data) {
     return text;
 }
 
-vector<char> unhex(const string& text) {
-    vector<char> data(text.size() / 2);
+string unhex(const string& text) {
+    string data(text.size() / 2, 0);
     auto digit = [](char c) { return c <= '9' ? c - '0' : c - 'a' + 10; };
     for (size_t i = 0; i < data.size(); i++)
         data[i] = digit(text[2 * i]) << 4 | digit(text[2 * i + 1]);
     return data;
 }
 
+string ProgramIntegrator::savedText(bool all) const {
+    std::ostringstream stream;
+    save(stream, all);
+    return hex(stream.str());
+}
+
+void ProgramIntegrator::loadText(const string& text) {
+    std::istringstream stream(unhex(text));
+    load(stream);
+}
+
 void ProgramIntegrator::serializeParameters(SerializationNode& node) const {
     CustomIntegrator::serializeParameters(node);
-    SerializationNode& own = node.createChildNode("Program").setIntProperty("changes", changes);
-    for (const Scalar& s : scalars)
-        own.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
-    for (const Array& a : arrays)
-        if (a.saved)
-            own.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(present(a)));
+    node.createChildNode("Program").setIntProperty("changes", changes).setStringProperty("data", savedText(false));
 }
 
 void ProgramIntegrator::deserializeParameters(const SerializationNode& node) {
     CustomIntegrator::deserializeParameters(node);
     forcesStale = true;
-    for (const SerializationNode& own : node.getChildren()) {
-        if (own.getName() != "Program")
-            continue;
-        changes = own.getIntProperty("changes") | Loads;
-        loaded = Loaded();
-        for (const SerializationNode& child : own.getChildren()) {
-            const string& name = child.getStringProperty("name");
-            if (child.getName() == "Scalar")
-                loaded.scalars[name] = child.getDoubleProperty("value");
-            else
-                loaded.arrays[name] = unhex(child.getStringProperty("data"));
+    for (const SerializationNode& own : node.getChildren())
+        if (own.getName() == "Program") {
+            changes = own.getIntProperty("changes") | Loads;
+            loadText(own.getStringProperty("data"));
         }
-        takeLoaded();
-    }
 }
 
 class Proxy : public SerializationProxy {
@@ -772,31 +756,17 @@ public:
         node.setIntProperty("randomSeed", integrator.getRandomNumberSeed());
         for (int i = 0; i < integrator.getNumGlobalVariables(); i++)
             node.createChildNode("Global").setStringProperty("name", integrator.getGlobalVariableName(i)).setDoubleProperty("value", integrator.getGlobalVariable(i));
-        const string& text = integrator.program;
-        node.setStringProperty("program", hex(vector<char>(text.begin(), text.end())));
-        for (const Scalar& s : integrator.scalars)
-            node.createChildNode("Scalar").setStringProperty("name", s.name).setDoubleProperty("value", s.value);
-        for (const Array& a : integrator.arrays)
-            node.createChildNode("Array").setStringProperty("name", a.name).setStringProperty("data", hex(integrator.present(a)));
+        node.setStringProperty("program", hex(integrator.program)).setStringProperty("data", integrator.savedText(true));
     }
     void* deserialize(const SerializationNode& node) const override {
         std::unique_ptr<ProgramIntegrator> integrator(new ProgramIntegrator(node.getDoubleProperty("stepSize")));
         integrator->setConstraintTolerance(node.getDoubleProperty("constraintTolerance", 1e-5));
         integrator->setIntegrationForceGroups(node.getIntProperty("forceGroups", -1));
         integrator->setRandomNumberSeed(node.getIntProperty("randomSeed", 0));
-        vector<char> text = unhex(node.getStringProperty("program", ""));
-        integrator->setProgram(string(text.begin(), text.end()));
-        for (const SerializationNode& child : node.getChildren()) {
-            const string& name = child.getStringProperty("name");
-            if (child.getName() == "Global")
-                integrator->addGlobalVariable(name, child.getDoubleProperty("value"));
-            else if (child.getName() == "Scalar")
-                integrator->scalar(name) = child.getDoubleProperty("value");
-            else {
-                vector<char> data = unhex(child.getStringProperty("data"));
-                integrator->upload(name, data.data(), data.size());
-            }
-        }
+        for (const SerializationNode& child : node.getChildren())
+            integrator->addGlobalVariable(child.getStringProperty("name"), child.getDoubleProperty("value"));
+        integrator->setProgram(unhex(node.getStringProperty("program", "")));
+        integrator->loadText(node.getStringProperty("data", ""));
         return integrator.release();
     }
 };
@@ -847,43 +817,25 @@ void registerKernelFactories() {
 const char* pi_error() {
     return lastError.c_str();
 }
+// Return 0, or 1 if there is an error.
+#define EXPORT(name, parameters, action) \
+    int pi_##name parameters { \
+        return guarded(integrator, [&](ProgramIntegrator& it) { action; }); \
+    }
 int pi_owns(void* integrator) {
     return guarded(integrator, [](ProgramIntegrator&) {}) == 0;
 }
-int pi_program(void* integrator, const char* text) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.setProgram(text); });
-}
-int pi_upload(void* integrator, const char* name, const void* data, size_t bytes) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.upload(name, data, bytes); });
-}
-int pi_download(void* integrator, const char* name, void* data, size_t bytes) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.download(name, data, bytes); });
-}
-int pi_set(void* integrator, const char* name, double value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.scalar(name) = value; });
-}
-int pi_get(void* integrator, const char* name, double* value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { *value = it.scalar(name); });
-}
-int pi_steps(void* integrator, int steps) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.makeSteps(steps); });
-}
-int pi_run(void* integrator, const char* sequence) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.runAlone(sequence); });
-}
-int pi_keep(void* integrator) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.keep(); });
-}
-int pi_restore(void* integrator) {
-    return guarded(integrator, [&](ProgramIntegrator& it) { it.restore(); });
-}
-// Which: 0 launches of the program, 1 evaluations of forces, 2 changes. Those of changes in `clear` are cleared.
-int pi_count(void* integrator, int which, int clear, long long* value) {
-    return guarded(integrator, [&](ProgramIntegrator& it) {
-        *value = which == 0 ? it.launches : which == 1 ? it.forceCalls : it.changes;
-        if (which == 2)
-            it.changes &= ~clear;
-    });
-}
+EXPORT(program, (void* integrator, const char* text), it.setProgram(text))
+EXPORT(upload, (void* integrator, const char* name, const void* data, size_t bytes), it.upload(name, data, bytes))
+EXPORT(download, (void* integrator, const char* name, void* data, size_t bytes), it.download(name, data, bytes))
+EXPORT(set, (void* integrator, const char* name, double value), it.scalar(name) = value)
+EXPORT(get, (void* integrator, const char* name, double* value), *value = it.scalar(name))
+EXPORT(steps, (void* integrator, int steps), it.makeSteps(steps))
+EXPORT(run, (void* integrator, const char* sequence), it.runAlone(sequence))
+EXPORT(keep, (void* integrator), it.keep())
+EXPORT(restore, (void* integrator), it.restore())
+EXPORT(count, (void* integrator, int which, long long* value), *value = which == 0 ? it.launches : it.forceCalls)
+// What others changed, of which some is cleared.
+EXPORT(changes, (void* integrator, int clear, int* value), *value = it.changes; it.changes &= ~clear)
 }
 #pragma GCC visibility pop

@@ -188,8 +188,11 @@ class DevicePropagator:
         self.device.keep()
         try:
             self._make(n)
-        except BaseException:
-            self._restore()
+        except BaseException as error:
+            try:
+                self._restore()
+            except openmm.OpenMMException as second:  # the first error is the one that counts
+                error.add_note(f"The Context is lost too ({second}): load a checkpoint into a new one.")
             raise
         self._fetch_numbers()
         if self._processed:

@@ -103,13 +103,10 @@ class RigidPart:
     @property
     def _source(self) -> Source:
         demands = self._demands
-        nodes, weights = RULES[1]
-        rule = [(f"NODE{j}", f"({float(x[0])!r})") for j, x in enumerate(nodes)]
-        rule += [(f"WEIGHT{j}", f"({float(x)!r})") for j, x in enumerate(weights)]
         own = [_own(number, text) for number, text in enumerate(demands.own)]
         sizes = {kind.particles.shape[1] for kind in self._kinds}
         defines: list[tuple[str, object]] = [
-            *rule,
+            *zip(("SIX_NODES", "TEN_NODES"), map(_sum_of, RULES), strict=True),
             ("BODIES", self.n),
             ("LANES", self._lanes),
             *([("SITES", *sizes)] if len(sizes) == 1 and self._lanes == 1 else []),
@@ -125,7 +122,7 @@ class RigidPart:
             ("GROUPS", GROUPS),
             ("OWN_MOVES", " ".join(case for _, case in own)),
         ]
-        body = "rotation.cl", "random.cl", "context.cl", "body.cl"
+        body = "context.cl", "rotation.cl", "random.cl", "body.cl"
         return Source(
             (*body, *(text for text, _ in own), "rigid.cl", "rigid_updates.cl", "sums.cl", "kinetic.cl"), tuple(defines)
         )
@@ -252,6 +249,12 @@ class RigidPart:
         turning, columns = self._turning, self.columns
         out.R[:, columns], out.P[:, columns] = R, P
         out.q[:, columns[turning]], out.m[:, columns[turning]] = q[:, turning], L[:, turning]
+
+
+def _sum_of(rule: tuple[Array, Array]) -> str:
+    """Return the text of a sum of the integrand in kernels/rotation.cl at the nodes of a rule."""
+    pairs = zip(*rule, strict=True)
+    return "(" + "+".join(f"{float(weight)!r}*integrand({float(x[0])!r}*u, x, z, b)" for x, weight in pairs) + ")"
 
 
 def _only(kind: Kind, chosen: NDArray[np.bool_]) -> Kind:

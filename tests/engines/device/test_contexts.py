@@ -1,12 +1,13 @@
 """The device in a Context: what users set, what OpenMM does between steps, what fails, and what is saved."""
 
 import copy
+import sys
 import threading
+from functools import partial
 
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 from zoo import apart, context_of, held, pair, water
 
 import openmm_exactrb as rb
@@ -23,7 +24,7 @@ H = 0.001
 @pytest.fixture(scope="module")
 def box():
     """A System of 27 molecules of water, and positions."""
-    return water(27, method=app.CutoffPeriodic)
+    return water()
 
 
 def make(scheme="W2_1", h=H, **options):
@@ -36,6 +37,18 @@ def on_device(box, integrator=None, **options):
 
 def device_of(context):
     return Device(library(), context.getIntegrator())
+
+
+EVALUATIONS = 10**9
+
+
+def pull_that_fails(state, n):
+    """Return energy and forces, so many times."""
+    global EVALUATIONS
+    EVALUATIONS -= 1
+    if EVALUATIONS < 0:
+        raise RuntimeError("the device is lost")
+    return 0.0, np.full((n, 3), 5.0)
 
 
 def lengths(context):
@@ -230,6 +243,28 @@ def test_a_state_that_is_not_finite_names_the_bodies_and_leaves_the_context(box)
         context.getIntegrator().step(2)
     np.testing.assert_array_equal(held(context), before)
     assert context.getStepCount() == 3
+
+
+def test_a_force_that_fails_within_a_call_leaves_the_context_and_its_checkpoints(box, monkeypatch):
+    """As a lost device does: OpenMM's error arrives, and the run goes on from before the call, or elsewhere."""
+    system = copy.deepcopy(box[0])
+    system.addForce(openmm.PythonForce(partial(pull_that_fails, n=len(box[1]))))
+    one, other = (on_device((system, box[1])) for _ in range(2))
+    for context in (one, other):
+        context.getIntegrator().step(3)
+    one.loadCheckpoint(saved := one.createCheckpoint())  # forces are evaluated anew behind it, as elsewhere
+    before = held(one)
+    monkeypatch.setattr(sys.modules[__name__], "EVALUATIONS", 4)
+    with pytest.raises(openmm.OpenMMException, match="the device is lost"):
+        one.getIntegrator().step(10)
+    assert one.getStepCount() == 3
+    np.testing.assert_array_equal(held(one), before)
+    monkeypatch.undo()
+    one.loadCheckpoint(one.createCheckpoint())
+    other.loadCheckpoint(saved)
+    for context in (one, other):
+        context.getIntegrator().step(5)
+    assert apart(one, other) == 0.0
 
 
 def test_steps_far_too_long_are_an_error_and_leave_the_context(box):

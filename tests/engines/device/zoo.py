@@ -64,7 +64,7 @@ def every_kind(seed=3):
     return system, np.array(positions), named
 
 
-def water(n=64, model="tip3p", method=app.PME):
+def water(n=27, model="tip3p", method=app.CutoffPeriodic):
     """Return a periodic System of rigid water, and positions."""
     cutoff = 0.45 * 0.3104 * np.ceil(n ** (1 / 3))
     _, system, positions = rb.rigid_water(n, model=model, nonbondedMethod=method, nonbondedCutoff=cutoff)

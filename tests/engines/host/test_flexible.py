@@ -105,26 +105,10 @@ def test_a_singular_place_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("constraints", "scheme", "steps"),
-    [
-        ("AllBonds", "S2_2", (8, 11, 16)),
-        ("HBonds", "W4_5", (8, 11, 16)),
-        ("AllBonds", "Chin4B", (8, 11, 16)),
-        ("None", "Chin4B", (8, 11, 16)),
-        ("HBonds", "S6_10", (4, 6, 8)),
-        ("None", "S6_10", (4, 6, 8)),
-    ],
-)
-def test_schemes_keep_their_order(constraints, scheme, steps):
-    _, system, x = peptide(constraints)
-    time = 0.004 if constraints == "None" else 0.008
-    order = {"S2_2": 2, "W4_5": 4, "Chin4B": 4, "S6_10": 6}[scheme]
-    assert slope(end_of(system, x, scheme, time), steps) == pytest.approx(order, abs=0.2)
-
-
-@pytest.mark.parametrize(
     ("constraints", "scheme", "time", "steps"),
     [
+        ("AllBonds", "Chin4B", 0.008, (8, 11, 16)),
+        ("None", "Chin4B", 0.008, (8, 11, 16)),
         ("HBonds", "S2_2", 0.008, (8, 11, 16)),
         ("None", "W4_5", 0.008, (8, 11, 16)),
         ("AllBonds", "S6_10", 0.010, (4, 6, 8)),
@@ -210,13 +194,6 @@ def test_virtual_sites_on_flexible_parents_hand_their_forces_on():
     system.addForce(pull)
     end = end_of(system, np.vstack([x, np.zeros(3)]), "W4_5", 0.008)
     assert slope(end, (8, 11, 16)) == pytest.approx(4, abs=0.2)
-
-
-def test_heavier_hydrogens_change_nothing_else():
-    _, system, x = peptide(hydrogenMass=3.0 * unit.dalton)
-    integrator, context = moving(system, x)
-    integrator.step(20)
-    assert violations(system, positions_of(context), velocities_of(context))[0] < 1e-15
 
 
 def test_a_thermostat_and_a_barostat_leave_the_constraints_and_the_rest_alone():

@@ -148,5 +148,5 @@ def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
     np.minimum.at(start, molecule, running)
     part = (running - start[molecule]) * parts[molecule] // np.maximum(total[molecule], 1)
     key = np.where(large[molecule], part, of_small[molecule])
-    label = np.stack([np.where(large[molecule], first[molecule] + 1, 0), key], axis=1)
-    return np.asarray(np.unique(label, axis=0, return_inverse=True)[1], dtype=np.int64).reshape(-1)
+    label = np.where(large[molecule], first[molecule] + 1, 0) * (key.max(initial=0) + 1) + key
+    return np.asarray(np.unique(label, return_inverse=True)[1], dtype=np.int64)

@@ -23,7 +23,7 @@ from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, gro
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -132,7 +132,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
     """
     _require_small_clusters(bodies)
     scheme, h = settings.splitting, settings.h
-    masses = np.array([mass._value for mass in map(system.getParticleMass, range(system.getNumParticles()))])
+    masses = parameters.masses(system)
     clusters = [Group(kind.particles, kind.pairs, kind.lengths) for kind in bodies.clusters.kinds]
     without_terms = Molecules(clusters, masses, bodies.owner) if clusters else None
     if fast is None or not fast.acts(scheme, h):
@@ -151,7 +151,8 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
         return Served(without_terms)
     single = np.setdiff1d(excerpt.particles, bodies.clusters.particles)
     groups = [*clusters, Group(single[:, None], np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
-    late, terms = fast.excerpt is not None, _terms(excerpt, settings.groups)
+    late, terms = fast.excerpt is not None, terms_of(excerpt.forces, settings.groups)
+    assert terms is not None  # all of them are known
     _require_room(terms)
     return Served(Molecules(groups, masses, bodies.owner, terms, inner, late))
 
@@ -196,14 +197,5 @@ def _without_kernel(
         return None
     if len(excerpt.part.turning):
         return f"fast forces on {bodies.name(int(excerpt.part.turning[0]))}, which is rigid"
-    force = unknown(excerpt.system)
+    force = unknown(excerpt.forces)
     return force and f"the fast force {force}"
-
-
-def _terms(excerpt: Excerpt, groups: int) -> Terms:
-    """Return the terms of an excerpt in some groups (bits), numbered as in the whole System."""
-    terms, number = terms_of(excerpt.system, groups), excerpt.particles
-    assert terms is not None  # all of them are known
-    maps = np.concatenate([number[terms.maps[:, :8]], terms.maps[:, 8:]], axis=1)
-    names = ("bonds", "angles", "torsions", "pairs", "impropers")
-    return terms._replace(maps=maps, **{name: number[getattr(terms, name)] for name in names})

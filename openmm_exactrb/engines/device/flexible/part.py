@@ -15,7 +15,6 @@ from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source, copy
 from openmm_exactrb.engines.device.rigid import BLOCK, GROUPS, STILL, Demands
 from openmm_exactrb.engines.device.segments import Segment, Table
-from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
@@ -60,15 +59,12 @@ class FlexiblePart:
         self.blocks = blocks_of(molecules.groups, tables.particles(molecules.terms), len(molecules.masses))
         self._precision, self._masses, self._body_of = precision, molecules.masses, molecules.body_of
         self._of_clusters, of_clusters = constraints.arrays(self.blocks)
-        self._of_terms, of_terms = self._terms(molecules.terms)
+        self._of_terms, of_terms = tables.arrays(molecules.terms, self.blocks, precision)
         self.n = len(self.blocks.particles)
         self.columns = self._body_of[self.blocks.particles]
         self._open = of_terms["PLACES_IN_ALL"] > self.n
         self._source = self._text(of_clusters | of_terms)
         self._mass = self._masses[self.blocks.particles]
-
-    def _terms(self, terms: Terms) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        return tables.arrays(terms, self.blocks, self._precision)
 
     def _text(self, constants: dict[str, Any]) -> Source:
         demands = self._demands
@@ -205,12 +201,6 @@ class FlexiblePart:
     def has_fixed(self) -> bool:
         """Whether there are atoms without mass, which others may move."""
         return bool((self._mass == 0.0).any())
-
-    def change(self, device: Device, terms: Terms) -> None:
-        """Write other numbers of the same terms."""
-        arrays, _ = self._terms(terms)
-        for name in ("constants", "patches"):
-            device.upload(f"flexible_{name}", arrays[name])
 
 
 def _drifts(part: Moves) -> bool:

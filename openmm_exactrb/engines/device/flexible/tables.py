@@ -67,12 +67,18 @@ def particles(terms: Terms) -> list[Indices]:
     return [terms.bonds, terms.angles, terms.torsions, terms.pairs, terms.impropers, terms.maps[:, :8]]
 
 
+def _distinct(keys: Indices) -> Indices:
+    """Return sorted keys, each once: np.unique takes longer, since it hashes them."""
+    keys = np.sort(keys)
+    return np.asarray(keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]])
+
+
 def copies(particles: Indices, blocks: Blocks) -> Copies:
     """Return terms of particles (T, k) by blocks, each once in every block that it touches."""
     atoms = blocks.atom_of[particles]
     block, number, count = blocks.block_of[atoms], np.arange(len(atoms)), max(len(atoms), 1)
     crosses = (block != block[:, :1]).any(axis=1)
-    of_several = np.unique(block[crosses] * count + number[crosses, None])
+    of_several = _distinct((block[crosses] * count + number[crosses, None]).ravel())
     keys = np.sort(np.concatenate([block[~crosses, 0] * count + number[~crosses], of_several]))
     return Copies(keys % count, keys // count, atoms[keys % count])
 
@@ -84,7 +90,7 @@ def local(blocks: Blocks, found: list[Copies]) -> Local:
     for of_kind in found:
         foreign = blocks.block_of[of_kind.atoms] != of_kind.block[:, None]
         keys.append((of_kind.block[:, None] * n + of_kind.atoms)[foreign])
-    partners = np.unique(np.concatenate(keys))
+    partners = _distinct(np.concatenate(keys))
     block = np.concatenate([blocks.block_of, partners // n])
     order = np.argsort(block, kind="stable")  # own atoms stay in front
     atoms = np.concatenate([np.arange(n), partners % n])[order]

@@ -30,6 +30,11 @@ typedef struct {
 #define CONSTANTS 12
 #define ROW 4
 
+#ifdef SITES
+#define FOR_SITES _Pragma("unroll 4") for (int s = 0; s < SITES; s++)
+#else
+#define FOR_SITES for (int s = LANE; s < at.sites; s += LANES)
+#endif
 #if LANES > 1
 #define LANE LOCAL_ID
 #define FOR_BODIES for (int i = GROUP_ID; i < BODIES; i += GLOBAL_SIZE/LOCAL_SIZE)
@@ -84,13 +89,13 @@ DEVICE inline Place place_of(int i, GLOBAL const int* kind, GLOBAL const int* ki
 
 // A site in space, for a rotation matrix.
 DEVICE inline void turned(const double* Q, GLOBAL const double* site, double* r) {
-    for (int k = 0; k < 3; k++)
+    EACH(k, 3)
         r[k] = Q[3*k]*site[0]+Q[3*k+1]*site[1]+Q[3*k+2]*site[2];
 }
 
 // A vector of space in the axes of a body, without what a linear body or a particle has no inertia for.
 DEVICE inline void in_body(const double* Q, const double* inverse_inertia, const double* v, double* u) {
-    for (int k = 0; k < 3; k++)
+    EACH(k, 3)
         u[k] = inverse_inertia[k] == 0.0 ? 0.0 : Q[k]*v[0]+Q[3+k]*v[1]+Q[6+k]*v[2];
 }
 
@@ -101,23 +106,23 @@ DEVICE inline void add_cross(double* sum, const double* a, const double* b) {
 // Where forces displace a body: e F/M, and the attitude turned by e T/I.
 DEVICE inline void displaced(const Body* body, double e, const double* F, const double* T, double* arm, double* q) {
     double v[3];
-    for (int k = 0; k < 3; k++) {
+    EACH(k, 3) {
         arm[k] = e*F[k]*body->inverse_mass;
         v[k] = e*T[k]*body->inverse_inertia[k];
     }
-    for (int k = 0; k < 4; k++)
+    EACH(k, 4)
         q[k] = body->q[k];
     turn_by(q, v);
 }
 
 DEVICE inline void load_body(Body* body, int i, GLOBAL const double* R, GLOBAL const double* P, GLOBAL const double* q,
         GLOBAL const double* L, GLOBAL const double* constants) {
-    for (int k = 0; k < 3; k++) {
+    EACH(k, 3) {
         body->R[k] = R[k*BODIES+i]; body->P[k] = P[k*BODIES+i]; body->L[k] = L[k*BODIES+i];
         body->F[k] = body->T[k] = 0.0;
         body->inverse_inertia[k] = constants[4+k];
     }
-    for (int k = 0; k < 4; k++)
+    EACH(k, 4)
         body->q[k] = q[k*BODIES+i];
     body->inverse_mass = constants[7];
 }

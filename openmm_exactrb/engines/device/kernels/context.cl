@@ -1,9 +1,16 @@
 // Positions and velocities of the Context, in its three precisions. Particles are where their molecules are, not where
 // OpenMM moved these by vectors of the box: a place has the slot of an atom and by how many.
 
+// Written out: an array whose elements have numbers that a compiler knows needs no memory.
+#define EACH(k, n) _Pragma("unroll") for (int k = 0; k < n; k++)
+
 DEVICE inline void cell_of(int4 place, GLOBAL const double* box, double* shift) {
-    for (int k = 0; k < 3; k++)
-        shift[k] = place.y*box[k]+place.z*box[3+k]+place.w*box[6+k];
+    EACH(k, 3)
+        shift[k] = 0.0;
+    if ((place.y|place.z|place.w) != 0) {
+        EACH(k, 3)
+            shift[k] = place.y*box[k]+place.z*box[3+k]+place.w*box[6+k];
+    }
 }
 
 DEVICE inline void write_position(GLOBAL real4* posq, GLOBAL real4* posqCorrection, int4 place, GLOBAL const double* box,
@@ -31,6 +38,6 @@ DEVICE inline void read_position(GLOBAL const real4* posq, GLOBAL const real4* p
 }
 
 DEVICE inline void read_force(GLOBAL const mm_long* force, int slot, double* f) {
-    for (int k = 0; k < 3; k++)
+    EACH(k, 3)
         f[k] = (double) force[slot+k*PADDED_NUM_ATOMS]*(1.0/4294967296.0);
 }

@@ -5,7 +5,7 @@
 DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL const double* numbers, GLOBAL const double* factors,
         int flexible, mm_long key, mm_long step, int number, int index) {
 #ifdef SCALES
-    for (int k = 0; k < 3; k++) {
+    EACH(k, 3) {
         body->P[k] *= factors[0];
         body->L[k] *= factors[1];
     }
@@ -14,12 +14,12 @@ DEVICE inline void exchange(Body* body, GLOBAL const double* constants, GLOBAL c
     double n[4];
     if (of[0] != 0.0) {
         normals(key, step, 16*number, index, n);
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             body->P[k] += of[0]*body->P[k]+of[1]*constants[8]*n[k];
     }
     if (of[2] != 0.0 && body->inverse_inertia[2] != 0.0) {
         normals(key, step, 16*number+1, index, n);
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             body->L[k] += of[2]*body->L[k]+of[3]*constants[9+k]*n[k];
     }
 #endif
@@ -35,32 +35,36 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
         Body body;
         load_body(&body, i, R_, P_, q_, L_, own);
         double Q[9], arm[3] = {0.0, 0.0, 0.0}, place[4];
-        for (int k = 0; k < 4; k++)
+        EACH(k, 4)
             place[k] = body.q[k];
+#if GRADIENTS > 0
         if (what & IS_DISPLACED) {
             double F[3], T[3];
-            for (int k = 0; k < 3; k++) {
+            EACH(k, 3) {
                 F[k] = here[k*BODIES+i]; T[k] = here[(3+k)*BODIES+i];
             }
             displaced(&body, numbers[moves[ROW*first+2]+1], F, T, arm, place);
         }
+#endif
         if (what & HAS_FORCES) {
             double sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
             attitude(place, Q);
-            for (int s = LANE; s < at.sites; s += LANES) {
+            FOR_SITES {
                 double f[3], r[3];
                 read_force(force, places[atoms[at.atom+s*at.atom_stride]].x, f);
                 turned(Q, sites+3*(at.site+s*at.site_stride), r);
-                for (int k = 0; k < 3; k++) {
+                EACH(k, 3) {
                     r[k] += arm[k];
                     sums[k] += f[k];
                 }
                 add_cross(sums+3, r, f);
             }
             sum_over_lanes(sums, 6, shared);
+#if GRADIENTS > 0
             if (what & IS_DISPLACED)
                 attitude(body.q, Q);
-            for (int k = 0; k < 3; k++)
+#endif
+            EACH(k, 3)
                 body.F[k] = sums[k];
             in_body(Q, body.inverse_inertia, sums+3, body.T);
         }
@@ -72,20 +76,20 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
             const double tau = values[0];
             switch (op) {
             case DRIFT:
-                for (int k = 0; k < 3; k++)
+                EACH(k, 3)
                     body.R[k] += tau*body.P[k]*body.inverse_mass;
                 rotate(tau, own, body.q, body.L);
                 break;
             case KICK:
             case DISPLACED_KICK:
-                for (int k = 0; k < 3; k++) {
+                EACH(k, 3) {
                     body.P[k] += tau*body.F[k];
                     body.L[k] += tau*body.T[k];
                 }
 #if DIFFERENCES > 0
                 if (op == DISPLACED_KICK) {
                     const int slot = (((mm_long) turns)*DIFFERENCES_PER_STEP+number)%DIFFERENCES;
-                    for (int k = 0; k < 3; k++) {
+                    EACH(k, 3) {
                         differences[(6*slot+k)*BODIES+i] = body.F[k]-here[k*BODIES+i];
                         differences[(6*slot+3+k)*BODIES+i] = body.T[k]-here[(3+k)*BODIES+i];
                     }
@@ -98,7 +102,7 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
 #if MEMORY > 0
             case REMEMBER: {
                 const int slot = (((mm_long) turns)*PER_STEP+number)%MEMORY;
-                for (int k = 0; k < 3; k++) {
+                EACH(k, 3) {
                     last[(6*slot+k)*BODIES+i] = body.F[k];
                     last[(6*slot+3+k)*BODIES+i] = body.T[k];
                 }
@@ -114,7 +118,7 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
                         slot = (((mm_long) turns)*DIFFERENCES_PER_STEP-1-(w-number)+DIFFERENCES)%DIFFERENCES;
                     }
 #endif
-                    for (int k = 0; k < 3; k++) {
+                    EACH(k, 3) {
                         body.P[k] += values[w]*from[(6*slot+k)*BODIES+i];
                         body.L[k] += values[w]*from[(6*slot+3+k)*BODIES+i];
                     }
@@ -124,7 +128,7 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
 #if GRADIENTS > 0
             case DISPLACE:
                 e = tau;
-                for (int k = 0; k < 3; k++) {
+                EACH(k, 3) {
                     here[k*BODIES+i] = body.F[k];
                     here[(3+k)*BODIES+i] = body.T[k];
                 }
@@ -133,14 +137,15 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
             OWN_MOVES
             }
         }
-        if (LANE == 0)
-            for (int k = 0; k < 3; k++) {
+        if (LANE == 0) {
+            EACH(k, 3) {
                 P_[k*BODIES+i] = body.P[k]; L_[k*BODIES+i] = body.L[k];
             }
+        }
         if (LANE == 0 && (what & MOVES_PARTICLES)) {
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 R_[k*BODIES+i] = body.R[k];
-            for (int k = 0; k < 4; k++)
+            EACH(k, 4)
                 q_[k*BODIES+i] = body.q[k];
         }
 #if LANES > 1
@@ -150,37 +155,37 @@ KERNEL void segment(CONTEXT, GLOBAL const mm_long* force, TABLES, STATE, GLOBAL 
             for (int row = first; row < first+count; row++)
                 if (moves[ROW*row] == DISPLACE)
                     e = numbers[moves[ROW*row+2]];
-        for (int k = 0; k < 3; k++) {
+        EACH(k, 3) {
             body.R[k] = R_[k*BODIES+i]; body.P[k] = P_[k*BODIES+i]; body.L[k] = L_[k*BODIES+i];
         }
-        for (int k = 0; k < 4; k++)
+        EACH(k, 4)
             body.q[k] = q_[k*BODIES+i];
 #endif
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             arm[k] = body.R[k];
-        for (int k = 0; k < 4; k++)
+        EACH(k, 4)
             place[k] = body.q[k];
 #if GRADIENTS > 0
         if (e != 0.0) {
             displaced(&body, e, body.F, body.T, arm, place);
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 arm[k] += body.R[k];
         }
 #endif
         attitude(place, Q);
         if (what & MOVES_PARTICLES)
-            for (int s = LANE; s < at.sites; s += LANES) {
+            FOR_SITES {
                 double r[3];
                 turned(Q, sites+3*(at.site+s*at.site_stride), r);
                 write_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, arm[0]+r[0], arm[1]+r[1], arm[2]+r[2]);
             }
         if (what & SHOWS_VELOCITIES) {
             double w[3], u[3];
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 w[k] = body.L[k]*body.inverse_inertia[k];
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
-            for (int s = LANE; s < at.sites; s += LANES) {
+            FOR_SITES {
                 const int slot = places[atoms[at.atom+s*at.atom_stride]].x;
                 double r[3], v[3] = {body.P[0]*body.inverse_mass, body.P[1]*body.inverse_mass, body.P[2]*body.inverse_mass};
                 turned(Q, sites+3*(at.site+s*at.site_stride), r);

@@ -12,28 +12,29 @@ KERNEL void pushed(CONTEXT, TABLES, STATE, GLOBAL double* P_to, GLOBAL double* L
         load_body(&body, i, R_, P_, q_, L_, own);
         double Q[9], w[3], u[3], sums[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, L[3];
         attitude(body.q, Q);
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             w[k] = body.L[k]*body.inverse_inertia[k];
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             u[k] = Q[3*k]*w[0]+Q[3*k+1]*w[1]+Q[3*k+2]*w[2];
-        for (int s = LANE; s < at.sites; s += LANES) {
+        FOR_SITES {
             const mixed4 now = velm[places[atoms[at.atom+s*at.atom_stride]].x];
             const double m = masses[at.mass+s];
             double r[3], v[3] = {body.P[0]*body.inverse_mass, body.P[1]*body.inverse_mass, body.P[2]*body.inverse_mass}, p[3];
             turned(Q, sites+3*(at.site+s*at.site_stride), r);
             add_cross(v, u, r);
             p[0] = m*(now.x-(mixed) v[0]); p[1] = m*(now.y-(mixed) v[1]); p[2] = m*(now.z-(mixed) v[2]);
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 sums[k] += p[k];
             add_cross(sums+3, r, p);
         }
         sum_over_lanes(sums, 6, shared);
         in_body(Q, body.inverse_inertia, sums+3, L);
-        if (LANE == 0)
-            for (int k = 0; k < 3; k++) {
+        if (LANE == 0) {
+            EACH(k, 3) {
                 P_to[k*BODIES+i] += sums[k];
                 L_to[k*BODIES+i] += L[k];
             }
+        }
     }
 }
 
@@ -47,16 +48,17 @@ KERNEL void moved(CONTEXT, TABLES, STATE) {
         load_body(&body, i, R_, P_, q_, L_, own);
         double Q[9], sums[3] = {0.0, 0.0, 0.0};
         attitude(body.q, Q);
-        for (int s = LANE; s < at.sites; s += LANES) {
+        FOR_SITES {
             double r[3], x[3];
             turned(Q, sites+3*(at.site+s*at.site_stride), r);
             read_position(posq, posqCorrection, places[atoms[at.atom+s*at.atom_stride]], box, x);
-            for (int k = 0; k < 3; k++)
+            EACH(k, 3)
                 sums[k] += masses[at.mass+s]*body.inverse_mass*(x[k]-body.R[k]-r[k]);
         }
         sum_over_lanes(sums, 3, shared);
-        if (LANE == 0 && sums[0]*sums[0]+sums[1]*sums[1]+sums[2]*sums[2] > STILL*STILL)
-            for (int k = 0; k < 3; k++)
+        if (LANE == 0 && sums[0]*sums[0]+sums[1]*sums[1]+sums[2]*sums[2] > STILL*STILL) {
+            EACH(k, 3)
                 R_[k*BODIES+i] = body.R[k]+sums[k];
+        }
     }
 }

@@ -1,21 +1,25 @@
 // The exact flow of the free rigid body: the formulas of openmm_exactrb.kernels.compiled.exact for short steps, of which
-// longer ones are made. NODE0 ... and WEIGHT0 ... are those of Gauss's rule in openmm_exactrb.elliptic.
+// longer ones are made, with fewer divisions and roots. SIX_NODES and TEN_NODES are sums of the integrand at the nodes
+// of the rules of openmm_exactrb.mathematics.elliptic.
 
 // Up to this b G t a step is short; a body of more short ones has diverged.
 #define SHORT 0.3
 #define MOST_PARTS 10000.0
-// Rounds to 26 bits: a number of magnitude 1 or less, plus and minus this.
+// Rounds to 26 bits: a number of magnitude 1 or less, plus and minus this; and this rounds to whole numbers.
 #define TO_GRID 100663296.0
+#define TO_WHOLE 6755399441055744.0
 
-// w = sn(v)/c at s = v/c.
-DEVICE inline double sine_short(double s, double x, double z) {
+// w = sn(v)/c at s = v/c, 1-cn(v) and 1-dn(v): a Taylor series at half of s, and one duplication.
+DEVICE inline double jacobi_short(double s, double x, double z, double* cn_less, double* dn_less) {
     double short_s = 0.5*s, u = short_s*short_s, P = (x+z)*u, Q = (x*z)*(u*u);
     double in_P = 1.0+P*(-1.0/6+P*(1.0/120+P*(-1.0/5040+P*(1.0/362880-P*(1.0/39916800)))));
     double in_Q = 1.0/10+P*(-11.0/420+P*(17.0/5040-P*(461.0/1663200)))+Q*(1.0/120-P*(307.0/92400));
     double w = short_s*(in_P+Q*in_Q);
     u = w*w;
-    double xu = x*u, zu = z*u;
-    return 2.0*w*sqrt((1.0-xu)*(1.0-zu))/(1.0-xu*zu);
+    double xu = x*u, zu = z*u, twice = 2.0/(1.0-xu*zu);
+    *cn_less = twice*xu*(1.0-zu);
+    *dn_less = twice*zu*(1.0-xu);
+    return twice*w*sqrt((1.0-xu)*(1.0-zu));
 }
 
 DEVICE inline double integrand(double u, double x, double z, double b) {
@@ -24,19 +28,34 @@ DEVICE inline double integrand(double u, double x, double z, double b) {
 
 DEVICE inline double third_kind_short(double w, double x, double z, double b) {
     double u = w*w;
-    return w*(WEIGHT0*integrand(NODE0*u, x, z, b)+WEIGHT1*integrand(NODE1*u, x, z, b)+WEIGHT2*integrand(NODE2*u, x, z, b)
-             +WEIGHT3*integrand(NODE3*u, x, z, b)+WEIGHT4*integrand(NODE4*u, x, z, b));
+    // Six nodes have an error of about w^13/1e7.
+    return w*(u <= 0.0225 ? SIX_NODES : TEN_NODES);
 }
 
-// 1-c for the point (c, s) of the unit circle.
-DEVICE inline double versine(double c, double s) {
-    return c > 0.0 ? s*s/(1.0+c) : 1.0-c;
+// Cosine and sine by their Taylor series, after a reduction by multiples of pi/2.
+DEVICE inline void cosine_and_sine(double angle, double* cosine, double* sine) {
+    double turns = (angle*0.63661977236758134+TO_WHOLE)-TO_WHOLE;
+    double r = ((angle-turns*1.5707963267341256)-turns*6.077100506303966e-11)-turns*2.0222662487959506e-21, u = r*r;
+    double s = 1.0/362880+u*(-1.0/39916800+u*(1.0/6227020800.0+u*(-1.0/1307674368000.0+u*(1.0/355687428096000.0))));
+    s = r+r*u*(-1.0/6+u*(1.0/120+u*(-1.0/5040+u*s)));
+    double c = 1.0/40320+u*(-1.0/3628800+u*(1.0/479001600+u*(-1.0/87178291200.0+u*(1.0/20922789888000.0))));
+    c = 1.0-0.5*u+u*u*(1.0/24+u*(-1.0/720+u*c));
+    double quadrant = turns-4.0*((0.25*turns+TO_WHOLE)-TO_WHOLE);  // -2, -1, 0, 1 or 2
+    bool odd = fabs(quadrant) == 1.0, half_turn = fabs(quadrant) == 2.0;
+    double first = odd ? s : c, second = odd ? c : s;
+    *cosine = half_turn || quadrant == 1.0 ? -first : first;
+    *sine = half_turn || quadrant == -1.0 ? -second : second;
+}
+
+// 1-c for a point (c, s) of the unit circle, by c and the square of s.
+DEVICE inline double versine(double c, double square_s) {
+    return c > 0.0 ? square_s/(1.0+c) : 1.0-c;
 }
 
 // 1-q.q to twice the digits.
 DEVICE inline double norm_defect(const double* q) {
     double squares = 0.0, rest = 0.0;
-    for (int k = 0; k < 4; k++) {
+    EACH(k, 4) {
         double high = (q[k]+TO_GRID)-TO_GRID;
         squares += high*high;
         rest += (q[k]-high)*(q[k]+high);
@@ -53,17 +72,17 @@ DEVICE inline void turn(double* q, double t0, double t1, double t2, double t3) {
     q[3] = q3+((q0*t3+q1*t2-q2*t1+q3*t0)+q3*defect);
 }
 
-DEVICE inline void rotate_short(double t, double b, double rho, double sigma, double inverse_I3, double* q, double* m) {
-    double x1 = m[0], x2 = m[1], x3 = m[2];
-    double square_G = x1*x1+x2*x2+x3*x3, G = sqrt(square_G), hG = t*G, flip = x3 < 0.0 ? -1.0 : 1.0;
+// `G` is |m|, and `body` has b, rho, sigma and 1/I3.
+DEVICE inline void rotate_short(double t, double G, GLOBAL const double* body, double* q, double* m) {
+    const double b = body[0], rho = body[1], sigma = body[2], inverse_I3 = body[3];
+    double x1 = m[0], x2 = m[1], x3 = m[2], hG = t*G, flip = x3 < 0.0 ? -1.0 : 1.0;
     double inverse_G = 1.0/G, y1 = flip*x1*inverse_G, y2 = x2*inverse_G, y3 = flip*x3*inverse_G;
     if (fabs(y1) < 1e-30 && fabs(y2) < 1e-30)
         y2 = 1e-30;
     double x = sigma*(y3*y3+rho*y2*y2), transverse = y1*y1+sigma*y2*y2, B = sigma*transverse, z = rho*transverse;
-    double w = sine_short(b*hG, x, z), u = w*w, cn = sqrt(1.0-x*u), dn = sqrt(1.0-z*u);
-    double angle = 0.5*(hG*inverse_I3+third_kind_short(w, x, z, B));
-    double cosine = cos(angle), sine = sin(angle);
-    double cn_less = x*u/(1.0+cn), dn_less = z*u/(1.0+dn);
+    double cn_less, dn_less, cosine, sine, w = jacobi_short(b*hG, x, z, &cn_less, &dn_less);
+    double cn = 1.0-cn_less, dn = 1.0-dn_less;
+    cosine_and_sine(0.5*(hG*inverse_I3+third_kind_short(w, x, z, B)), &cosine, &sine);
 
     double wy3 = w*y3, cd = cn*dn, rw2 = sigma*wy3*wy3, inverse = 1.0/(cn*cn+rw2);
     double d1 = (y1*(cn*cn_less-rw2)-sigma*wy3*dn*y2)*inverse;
@@ -74,39 +93,40 @@ DEVICE inline void rotate_short(double t, double b, double rho, double sigma, do
     other = re*cd-im*w; im = re*w+im*cd; re = other;
     double across_re = y1*n1+y2*n2, across_im = y2*d1-y1*d2;
     other = re*across_re-im*across_im; im = re*across_im+im*across_re; re = other;
-    double over = 1.0/sqrt(re*re+im*im), larger = sqrt(0.5+0.5*fabs(re*over)), smaller = 0.5*fabs(im*over)/larger;
-    double sign = im < 0.0 ? -1.0 : 1.0;
+    double size = sqrt(re*re+im*im), sum = size+fabs(re), over = 1.0/sqrt(2.0*size*sum);  // of half the angle of (re, im)
+    double larger = sum*over, smaller = fabs(im)*over, sign = im < 0.0 ? -1.0 : 1.0;
     double hc = re < 0.0 ? smaller : larger, hs = re < 0.0 ? sign*larger : sign*smaller;
-    double c = cosine*hc-sine*hs, e = sine*hc+cosine*hs, less = versine(c, e);
+    double c = cosine*hc-sine*hs, e = sine*hc+cosine*hs, less = versine(c, e*e);
     double z1 = d1*c-d2*e-(y1*less+y2*e), z2 = d1*e+d2*c-(y2*less-y1*e);
     double a0 = 1.0+y3, a1 = 1.0+n3, prod = a0*a1, scale = 0.5/sqrt(prod);
     double t2 = -scale*(a0*(z1+y1*less-y2*e)-d3*(y1*c+y2*e));
     double t1 = scale*(a0*(z2+y2*less+y1*e)-d3*(y2*c-y1*e));
     double t3 = scale*(prod*e+y2*z1-y1*z2);
     double along = scale*(prod*c+y1*(y1+z1)+y2*(y2+z2));
-    double t0 = -versine(along, sqrt(t1*t1+t2*t2+t3*t3));
+    double t0 = -versine(along, t1*t1+t2*t2+t3*t3);
     d1 = flip*d1*G; d2 = d2*G; d3 = flip*d3*G;
     n1 = x1+d1; n2 = x2+d2; n3 = x3+d3;
-    double correction = (d1*(x1+n1)+d2*(x2+n2)+d3*(x3+n3))*(0.5/square_G);
+    double correction = (d1*(x1+n1)+d2*(x2+n2)+d3*(x3+n3))*(0.5*inverse_G*inverse_G);
     m[0] = x1+(d1-n1*correction); m[1] = x2+(d2-n2*correction); m[2] = x3+(d3-n3*correction);
     turn(q, t0, flip*t1, t2, flip*t3);
 }
 
-// The flow of a time is that of its parts, so that longer steps are several short ones: exact too. `body` has b, rho,
-// sigma and 1/I3. What turns too fast has diverged, and is no number behind it.
+// The flow of a time is that of its parts, so that longer steps are several short ones: exact too. What turns too fast
+// has diverged, and is no number behind it.
 DEVICE inline void rotate(double t, GLOBAL const double* body, double* q, double* m) {
-    double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), b = body[0], rho = body[1], sigma = body[2], inverse_I3 = body[3];
-    double parts = fmax(1.0, ceil(fabs(b*t)*G*(1.0/SHORT)));
+    double G = sqrt(m[0]*m[0]+m[1]*m[1]+m[2]*m[2]), parts = ceil(fabs(body[0]*t)*G*(1.0/SHORT));
     if (G <= 1e-70 || t == 0.0)
         return;
     if (!(parts <= MOST_PARTS)) {
         const double nothing = sqrt(-1.0-G*G);
-        for (int k = 0; k < 3; k++)
+        EACH(k, 3)
             q[k] = m[k] = nothing;
         return;
     }
-    for (int i = 0; i < (int) parts; i++)
-        rotate_short(t/parts, b, rho, sigma, inverse_I3, q, m);
+    if (parts > 1.0)
+        t /= parts;
+    for (int i = 0; i < (int) fmax(1.0, parts); i++)
+        rotate_short(t, G, body, q, m);
 }
 
 // The rotation matrix of a quaternion.
@@ -121,5 +141,5 @@ DEVICE inline void attitude(const double* q, double* Q) {
 DEVICE inline void turn_by(double* q, const double* v) {
     double square = v[0]*v[0]+v[1]*v[1]+v[2]*v[2], angle = sqrt(square);
     double part = angle > 1e-8 ? sin(0.5*angle)/angle : 0.5, cosine = cos(0.5*angle);
-    turn(q, -versine(cosine, part*angle), part*v[0], part*v[1], part*v[2]);
+    turn(q, -versine(cosine, part*part*square), part*v[0], part*v[1], part*v[2]);
 }

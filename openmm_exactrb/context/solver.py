@@ -1,0 +1,45 @@
+"""Where OpenMM's solver of constraints can be relied on."""
+
+from __future__ import annotations
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+
+from openmm_exactrb.detection.whole import constraints
+
+Array = NDArray[np.float64]
+# A constraint that is missed by this part of its length is one that the box has split.
+_SPLIT = 0.5
+# The least pivot of independent constraints, whose directions are unit vectors.
+_DEPENDENT = 1e-6
+
+
+def solvable(system: openmm.System, x: Array) -> bool:
+    """Return whether OpenMM's solver suits the constraints of a System at positions (n_particles, 3).
+
+    It does not where the box has split molecules, since it takes distances without images. Where constraints follow
+    from others it may diverge, or leave motions across all of them that a rigid body does not have.
+    """
+    pairs, lengths = constraints(system)
+    if not len(pairs):
+        return True
+    apart = x[pairs[:, 0]] - x[pairs[:, 1]]
+    distance = np.linalg.norm(apart, axis=1)
+    whole = np.abs(distance - lengths) <= _SPLIT * lengths
+    return bool(whole.all()) and _independent(apart / distance[:, None], pairs, len(x))
+
+
+def _independent(directions: Array, pairs: NDArray[np.intp], n_particles: int) -> bool:
+    """Return whether no velocity along a constraint (m, 3) follows from those along others."""
+    from scipy.sparse import csr_array  # here, for a short import of the package
+    from scipy.sparse.linalg import splu
+
+    columns = (3 * pairs[:, :, None] + np.arange(3)).reshape(len(pairs), 6)
+    entries, starts = np.hstack([directions, -directions]), 6 * np.arange(len(pairs) + 1)
+    J = csr_array((entries.ravel(), columns.ravel(), starts), shape=(len(pairs), 3 * n_particles))
+    try:
+        pivots = splu((J @ J.T).tocsc()).U.diagonal()
+    except RuntimeError:  # exactly singular
+        return False
+    return bool(np.abs(pivots).min() >= _DEPENDENT)
