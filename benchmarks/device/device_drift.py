@@ -6,7 +6,7 @@ per molecule with the standard error that four parts of the run give, and the st
 potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
 counts, and not what its Context can show of it. LangevinMiddle has no friction here; the energy at the ends of its
 steps has errors of first order. Starts, samples and checkpoints are in a folder next to the CSV file, so that the same
-command goes on with a run that was cut off; another command needs another file.
+command resumes a run that was cut off; another command needs another file.
 
     python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
     python benchmarks/device/device_drift.py --platform OpenCL --droplet --molecules 27 --fs 0.4 --ps 0.4 --samples 25 \
@@ -88,23 +88,15 @@ class Energies:
         while len(found) < samples:
             integrator.step(steps)
             found.append((1e-3 * context.getTime()._value, self.present(context)))
-            save(file, found=found, checkpoint=np.frombuffer(context.createCheckpoint(), dtype=np.uint8))
+            with rb.written_whole(file, "wb") as out:
+                np.savez(out, found=found, checkpoint=np.frombuffer(context.createCheckpoint(), dtype=np.uint8))
         return np.array(found).T
-
-
-def save(file, **arrays):
-    """Write arrays to a file in one step."""
-    temporary = file.with_suffix(".part.npz")
-    np.savez(temporary, **arrays)
-    temporary.replace(file)
 
 
 def folder_of(options):
     """Return the folder of what is kept; an error if it is that of another command."""
-    folder, what = (
-        options.csv.with_suffix(""),
-        f"{options.molecules} {options.droplet} {options.fs} {options.ps} {options.samples}",
-    )
+    folder = options.csv.with_suffix("")
+    what = f"{options.molecules} {options.droplet} {options.fs} {options.ps} {options.samples}"
     folder.mkdir(exist_ok=True)
     settings = folder / "settings.txt"
     if settings.exists() and settings.read_text(encoding="utf-8") != what:

@@ -23,8 +23,8 @@ from openmm_exactrb.rotors import rotor
 NAME = "figure16"
 TITLE = "Figure 16: dipoles at rest"
 PICTURES = {
-    "figure16": "Left, starts with energies near the paper's: with the exact rotor SRKN4_6b and S6_10 fall with their order to "
-    "roundoff, with McLachlan-Reich they end parallel to V2, whose lines coincide. Right, starts that were not selected: all "
+    "figure16": "Top, starts with energies near the paper's: with the exact rotor SRKN4_6b and S6_10 fall with their order to "
+    "roundoff, with McLachlan-Reich they end parallel to V2, whose lines coincide. Bottom, starts that were not selected: all "
     "but V2 have no more than roundoff at any step."
 }
 SCHEMES = ("V2", "SRKN4_6b", "S6_10")

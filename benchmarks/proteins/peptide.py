@@ -113,8 +113,8 @@ def prepared(bare, method, rate):
         integrator = openmm.MTSIntegrator(1.0 / rate * unit.picosecond, [(0, 1), (bonded, substeps(rate))])
     else:
         scheme = rb.SCHEMES[method.partition(":")[0].split()[0]]
-        if method.endswith(INVERSE):
-            scheme = replace(scheme, output=())
+        exact = {"output": ()} if method.endswith(INVERSE) else {"output_of_rigid": False}
+        scheme = replace(scheme, **exact)
         fast = {"plain": None, NESTED.strip(): (bonded,), WITH_PAIRS.strip(): "bonded"}[nesting(method)]
         within = {} if fast is None else inner(method)
         return system, rb.ExactRigidBodyIntegrator(scheme.forces / rate, scheme=scheme, fast=fast, **within)

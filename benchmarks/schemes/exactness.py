@@ -1,7 +1,7 @@
 """What the exact rotor brings and what the splitting: schemes with either rotor on water at several rates of forces.
 
 One start of a droplet of 27 TIP3P molecules for each seed, runs of 10 ps. Through `openmm_exactrb.ensemble`: a call
-goes on where the last one stopped. Errors of each start go to docs/exactness.csv.
+continues where the last one stopped. Errors of each start go to docs/exactness.csv.
 """
 
 from __future__ import annotations

@@ -10,7 +10,6 @@ import numpy as np
 from benchmarks.common.markdown import distinct, rows, table
 from benchmarks.common.records import DOCS, Row
 from openmm_exactrb.schemes import WITH_THERMOSTAT
-from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK
 
 _SYSTEMS = {"top": "heavy tops", "dipoles": "27 dipoles, Reference"}
 _STATES = {"sums": "sums", "rounded": "rounded at every stage", "settle": "V2 with SETTLE (OpenMM)"}
@@ -34,9 +33,8 @@ def roundoff_errors() -> str:
 
 def heat_exchanges() -> str:
     """Return the schemes with a heat exchange within a step."""
-    letters = {DRIFT: "A", KICK: "B", HEAT_EXCHANGE: "O"}
     body = [
-        (f'`"{name}"`', " ".join(letters[substep] for substep, _ in scheme.sequence), f"{scheme.forces}")
+        (f'`"{name}"`', " ".join(str(substep) for substep, _ in scheme.sequence), f"{scheme.forces}")
         for name, scheme in reversed(WITH_THERMOSTAT.items())
     ]
     return table(("scheme", "a step", "forces"), body)
@@ -67,11 +65,11 @@ def droplets_of_models() -> str:
 
 def droplet_growth() -> str:
     """Return the same for TIP3P only, with the growth of the error after 10 ps."""
-    body = []
-    for (model, rate, scheme), row in _of_droplets().items():
+    found, body = _of_droplets(), []
+    for (model, rate, scheme), row in found.items():
         if model == "tip3p" and scheme in ("W2_1", "W2_5", "W4_4"):
             growth = float(row["std_all"]) / float(row["std_10_ps"])
-            body.append((rate, f"`{scheme}`", _gain(_of_droplets(), model, rate, scheme), f"{growth:.2f}"))
+            body.append((rate, f"`{scheme}`", _gain(found, model, rate, scheme), f"{growth:.2f}"))
     head = ("force evaluations per ps", "scheme", "times less than Verlet", "growth of the error")
     return table(head, sorted(body, key=lambda line: int(line[0])))
 

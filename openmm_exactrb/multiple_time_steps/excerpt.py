@@ -44,7 +44,8 @@ class Excerpt:
     @cached_property
     def numbered(self) -> Sequence[Bonded]:
         """The forces, numbered as in `system`."""
-        return [force.numbered(self._number) for force in self.forces]
+        number = self._number
+        return [force.numbered(number) for force in self.forces]
 
     @cached_property
     def system(self) -> openmm.System:

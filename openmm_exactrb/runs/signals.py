@@ -47,7 +47,7 @@ class LostInterrupts:
         self._before = sys.unraisablehook
 
     def __enter__(self) -> LostInterrupts:
-        self._before, sys.unraisablehook = sys.unraisablehook, self._dropped
+        sys.unraisablehook = self._dropped
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -293,6 +293,7 @@ _SCHEMES = (
         a=(0.02714539223837513, -0.25270300298574777, 0.13444330399888596, -0.20566323079399654),
         b=(-0.10163873472468118, 0.21121696046811567, -0.06378770240239598, -0.11514340878370852),
         output=_OUTPUT_OF_PAIRS,
+        output_of_rigid=True,
         reference=_PROCESSOR.format(TAKAHASHI_IMADA.reference),
     ),
     # The kick of h V - (h³/24) f . M^-1 f leaves no other error of the order h².

@@ -42,6 +42,9 @@ class Scheme:
     output : tuple of (Substep, float)
         A cheaper map to the true coordinates, if there is one, for output while the run continues in the inner
         coordinates: its error does not accumulate.
+    output_of_rigid : bool
+        Whether the output was fitted to rigid molecules alone. Where drifts have inner steps, the inverse of the
+        processor takes its place.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Scheme:
     generalised: tuple[int, ...] = ()
     processor: Substeps = ()
     output: Substeps = ()
+    output_of_rigid: bool = False
 
     def __post_init__(self) -> None:
         if not self.sequence:
@@ -134,6 +138,11 @@ class Scheme:
         return inverse(self.processor)
 
     @property
+    def with_inner_steps(self) -> Scheme:
+        """The scheme as it is where drifts have inner steps: without an output that was fitted to rigid molecules."""
+        return replace(self, output=()) if self.output_of_rigid else self
+
+    @property
     def processing(self) -> int:
         """Force evaluations that the processor and its inverse cost, once a run."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)
@@ -206,6 +215,7 @@ def processed(
     a: Sequence[float],
     b: Sequence[float],
     output: Substeps = (),
+    output_of_rigid: bool = False,
     reference: str,
 ) -> Scheme:
     """Return a scheme of the steps of another one, the kernel, between a processor and its inverse.
@@ -215,7 +225,8 @@ def processed(
     """
     drifts, kicks = ([*table, -math.fsum(table)] for table in (a, b))
     processor = _alternating([(DRIFT, part) for part in drifts], [(KICK, part) for part in kicks])
-    return replace(kernel, name=name, order=order, processor=processor, output=output, reference=reference)
+    of_both = replace(kernel, name=name, order=order, processor=processor, reference=reference)
+    return replace(of_both, output=output, output_of_rigid=output_of_rigid)
 
 
 def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tuple[float, ...]:

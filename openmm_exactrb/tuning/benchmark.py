@@ -90,7 +90,8 @@ class Method:
         """
         if self.scheme is None:
             return 1.0 + sum(2.0 / period for period in periods)
-        calls = max(self.scheme.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
+        shown = self.scheme.with_inner_steps if self.nested else self.scheme
+        calls = max(shown.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
         moved = 2.0 + 2.0 * sum(substep.kicks for substep, _ in self.scheme.processor)
         return self.scheme.forces + calls + sum(moved / period for period in periods)
 

@@ -196,6 +196,8 @@ class Tuning:
         if least.error <= target and failed:
             least = min(failed, key=lambda p: p.error)
             why = f"not held: the smallest in runs of {self.horizon:.3g} ps was"
+        elif least.error <= target:  # but not by the margin that an unconfirmed setting needs
+            why = "not confirmed within the budget: the smallest that the survey found is"
         text = (
             f"an error of {target:.3g} kJ/mol per body was {why} {least.error:.2g}, with {least.method} and a step of "
         )

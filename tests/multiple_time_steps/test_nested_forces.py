@@ -3,6 +3,7 @@
 import copy
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -35,6 +36,26 @@ def test_default_inner_steps_err_no_more_than_the_outer_ones():
     finer = end_of(system, x, "SRKN4_6b", 0.015, fast="bonded", innerSteps=60)
     once = finer(5)
     assert np.abs(usual - once).max() < 5.0 * np.abs(once - finer(10)).max()
+
+
+@pytest.mark.parametrize("by", ["bonded", "group"])
+def test_what_was_fitted_to_rigid_molecules_is_not_shown_of_flexible_ones(by):
+    """W4_4's output is: the inverse of its processor is shown in its place."""
+    _, system, x = peptide()
+    fast = "bonded" if by == "bonded" else (rb.separate_bonded(system),)
+    ends = []
+    for scheme in (rb.SCHEMES["W4_4"], replace(rb.SCHEMES["W4_4"], output=())):
+        integrator, context = moving(system, x, 0.008, scheme, fast=fast)
+        integrator.step(3)
+        ends.append(positions_of(context))
+    np.testing.assert_array_equal(*ends)
+    output, _context = moving(system, x, 0.002, replace(rb.SCHEMES["W4_4"], output_of_rigid=False), fast=fast)
+    output.timings.reset()
+    output.step(3)
+    exact, _other = moving(system, x, 0.002, "W4_4", fast=fast)
+    exact.timings.reset()
+    exact.step(3)
+    assert exact.timings.evaluations > output.timings.evaluations
 
 
 def test_nesting_bonded_forces_evaluates_the_others_as_often_as_before():

@@ -160,7 +160,8 @@ def test_a_tuning_ends_within_its_budget(droplet):
 
 @pytest.mark.usefixtures("tuned")
 def test_what_the_survey_alone_says_is_called_so(droplet):
-    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=2000.0, budget=6.0, report=None)
+    one = {"schemes": "S2_2", "budget": 6.0, "report": None}  # which slow machines survey in half of the time
+    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=2000.0, **one)
     choice = result.best()
     assert not choice.confirmed
     assert "by the survey alone" in " ".join(str(result).split())
@@ -206,6 +207,12 @@ def recorded(**more):
             | more
         )
     )
+
+
+def test_what_the_survey_found_without_a_margin_is_not_called_unreached():
+    survey = recorded(target=1e-2, points=(tuning.Point("V2", 0.006, 9e-3, 1.0, 1.0),))
+    with pytest.raises(tuning.UnreachableError, match=r"not confirmed within the budget: .* is 0.009"):
+        survey.best()
 
 
 def test_what_longer_runs_contradict_is_not_promised():

@@ -323,6 +323,8 @@ Operation ProgramIntegrator::operation(const string& word, std::istringstream& w
         made.which = indexOf(scalars, name, "scalar");
     else if (made.kind == Operation::Copy && words >> name >> to)
         made.which = indexOf(arrays, name, "array"), made.other = indexOf(arrays, to, "array");
+    if (words.fail())
+        throw error("incomplete operation " + word);
     return made;
 }
 

@@ -288,7 +288,7 @@ class HostPropagator:
         forces = ContextForces(self._positions, settings.groups, self._timings)
         divergence = DivergenceCheck(sync.bodies, forces.energy_at, sync.box, self._conserves and settings.check)
         kinetic, slow = self._split(settings, forces, divergence)
-        scheme, bodies = settings.scheme, sync.bodies
+        scheme, bodies = settings.scheme if slow is forces else settings.scheme.with_inner_steps, sync.bodies
         self._h, self._processed, self._coordinates = h, bool(scheme.processor), inner_mark(scheme, h)
         slow.memory = self._memory = ForceMemory(*scheme.memory)
         self._overheating = self._watch(settings)

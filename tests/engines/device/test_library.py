@@ -87,6 +87,10 @@ def test_lines_that_are_no_program_are_refused_with_a_sentence():
         ("run nothing", "an operation outside a sequence: run nothing"),
         ("sequence a\nrun nothing", "no kernel nothing"),
         ("sequence a\njump", "unknown operation jump"),
+        *(
+            (f"sequence a\n{word}", f"incomplete operation {word}")
+            for word in ("run", "forces", "clock", "add", "copy")
+        ),
     ):
         with pytest.raises(openmm.OpenMMException, match=message):
             device.load(text)
