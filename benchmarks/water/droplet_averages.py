@@ -21,9 +21,10 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.markdown import markdown, with_error
-from benchmarks.common.records import DOCS, OUT, Record
+from benchmarks.common.markdown import table, with_error
+from benchmarks.common.records import DOCS, OUT, Record, Row
 from benchmarks.common.starts import REPEATED
+from openmm_exactrb.averages.record import read
 
 TEMPERATURE, FRICTION, MOLECULES, DROPLETS, APART, WELL, CUTOFF = 298.15, 5.0, 8, 32, 6.0, 500.0, 2.5
 FRAME, BURN, PART = 0.24, 20.0, 24.0  # ps: between two frames, not counted, and between two savings
@@ -39,14 +40,7 @@ POINTS = [
     ("Langevin", "W2_3m", 5.0, 3.0),
 ]
 KEY = ("integrator", "scheme", "fs", "hydrogen", "ns", "seed")
-COLUMNS = (
-    "energy",
-    "energy error",
-    "corrected",
-    "corrected error",
-    "correction error",
-    "strong friction",
-)
+COLUMNS = ("energy", "energy error", "corrected", "corrected error", "correction error", "strong friction")
 RECORD = Record(DOCS / "droplet_averages.csv", KEY, COLUMNS)
 
 
@@ -138,40 +132,37 @@ def frames(run: dict[str, Any]) -> Path:
 
 def row_of(run: dict[str, Any]) -> dict[str, Any]:
     """Return the row of a run, per molecule."""
-    file, n = frames(run), MOLECULES * DROPLETS
+    file = frames(run)
     if run["integrator"] == "Langevin":
         found = rb.corrected(file, "potential energy")
-        plain = found.mean - found.correction
-        values = plain, found.error, found.mean, math.hypot(found.error, found.correction_error)
-        values = *values, found.correction_error, found.bracket[1]
+        energies = read(file)[1]["potential"]
+        after = found.mean, found.error, found.correction_error, found.bracket[1]
     else:
-        energies = np.loadtxt(file)
-        parts = [part.mean() for part in np.array_split(energies, 20)]
-        values = energies.mean(), np.std(parts, ddof=1) / math.sqrt(20.0), *[np.nan] * 4
-    return run | dict(zip(COLUMNS, (f"{value / n:.6g}" for value in values), strict=True))
+        energies, after = np.loadtxt(file), (np.nan,) * 4
+    error = np.std([part.mean() for part in np.array_split(energies, 20)], ddof=1) / math.sqrt(20.0)
+    values = (f"{value / MOLECULES / DROPLETS:.6g}" for value in (energies.mean(), error, *after))
+    return run | dict(zip(COLUMNS, values, strict=True))
 
 
-def averages() -> str:
+def droplet_averages() -> str:
     """Return the means over seeds as a table of a page."""
-    groups: dict[tuple[str, ...], list[dict[str, str]]] = {}
+    groups: dict[tuple[str, ...], list[Row]] = {}
     for row in RECORD.rows().values():
         groups.setdefault(tuple(row[name] for name in KEY[:4]), []).append(row)
     body = []
     for (integrator, scheme, fs, hydrogen), rows in groups.items():
         values = np.array([[float(row[name]) for name in COLUMNS] for row in rows])
-        weights = values[:, 1] ** -2.0 / (values[:, 1] ** -2.0).sum()
+        lengths = np.array([float(row["ns"]) for row in rows])
+        weights = lengths / lengths.sum()
         energy, _, after, _, _, _ = weights @ values
-        error, both, of_correction = np.sqrt(weights**2 @ values[:, [1, 3, 4]] ** 2)
-        cells = [with_error(energy, error, 4), "exact" if integrator == "hybrid" else ""]
+        error, of_after, of_correction = np.sqrt(weights**2 @ values[:, [1, 3, 4]] ** 2)
+        cells = ["", ""]
         if math.isfinite(after):
-            cells[1] = with_error(after, both, 4)
-            cells.append(with_error(after - energy, of_correction, 4))
-        else:
-            cells.append("")
-        length = sum(float(row["ns"]) for row in rows)
-        body.append([f"{integrator} {scheme}".strip(), f"{float(fs):g}", f"{float(hydrogen):g}", *cells, f"{length:g}"])
-    head = ["integrator", "fs a force", "hydrogen (Da)", "as it is (kJ/mol)", "corrected", "correction", "ns"]
-    return markdown([head, ["---"] * len(head), *body])
+            cells = [with_error(after, of_after, 4), with_error(after - energy, of_correction, 4)]
+        name = "hybrid Monte Carlo" if integrator == "hybrid" else f"`{scheme}`" if scheme else integrator
+        plain = with_error(energy, error, 4)
+        body.append([name, f"{float(fs):g}", f"{float(hydrogen):g}", plain, *cells, f"{lengths.sum():g}"])
+    return table(("", "fs per force evaluation", "hydrogen (Da)", "as it is", "corrected", "correction", "ns"), body)
 
 
 def main() -> None:
@@ -188,7 +179,7 @@ def main() -> None:
                 run = dict(zip(KEY, (*POINTS[point], arguments.ns, seed), strict=True))
                 if run not in RECORD:
                     RECORD.add(row_of(run))
-    print(averages())
+    print(droplet_averages())
 
 
 if __name__ == "__main__":
