@@ -279,8 +279,8 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
     likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)
     if torn and (fitting or likely):
         warn(
-            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have one of {across:.2g} "
-            f"nm if the periodic box had split it: if so, {_REMEDY}",
+            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have one of "
+            f"{across:.2g} nm if the periodic box had split it: if so, {_REMEDY}",
             ShapeWarning,
         )
 
