@@ -236,9 +236,10 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
     lengths = np.linalg.norm(shape[within[:, 0]] - shape[within[:, 1]], axis=1)
     pairs = (np.arange(n)[:, None, None] * k + within).reshape(-1, 2)
     try:
-        return joined(X.reshape(-1, 3), Links(pairs, np.tile(lengths, n), n * k), box).reshape(X.shape)
+        y = joined(X.reshape(-1, 3), Links(pairs, np.tile(lengths, n), n * k), box)
     except ValueError:
         return X
+    return np.asarray(y.reshape(X.shape))
 
 
 def _check_clear(near: Array, box: Array) -> None:
