@@ -218,13 +218,13 @@ def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 def _common_images(X: Array, box: Array) -> Array:
     """Return the first body (k, 3) with its particles at distances from the first that images in others have too."""
-    shape, offered = X[0].copy(), lattice(2) @ box
+    shape, offered = np.array(X[0]), lattice(2) @ box
     for place in range(1, len(shape)):
         gaps = (X[:_COMPARED, place] - X[:_COMPARED, 0])[:, None] + offered
         lengths = np.linalg.norm(gaps, axis=2)
         missed = np.abs(lengths[0, :, None] - lengths[1:, None]).min(axis=2).max(axis=0)
         if missed.min() > _COMMON:
-            return X[0]
+            return np.asarray(X[0])
         shape[place] = X[0, 0] + gaps[0, np.argmin(missed)]
     return shape
 
