@@ -182,7 +182,7 @@ def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[i
 def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Return bodies (n, k, 3) of equal masses, those that were split joined, and which of them others confirm.
 
-    A shape that all can have, by images of their particles, is that of all. If there is none, those that have the
+    A shape that all can have, by images of their particles, is that of all. If no shape suits all, those that have the
     shape of a whole one by their nearest images are joined.
     """
     if len(X) == 1 or X.shape[1] == 1:
