@@ -108,10 +108,10 @@ def dipole_rod_forces(
     for plus, minus in rods:
         charges.addException(plus, minus, 0.0, 1.0, 0.0)
     attracts = "soft_attraction" in parameters
-    energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, attracts=attracts, wca=wca)
+    energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, length, attracts=attracts, wca=wca)
     near = openmm.CustomHbondForce(energy)
-    groups = [(centre, *rod) for centre, rod in zip(centres, rods, strict=True)]
-    add_hbonds(near, groups, parameters, max(cutoff, spheres.cutoff))
+    middle_and_plus = [(centre, plus) for centre, (plus, _) in zip(centres, rods, strict=True)]
+    add_hbonds(near, middle_and_plus, parameters, max(cutoff, spheres.cutoff))
     near.setName("SoftDipoleForce")
     return charges, near
 
