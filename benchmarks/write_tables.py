@@ -30,6 +30,8 @@ AS_THEY_ARE = [
     "cholesterol",
     "device_drift",
     "device_precision",
+    "dipole_bonds",
+    "dipole_rods",
     "dppc",
     "ellipsoids",
     "large_bodies",

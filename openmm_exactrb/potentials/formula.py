@@ -74,13 +74,14 @@ def soft_rod_energy(
     u and v are the rods, and the minus ends follow from their length. Three particles a donor crash on PoCL. The nearest
     images of centres and of ends may differ beyond the cutoff of the dipoles alone.
     """
-    rods = "- dipole_coupling*(1/sqrt(PP) + 1/sqrt(MM) - 1/sqrt(X + Y) - 1/sqrt(X - Y))"
+    rods = "- dipole_coupling*((uv + 2*vr)/(pp*pm*(pp + pm)) + (uv - 2*vr)/(mm*mp*(mm + mp)))"
     return (
         f"0.5*E; E = {_energy(_core(attracts=attracts, wca=wca), truncation, spheres, rods)}"
         f"dipole_coupling = {coupling!r};"
-        "X = r2 + 2*h2 + 0.5*uv; Y = ur + vr; MM = 2*r2 + 4*h2 - uv - PP;"
-        f"uv = 2*(p2 + q2 - r2 - PP); ur = q2 - r2 - h2; vr = r2 + h2 - p2; h2 = {0.25 * length**2!r};"
-        "q2 = distance(d2, a1)^2; p2 = distance(d1, a2)^2; PP = distance(d2, a2)^2;"
+        "pp = sqrt(A + ur - vr - 0.5*uv); mm = sqrt(A - ur + vr - 0.5*uv);"
+        "pm = sqrt(A + ur + vr + 0.5*uv); mp = sqrt(A - ur - vr + 0.5*uv); A = r2 + 2*h2;"
+        f"uv = 2*(p2 + q2 - r2 - t2); ur = q2 - r2 - h2; vr = r2 + h2 - p2; h2 = {0.25 * length**2!r};"
+        "q2 = distance(d2, a1)^2; p2 = distance(d1, a2)^2; t2 = distance(d2, a2)^2;"
         "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1)"
     )
 

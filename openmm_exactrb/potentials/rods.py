@@ -57,7 +57,8 @@ def dipole_rod_forces(
     box : sequence of three float
         Edges in nm of the rectangular periodic box of the System.
     boundary : Ewald
-        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision.
+        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision;
+        in single precision errors are 2e-4 at best.
         The default cutoff is three times the mean distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
