@@ -127,7 +127,7 @@ def topology_of(molecule, n):
     return topology
 
 
-def system_of(molecule, n, edge, cutoff=0.9):
+def system_of(molecule, n, edge, cutoff=0.9, tolerance=1e-5):
     """Return a System with all distances within molecules constrained, PME and a switched cutoff."""
     system, force = openmm.System(), openmm.NonbondedForce()
     system.setDefaultPeriodicBoxVectors(*(edge * np.eye(3)))
@@ -143,15 +143,15 @@ def system_of(molecule, n, edge, cutoff=0.9):
     force.setCutoffDistance(cutoff)
     force.setUseSwitchingFunction(True)
     force.setSwitchingDistance(cutoff - 0.1)
-    force.setEwaldErrorTolerance(1e-5)
+    force.setEwaldErrorTolerance(tolerance)
     system.addForce(force)
     return system
 
 
-def as_xml(molecule, n, folder, cutoff=0.7):
+def as_xml(molecule, n, folder, cutoff=0.7, tolerance=1e-3):
     """Write a System and a State without velocities; return their names."""
     x, edge = placed(molecule, n)
-    system = system_of(molecule, n, edge, cutoff)
+    system = system_of(molecule, n, edge, cutoff, tolerance)
     context = openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform("Reference"))
     context.setPositions(x)
     files = folder / "system.xml", folder / "state.xml"

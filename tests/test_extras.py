@@ -45,7 +45,7 @@ def imported(script: Path) -> set[str]:
         tree = tree_of(path)
         seen.add(path)
         new = set(names(tree, at_once=path != script))
-        found |= top(new) - top(skipped_without(tree))
+        found |= top(new) - top(skipped_without(path))
         todo += [LOCAL[name] for name in new & set(LOCAL) if LOCAL[name] not in seen]
     return found
 
@@ -61,11 +61,9 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def skipped_without(tree: ast.AST) -> Iterator[str]:
-    """Yield the modules without which `pytest.importorskip` skips a test."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "importorskip":
-            yield node.args[0].value
+def skipped_without(path: Path) -> list[str]:
+    """Return the modules without which `pytest.importorskip` skips a test."""
+    return re.findall(r'pytest\.importorskip\("([\w.]+)"', path.read_text(encoding="utf-8"))
 
 
 def names(node: ast.AST, at_once: bool = False) -> Iterator[str]:
@@ -77,7 +75,7 @@ def names(node: ast.AST, at_once: bool = False) -> Iterator[str]:
         yield from (f"{node.module}.{alias.name}" for alias in node.names)
     for child in ast.iter_child_nodes(node):
         tried = isinstance(node, ast.Try) and child in node.body
-        if not tried and not (at_once and isinstance(child, ast.FunctionDef)):
+        if not (tried or isinstance(child, ast.expr) or (at_once and isinstance(child, ast.FunctionDef))):
             yield from names(child, at_once)
 
 

@@ -80,10 +80,11 @@ def momenta(clusters, state):
 # -- against 30 digits ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("t", [pytest.param(0.0005, marks=pytest.mark.validate), -0.002, 0.02])
+@pytest.mark.parametrize("t", [0.0005, -0.002, 0.02])
 def test_a_drift_errs_by_a_rounding_of_its_path_and_of_its_velocities(name, t, pytestconfig):
-    if name == "peptide" and not pytestconfig.getoption("--validate"):
-        pytest.skip("half a minute of mpmath: run with --validate")
+    quick = name != "peptide" and (t == -0.002 or (t == 0.02 and name in ("XH2", "ring")))
+    if not quick and not pytestconfig.getoption("--validate"):
+        pytest.skip("up to half a minute of mpmath: run with --validate")
     masses, pairs, _ = constrained_clusters.CLUSTERS[name]
     clusters, state = many(name, "reference")
     x, v = in_mpf(clusters, state)
@@ -342,18 +343,19 @@ def test_a_cluster_without_an_answer_becomes_nan_alone(bad, kernel):
 
 
 @pytest.mark.parametrize("which", STARS)
-def test_a_star_on_a_line_is_no_singular_place(which, kernel):
+def test_a_star_on_a_line_is_no_singular_place(which):
     """An atom that one constraint holds always leaves that constraint independent, so trees have no singular place."""
     masses, pairs, x = constrained_clusters.CLUSTERS[which]
     lengths = constrained_clusters.lengths_of(pairs, x)
     rays = np.arange(1.0, len(masses))
     line = np.zeros((len(masses), 3))
     line[1:, 0] = lengths * (-1.0) ** rays
-    clusters = clusters_of(masses, pairs, lengths, kernel)
+    both = [clusters_of(masses, pairs, lengths, kernel) for kernel in KERNELS]
     v = constrained_clusters.velocities(masses, np.random.default_rng(2))
-    state = constrained_clusters.on_constraints(clusters, line, v)
-    x1, _ = geodesics.flow(masses, pairs, *in_mpf(clusters, state), 0.002)
-    assert largest_difference(in_mpf(clusters, clusters.drift(state, 0.002))[0], x1) < 1e-17
+    state = constrained_clusters.on_constraints(both[0], line, v)
+    x1, _ = geodesics.flow(masses, pairs, *in_mpf(both[0], state), 0.002)
+    for clusters in both:
+        assert largest_difference(in_mpf(clusters, clusters.drift(state, 0.002))[0], x1) < 1e-17
 
 
 def test_a_chain_of_thousands_of_constraints_moves_as_well(rng):

@@ -152,28 +152,30 @@ def gas(n):
     return R, rng.standard_normal((n, 3)), box
 
 
-@pytest.mark.parametrize("switch", [0.5, 0.9])
 @pytest.mark.parametrize(
-    ("dipoles", "cutoff"),
+    ("kind", "n", "cutoff", "switch"),
     [
-        (lambda: liquid(27), None),
-        (lambda: liquid(216), None),
-        (lambda: liquid(216), 1.5),
-        (lambda: gas(64), None),
-        (lambda: gas(216), 3.0),
+        (liquid, 27, None, 0.5),
+        (liquid, 27, None, 0.9),
+        (liquid, 216, 1.5, 0.9),
+        (gas, 64, None, 0.5),
+        (gas, 64, None, 0.9),
+        *(
+            pytest.param(*case, marks=pytest.mark.validate)
+            for case in ((liquid, 216, None, 0.5), (liquid, 216, 1.5, 0.5), (gas, 216, 3.0, 0.9))
+        ),
     ],
-    ids=["small liquid", "liquid", "liquid, short cutoff", "small gas", "gas, short cutoff"],
 )
-def test_the_error_is_below_the_tolerance_and_not_much_smaller(dipoles, cutoff, switch):
+def test_the_error_is_below_the_tolerance_and_not_much_smaller(kind, n, cutoff, switch):
     """Root mean square errors of the dipoles' forces and fields."""
-    R, mu, box = dipoles()
+    R, mu, box = kind(n)
     x, edges = sites_of(R, mu), 3 * [box]
     _, exact = dipoles_alone(x, edges, tolerance=1e-12)
 
     def forces_and_fields(forces):
         return forces[0::2] + forces[1::2], forces[1::2]
 
-    finest = [1e-9] if cutoff is None else []  # a short cutoff needs more waves for it than are allowed
+    finest = [1e-9] if cutoff is None and n < 100 else []  # a short cutoff needs more waves for it than are allowed
     for tolerance in [1e-2, 1e-3, 1e-4, 1e-6, *finest]:
         _, forces = dipoles_alone(
             x, edges, tolerance=tolerance, cutoff=cutoff, switch=switch * (0.5 * box if cutoff is None else cutoff)

@@ -59,7 +59,7 @@ def error(reference, m, q1, m1):
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("regime", oracle.REGIMES)
 def test_error_is_roundoff_times_the_condition(regime, steps, pytestconfig):
-    inertia, q, m, t, rate = random_steps(regime, steps, 30 if pytestconfig.getoption("--validate") else 8)
+    inertia, q, m, t, rate = random_steps(regime, steps, 30 if pytestconfig.getoption("--validate") else 4)
     reference = [oracle.free_rotor(*body) for body in zip(inertia, q, m, t, strict=True)]
     allowed = 1e-16 * (20.0 + 20.0 * rate) * condition(inertia, m, rate)
     for method in EXACT:
@@ -68,8 +68,8 @@ def test_error_is_roundoff_times_the_condition(regime, steps, pytestconfig):
         assert (errors <= allowed).all(), f"{method}: {np.max(errors / allowed):.2f} of the allowed error"
 
 
-def test_a_step_of_five_from_a_hundred_momenta_as_in_table_1():
-    inertia, m = oracle.random_bodies("generic", 100, seed=5)
+def test_a_step_of_five_as_in_table_1():
+    inertia, m = oracle.random_bodies("generic", 40, seed=5)
     reference = [oracle.free_rotor(i, [1, 0, 0, 0], v, 5.0) for i, v in zip(inertia, m, strict=True)]
     for method in EXACT:
         q1, m1 = rb.free_rotor(inertia, [1, 0, 0, 0], m, 5.0, method=method)
