@@ -71,8 +71,8 @@ def soft_rod_energy(
 ) -> str:
     """Return the energy of two spheres less the Coulomb energy of their rods; both are (centre, plus).
 
-    u and v are the rods, and the minus ends follow from their length. Three particles a donor crash on PoCL. The nearest
-    images of centres and of ends may differ beyond the cutoff of the dipoles alone.
+    u and v are the rods, and the minus ends follow from their length: three particles a donor crash on PoCL. The
+    nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
     """
     rods = "- dipole_coupling*((uv + 2*vr)/(pp*pm*(pp + pm)) + (uv - 2*vr)/(mm*mp*(mm + mp)))"
     return (
