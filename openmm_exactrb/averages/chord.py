@@ -49,11 +49,6 @@ class Chords:
     x : (n_particles, 3) array
         Positions in nm.
 
-    Attributes
-    ----------
-    freedom : int
-        Degrees of freedom of the constrained bodies and clusters about their centres.
-
     Raises
     ------
     ValueError
@@ -61,7 +56,7 @@ class Chords:
     """
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:
-        held, members, lost = [], 0, 0
+        self._held, lost = [], 0
         for particles, masses, own in _clusters(bodies, pairs):
             if len(own) > _LARGEST:
                 raise ValueError(
@@ -70,10 +65,8 @@ class Chords:
                 )
             differences = np.zeros((len(own), len(masses)))
             differences[np.arange(len(own)), own[:, 0]], differences[np.arange(len(own)), own[:, 1]] = 1.0, -1.0
-            held.append(_Held(particles[:, own], differences / masses @ differences.T))
-            members += particles.size - len(particles)
-            lost += int(np.linalg.matrix_rank(_matrix(held[-1], x)[1], rtol=_INDEPENDENT, hermitian=True).sum())
-        self._held, self.freedom = held, 3 * members - lost
+            self._held.append(_Held(particles[:, own], differences / masses @ differences.T))
+            lost += int(np.linalg.matrix_rank(_matrix(self._held[-1], x)[1], rtol=_INDEPENDENT, hermitian=True).sum())
         particles_with_mass = sum(kind.particles.size for kind in bodies.kinds)
         if 3 * particles_with_mass - lost != bodies.translational_freedom + bodies.rotational_freedom:
             raise ValueError(

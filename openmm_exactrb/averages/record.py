@@ -42,8 +42,8 @@ class Settings:
     pressure : float
         That of a barostat in bar.
     observables : tuple of str
-    held : int, optional
-        Degrees of freedom of constrained bodies and clusters about their centres, if drifts are chords.
+    chords : bool, optional
+        Whether drifts are those of `openmm_exactrb.averages.chord`.
     """
 
     scheme: str
@@ -59,14 +59,14 @@ class Settings:
     barostat: str = ""
     pressure: float = 0.0
     observables: tuple[str, ...] = ()
-    held: int | None = None
+    chords: bool = False
 
 
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
     """Return the names of the columns of a file."""
     names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
     names += ["square (kJ/mol/ps^2)", "work (kJ/mol/ps^2)", "inner work (kJ/mol/ps^2)", "damped work (kJ/mol/ps^2)"]
-    names += ["chord (kJ/mol/ps^2)"] * (settings.held is not None)
+    names += ["chord (kJ/mol/ps^2)"] * settings.chords
     names += ["square around (kJ/mol/ps^2)"] * around
     names += ["pressure (bar)", "pressure slope (bar/ps^2)", "pressure inner slope (bar/ps^2)"] * pressure
     for name in settings.observables:

@@ -141,5 +141,5 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
         barostat=type(barostats[0]).__name__ if barostats else "",
         pressure=pressure,
         observables=tuple(observables),
-        held=None if dynamics.chords is None else dynamics.chords.freedom,
+        chords=dynamics.chords is not None,
     )
