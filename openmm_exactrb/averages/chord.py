@@ -70,8 +70,8 @@ class Chords:
         particles_with_mass = sum(kind.particles.size for kind in bodies.kinds)
         if 3 * particles_with_mass - lost != bodies.translational_freedom + bodies.rotational_freedom:
             raise ValueError(
-                "averages of LangevinMiddleIntegrator cannot be corrected for a linear or planar molecule of more than "
-                "three constrained atoms, or a body without constraints: use ExactRigidBodyLangevinIntegrator"
+                "averages of LangevinMiddleIntegrator cannot be corrected for linear molecules of more than two "
+                "constrained atoms or planar ones of more than three: use ExactRigidBodyLangevinIntegrator"
             )
 
     def mean(self, x: Array, kT: float) -> float:
