@@ -56,8 +56,8 @@ class Chords:
     """
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:
-        self._held, lost = [], 0
-        for particles, masses, own in _clusters(bodies, pairs):
+        self._flexible, self._rigid, lost = [], 0.0, 0
+        for particles, masses, own, rigid in _clusters(bodies, pairs):
             if len(own) > _LARGEST:
                 raise ValueError(
                     f"averages of LangevinMiddleIntegrator cannot be corrected with {len(own)} constraints in one "
@@ -65,30 +65,34 @@ class Chords:
                 )
             differences = np.zeros((len(own), len(masses)))
             differences[np.arange(len(own)), own[:, 0]], differences[np.arange(len(own)), own[:, 1]] = 1.0, -1.0
-            self._held.append(_Held(particles[:, own], differences / masses @ differences.T))
-            lost += int(np.linalg.matrix_rank(_matrix(self._held[-1], x)[1], rtol=_INDEPENDENT, hermitian=True).sum())
+            held = _Held(particles[:, own], differences / masses @ differences.T)
+            lost += int(np.linalg.matrix_rank(_matrix(held, x)[1], rtol=_INDEPENDENT, hermitian=True).sum())
+            if rigid:
+                self._rigid += _mean(held, x)
+            else:
+                self._flexible.append(held)
         particles_with_mass = sum(kind.particles.size for kind in bodies.kinds)
         if 3 * particles_with_mass - lost != bodies.translational_freedom + bodies.rotational_freedom:
             raise ValueError(
-                "averages of LangevinMiddleIntegrator cannot be corrected for a linear or planar molecule of more than "
-                "three constrained atoms, or a body without constraints: use ExactRigidBodyLangevinIntegrator"
+                "averages of LangevinMiddleIntegrator cannot be corrected for linear molecules of more than two "
+                "constrained atoms or planar ones of more than three: use ExactRigidBodyLangevinIntegrator"
             )
 
     def mean(self, x: Array, kT: float) -> float:
         """Return the mean of T over canonical velocities at positions (n_particles, 3), in kJ/mol/ps²."""
-        return sum(_mean(held, x) for held in self._held) * kT**2
+        return kT**2 * (self._rigid + sum(_mean(held, x) for held in self._flexible))
 
 
-def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices]]:
-    """Yield the particles (N, n), masses (n,) and members of constraints (m, 2) of clusters of one graph."""
+def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, bool]]:
+    """Yield particles (N, n), masses (n,) and members of constraints (m, 2) of clusters, and whether they are rigid."""
     for kind in bodies.kinds:
         if kind.turns:
             number = np.full(bodies.n_particles, -1)
             number[kind.particles[0]] = np.arange(len(kind.masses))
             own = number[pairs]
-            yield kind.particles, kind.masses, own[(own >= 0).all(axis=1)]
+            yield kind.particles, kind.masses, own[(own >= 0).all(axis=1)], True
     for cluster in bodies.clusters.kinds:
-        yield cluster.particles, cluster.masses, cluster.pairs
+        yield cluster.particles, cluster.masses, cluster.pairs, False
 
 
 def _matrix(held: _Held, x: Array) -> tuple[Array, Array]:
