@@ -196,8 +196,8 @@ def _steps(solute: str) -> str:
         how += [f"solute {part}" for part in of_solute]
         how += [f"device ({device})"] if device else []
         label = ", ".join([THEIRS.get(scheme, f"`{scheme}`"), *how])
-        # Devices do not have energies by kind, and constrained bonds have none.
-        unknown = {"bonds", "angles", "torsions"} if device else set() if constraints == "HBonds" else {"bonds"}
+        # Constrained bonds have no energy.
+        unknown = set() if constraints == "HBonds" else {"bonds"}
         cells = ("" if name in unknown else mean_of(some, name, digits) for name, digits in names.items())
         length = f"{len(some)} x {float(length):g} ps"
         body.append(({"plain": "none"}.get(masses, masses), f"{float(fs):g} fs", label, length, *cells))

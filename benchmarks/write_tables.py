@@ -16,6 +16,7 @@ from benchmarks import tables
 from benchmarks.common.markdown import rows, table
 from benchmarks.common.records import DOCS
 from benchmarks.constraints.small_molecules import small_molecules
+from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
 from benchmarks.proteins import tables as of_proteins
 from benchmarks.schemes import tables as of_schemes
@@ -29,6 +30,8 @@ AS_THEY_ARE = [
     "cholesterol",
     "device_drift",
     "device_precision",
+    "dipole_bonds",
+    "dipole_rods",
     "dppc",
     "ellipsoids",
     "large_bodies",
@@ -52,7 +55,7 @@ def all_tables() -> dict[str, str]:
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
         *(of_schemes.rotors_compared, averages, droplet_averages, of_dipoles.dipole_costs),
         *(of_dipoles.dipole_errors, of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
-        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets),
+        *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets, of_device.device_costs),
     )
     shown = {name: _as_it_is(name) for name in AS_THEY_ARE}
     return shown | {function.__name__: function() for function in functions} | dict(_equipartition())

@@ -1,16 +1,19 @@
 """The drift of the energy in single, mixed and double precision: the device engine, the host, and OpenMM's integrators.
 
-A periodic box of TIP3P with PME and a switched cutoff, from one start at 300 K. All integrators get the same time
-between two force evaluations. Printed and written for each run: the slope of a straight line through the total energy
-per molecule with the standard error that four parts of the run give, and the standard deviation about that line. The
-potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
+A periodic box of TIP3P with PME and a switched cutoff, from one start at 300 K; a droplet, whose forces have no other
+errors; or a peptide in water with heavy hydrogens, and inner steps for its bonded forces. All integrators get the same
+time between two force evaluations. Printed and written for each run: the slope of a straight line through the total
+energy per molecule with the standard error that four parts of the run give, and the standard deviation about that line.
+The potential energy is that of a Context in double precision at the positions of the bodies, so that what a run does
 counts, and not what its Context can show of it. LangevinMiddle has no friction here; the energy at the ends of its
 steps has errors of first order. Starts, samples and checkpoints are in a folder next to the CSV file, so that the same
 command resumes a run that was cut off; another command needs another file.
 
     python benchmarks/device/device_drift.py --platform OpenCL --molecules 64 --ps 6 --samples 60
-    python benchmarks/device/device_drift.py --platform OpenCL --droplet --molecules 27 --fs 0.4 --ps 0.4 --samples 25 \
-        --integrators S6_10:device S6_10:host
+    python benchmarks/device/device_drift.py --platform OpenCL --system droplet --molecules 27 --fs 0.4 --ps 0.4 \
+        --samples 25 --integrators S6_10:device S6_10:host
+    python benchmarks/device/device_drift.py --platform OpenCL --system peptide --fs 4 --precisions mixed \
+        --integrators W2_1:device W2_1:host
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
 
 PRECISIONS = ("single", "mixed", "double")
 COLUMNS = (
@@ -34,12 +38,27 @@ COLUMNS = (
 )
 
 
-def integrator_of(name, engine, h):
-    """Return an integrator with a force evaluation every h (ps)."""
+def system_of(which, molecules):
+    """Return a System and positions."""
+    if which == "peptide":
+        topology, positions = solvated(PEPTIDE)
+        made = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75}
+        force_field = app.ForceField(*FORCE_FIELD)
+        system = force_field.createSystem(topology, constraints=app.HBonds, removeCMMotion=False, **made)
+        rb.heavy_hydrogens(system, topology, 3.0, water=True)
+        rb.separate_bonded(system)
+        return system, positions
+    cutoff = min(0.9, 0.45 * 0.3104 * molecules ** (1 / 3))
+    made = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "switchDistance": cutoff - 0.1}
+    return rb.rigid_water(molecules, **({} if which == "droplet" else made | {"ewaldErrorTolerance": 1e-5}))[1:]
+
+
+def integrator_of(name, engine, h, inner):
+    """Return an integrator with a force evaluation every h (ps), and with inner steps."""
     if engine == "openmm":
         return openmm.VerletIntegrator(h) if name == "Verlet" else openmm.LangevinMiddleIntegrator(300.0, 0.0, h)
     forces = rb.SCHEMES[name].forces
-    return rb.ExactRigidBodyIntegrator(forces * h, name, engine=engine, checkDivergence=False)
+    return rb.ExactRigidBodyIntegrator(forces * h, name, engine=engine, checkDivergence=False, **inner)
 
 
 class Energies:
@@ -54,11 +73,13 @@ class Energies:
         system = openmm.XmlSerializer.clone(self.system)
         return openmm.Context(system, integrator, self.platform, {"Precision": precision})
 
-    def start(self, positions):
+    def start(self, positions, inner):
         """Return a State at 300 K."""
-        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, "BAOA", engine="device")
-        context = self.context_of(integrator, "mixed")
+        integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.002, "BAOA", **inner)
+        system = openmm.XmlSerializer.clone(self.system)
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
         context.setPositions(positions)
+        integrator.minimizeEnergy(maxIterations=100)
         integrator.setVelocitiesToTemperature(300.0, 1)
         integrator.step(2500)
         return context.getState(positions=True, velocities=True)
@@ -96,7 +117,7 @@ class Energies:
 def folder_of(options):
     """Return the folder of what is kept; an error if it is that of another command."""
     folder = options.csv.with_suffix("")
-    what = f"{options.molecules} {options.droplet} {options.fs} {options.ps} {options.samples}"
+    what = f"{options.molecules} {options.system} {options.fs} {options.ps} {options.samples}"
     folder.mkdir(exist_ok=True)
     settings = folder / "settings.txt"
     if settings.exists() and settings.read_text(encoding="utf-8") != what:
@@ -116,8 +137,8 @@ def slopes(times, energies):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--platform", default="CUDA")
-    parser.add_argument("--molecules", type=int, default=512)
-    parser.add_argument("--droplet", action="store_true", help="no box and no cutoff: the forces have no other errors")
+    parser.add_argument("--system", choices=("box", "droplet", "peptide"), default="box")
+    parser.add_argument("--molecules", type=int, default=512, help="of box or droplet")
     parser.add_argument("--fs", type=float, default=1.0, help="a force evaluation")
     parser.add_argument("--ps", type=float, default=100.0)
     parser.add_argument("--samples", type=int, default=100)
@@ -127,22 +148,23 @@ def main():
     parser.add_argument("--csv", type=Path, default=Path("device_drift.csv"))
     options = parser.parse_args()
     warnings.filterwarnings("ignore", message="the Context is in single precision")
-    n, h = options.molecules, 1e-3 * options.fs
-    cutoff = min(0.9, 0.45 * 0.3104 * n ** (1 / 3))
-    made = {"nonbondedMethod": app.PME, "nonbondedCutoff": cutoff, "switchDistance": cutoff - 0.1}
-    _, system, positions = rb.rigid_water(n, **({} if options.droplet else made | {"ewaldErrorTolerance": 1e-5}))
+    inner = {"fast": "bonded"} if options.system == "peptide" else {}
+    system, positions = system_of(options.system, options.molecules)
     energies = Energies(system, openmm.Platform.getPlatform(options.platform))
     folder = folder_of(options)
     if not (folder / "start.xml").exists():
-        (folder / "start.xml").write_text(openmm.XmlSerializer.serialize(energies.start(positions)), encoding="utf-8")
+        made = openmm.XmlSerializer.serialize(energies.start(positions, inner))
+        (folder / "start.xml").write_text(made, encoding="utf-8")
     start = openmm.XmlSerializer.deserialize((folder / "start.xml").read_text(encoding="utf-8"))
+    n, h = len(energies.double.getMolecules()), 1e-3 * options.fs
     with options.csv.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(COLUMNS)
         for name, engine in (which.split(":") for which in options.integrators):
             for precision in options.precisions:
                 kept = folder / f"{name}-{engine}-{precision}.npz"
-                run = energies.run(integrator_of(name, engine, h), precision, start, options.ps, options.samples, kept)
+                integrator = integrator_of(name, engine, h, inner)
+                run = energies.run(integrator, precision, start, options.ps, options.samples, kept)
                 drift, error, spread = (f"{value / n:.2e}" for value in slopes(*run))
                 row = (name, engine, precision, n, options.fs, options.ps, drift, error, spread)
                 rows.writerow(row)

@@ -6,13 +6,12 @@ copies of it, shaken. Errors are root mean square, as a part of the quantity's o
 "bonds" compares the two forces of a reaction field, donors and acceptors beside a bond for each pair, both on the
 device, in turns within one run, with the compiled kernel as the reference of their errors. "rods" measures the rods of
 charges that stand for an Ewald sum over their length and the tolerance, against the compiled sum at 1e-10, dipoles
-alone. Raw data go to out/benchmarks/dipole_devices.json.
+alone. Rows go to docs/dipole_bonds.csv and docs/dipole_rods.csv.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from functools import partial
 
@@ -21,10 +20,23 @@ import openmm
 
 import openmm_exactrb as rb
 from benchmarks.common.clocks import in_turns
-from benchmarks.common.records import OUT, keep
+from benchmarks.common.records import DOCS, OUT, Record
 from benchmarks.common.starts import context_of
 from benchmarks.common.stockmayer import KELVIN, MU2, arrows, edge_of, fluid, relative_error
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length, soft_dipole_force
+
+RECORDS = {
+    "bonds": Record(
+        DOCS / "dipole_bonds.csv",
+        ("dipoles", "precision", "energies scaled by", "kernel"),
+        ("force error", "torque error", "ms", "median ms"),
+    ),
+    "rods": Record(
+        DOCS / "dipole_rods.csv",
+        ("dipoles", "precision", "tolerance", "length (sigma)"),
+        ("mesh", "force error", "torque error"),
+    ),
+}
 
 
 def main():
@@ -38,15 +50,12 @@ def main():
     add("--scale", type=float, default=1.0, help='of all energies of "bonds": OpenMM adds up forces in fixed point')
     add("--rounds", type=int, default=8, help="%(default)s")
     arguments = parser.parse_args()
-    rows = []
     for n in arguments.n:
         for precision in arguments.precision:
             measure = bonds if arguments.what == "bonds" else rods
             for row in measure(n, arguments, precision):
-                rows.append({"n": n, "platform": arguments.platform, "precision": precision} | row)
-                print("  ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in rows[-1].items()))
-    data = OUT / "dipole_devices.json"
-    keep(data.name, (json.loads(data.read_text()) if data.exists() else []) + rows)
+                shown = {name: f"{value:.3g}" if isinstance(value, float) else value for name, value in row.items()}
+                RECORDS[arguments.what].add({"dipoles": n, "precision": precision} | shown)
 
 
 def liquid(n):
@@ -125,7 +134,14 @@ def bonds(n, arguments, precision):
     contexts = {kernel: built(kernel, arguments.platform, precision) for kernel in kernels}
     for kernel, (least, median) in times_of(contexts, arguments.rounds).items():
         force, torque = map(relative_error, on_bodies(contexts[kernel], centres, sites), exact)
-        yield {"kernel": kernel, "force error": force, "torque error": torque, "ms": least, "median ms": median}
+        yield {
+            "energies scaled by": arguments.scale,
+            "kernel": kernel,
+            "force error": force,
+            "torque error": torque,
+            "ms": least,
+            "median ms": median,
+        }
 
 
 def rods(n, arguments, precision):
@@ -148,10 +164,13 @@ def rods(n, arguments, precision):
             parts = dipole_rod_forces(pairs, 3 * n, length=length, boundary=boundary, centres=middles, **around)
             context = evaluating(parts, np.concatenate([ends, centres]), edge, arguments.platform, precision)
             force, torque = on_bodies(context, centres, ends)
-            least, median = times_of({"rods": context}, 3)["rods"]
-            row = {"tolerance": tolerance, "length": length, "mesh": parts[0].getPMEParameters()[1]}
-            row |= {"force error": relative_error(force, forces), "torque error": relative_error(torque, torques)}
-            yield row | {"ms": least, "median ms": median}
+            yield {
+                "tolerance": tolerance,
+                "length (sigma)": length,
+                "mesh": parts[0].getPMEParameters()[1],
+                "force error": relative_error(force, forces),
+                "torque error": relative_error(torque, torques),
+            }
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def simulation_of(run: dict[str, Any]) -> app.Simulation:
 
 
 class EnergyOnly:
-    """Write the potential energy, for integrators whose averages are not corrected."""
+    """Write the potential energy, for hybrid Monte Carlo: its averages have no step-size error."""
 
     def __init__(self, file: Path, interval: int, append: bool) -> None:
         self.interval, self.out = interval, file.open("a" if append else "w", encoding="utf-8")
@@ -119,7 +119,7 @@ def frames(run: dict[str, Any]) -> Path:
     else:
         simulation.step(round(BURN / step))
     interval, again = max(1, round(FRAME / step)), saved.exists()
-    kind = rb.AverageReporter if run["integrator"] == "Langevin" else EnergyOnly
+    kind = EnergyOnly if run["integrator"] == "hybrid" else rb.AverageReporter
     reporter = kind(file, interval, append=again)
     simulation.reporters.append(reporter)
     end = round((BURN + 1000.0 * run["ns"]) / step)
@@ -133,7 +133,7 @@ def frames(run: dict[str, Any]) -> Path:
 def row_of(run: dict[str, Any]) -> dict[str, Any]:
     """Return the row of a run, per molecule."""
     file = frames(run)
-    if run["integrator"] == "Langevin":
+    if run["integrator"] != "hybrid":
         found = rb.corrected(file, "potential energy")
         energies = read(file)[1]["potential"]
         after = found.mean, found.error, found.correction_error, found.bracket[1]

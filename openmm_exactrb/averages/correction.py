@@ -11,8 +11,13 @@ below and far above the frequencies of the liquid,
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
 with n degrees of freedom; the second is exact without inner steps only. A correction takes the first, and its bracket
-has both. A barostat accepts by the true energy: it sees the pressure at a fixed volume, whose error dP changes any
-average by Cov(A, V) dP/kT, while A, S and W fluctuate at a fixed volume in all other terms (the volume is slow).
+has both. Drifts along chords conserve h² T in addition (`openmm_exactrb.averages.chord`), which adds
+
+    -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
+
+at weak friction, and to the energy of a harmonic liquid at any. A barostat accepts by the true energy: it sees the
+pressure at a fixed volume, whose error dP changes any average by Cov(A, V) dP/kT, while A, S and W fluctuate at a fixed
+volume in all other terms (the volume is slow).
 """
 
 from __future__ import annotations
@@ -216,8 +221,11 @@ def _at_fixed_volume(
     square = columns["square around" if local else "square"]
     own = -(alpha + settings.beta) * _covariance(values, square, volume) / kT
     own -= sum(part * slope for part, slope in zip(settings.slopes, slopes, strict=True))
-    hotter = 2.0 * alpha * float(columns["damped work"].mean()) / (settings.freedom * kT**2)
-    weak = hotter * _covariance(values, columns["potential"], volume)
+    with_energy = _covariance(values, columns["potential"], volume) / kT**2
+    if settings.chords:
+        chord = columns["chord"]
+        own += 4.0 * float(chord.mean()) / settings.freedom * with_energy - _covariance(values, chord, volume) / kT
+    weak = 2.0 * alpha * float(columns["damped work"].mean()) / settings.freedom * with_energy
     strong = -2.0 * alpha * sum(slopes) - alpha * _covariance(values, work, volume) / kT
     return settings.step**2 * (own + weak), settings.step**2 * (own + strong)
 

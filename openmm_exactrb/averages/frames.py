@@ -7,21 +7,18 @@ the forces in the kicks; w = M⁻¹f_s is a field of velocities, along which obs
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.averages.dynamics import Dynamics
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.openmm_access.molecules import in_flexible_molecules, molecule_of
+from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import gas_constant_times
-from openmm_exactrb.thermostats.langevin import Langevin
 
 Array = NDArray[np.float64]
 #: An observable of the positions (n_particles, 3) of all particles, in nm.
@@ -46,73 +43,36 @@ class Force(NamedTuple):
         return Force(self.force - other.force, self.torque - other.torque)
 
 
-@dataclass(frozen=True)
-class Groups:
-    """Which bodies end their steps at the heat exchange itself, and the relative friction of each body.
-
-    Attributes
-    ----------
-    inner : (N,) array of bool
-        Bodies with inner steps.
-    damping : (N,) and (K,) arrays
-        Frictions of translation and of rotation, over their mean for a degree of freedom.
-    """
-
-    inner: NDArray[np.bool_]
-    damping: tuple[Array, Array]
-
-
 class Frames:
-    """Reads the frames of a Simulation.
+    """Reads the frames of a Simulation with some dynamics."""
 
-    Raises
-    ------
-    ValueError
-        If averages of this integrator cannot be corrected.
-    """
-
-    def __init__(self, simulation: Any, pressure: bool, around: tuple[Sequence[int], float] | None) -> None:
-        self._integrator, self._context = langevin_of(simulation.integrator), simulation.context
-        self.bodies = self._integrator.bodyState()[0]
-        system = simulation.system
-        self._fast = _acting(system, self.bodies, self._integrator)
-        self._excerpt = None if self._fast is None else _FastContext(self._fast)
+    def __init__(
+        self, simulation: Any, dynamics: Dynamics, pressure: bool, around: tuple[Sequence[int], float] | None
+    ) -> None:
+        self._dynamics, self._context, self.bodies = dynamics, simulation.context, dynamics.bodies
+        self._kT = gas_constant_times(dynamics.temperature)
+        self._excerpt = None if dynamics.fast is None else _FastContext(dynamics.fast)
         self._around = around
-        self.groups = Groups(self._inner(), self._damping())
-        self._scaled = _ScaledContext(simulation, self.bodies, self._integrator.getNamedBodies()) if pressure else None
-
-    def _inner(self) -> NDArray[np.bool_]:
-        inner = np.zeros(len(self.bodies), dtype=bool)
-        if self._fast is not None and self._fast.excerpt is not None:
-            inner[self._fast.excerpt.part.columns] = True
-        return inner
-
-    def _damping(self) -> tuple[Array, Array]:
-        thermostat: Any = self._integrator.getThermostat()
-        bodies = self.bodies
-        flexible = in_flexible_molecules(self._context, bodies, self._integrator.getNamedBodies())
-        rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
-        translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
-        rotation = rotation[: bodies.n_turning]
-        freedom = np.full(len(bodies), 3.0)
-        if len(bodies.clusters):
-            freedom[bodies.clustered] *= bodies.clusters.degrees_of_freedom / (3.0 * len(bodies.clusters.mass))
-        turning = (bodies.principal_moments > 0.0).sum(axis=0)
-        mean = (translation @ freedom + rotation @ turning) / (freedom.sum() + turning.sum())
-        return translation / mean, rotation / mean
+        #: Bodies with inner steps (N,), which end their steps at the heat exchange itself.
+        self._inner = np.zeros(len(self.bodies), dtype=bool)
+        if dynamics.fast is not None and dynamics.fast.excerpt is not None:
+            self._inner[dynamics.fast.excerpt.part.columns] = True
+        self._scaled = _ScaledContext(simulation, dynamics, self._kT) if pressure else None
 
     def row(self, state: openmm.State, observables: Mapping[str, Observable]) -> list[float]:
         """Return the values of the `columns` for a State with energy, forces and positions."""
-        _, of_bodies = self._integrator.bodyState()
         x = arrays.positions(state)
+        of_bodies = self._dynamics.state(x)
         total = self._generalised(of_bodies, arrays.forces(state))
-        slow = total if self._fast is None else total.less(self._generalised(of_bodies, self._fast_forces(x)))
+        slow = total if self._excerpt is None else total.less(self._generalised(of_bodies, self._fast_forces(x)))
         work, square = self._products(total, slow), self._products(slow, slow)
         values = [state.getPotentialEnergy()._value, state.getPeriodicBoxVolume()._value]
-        values += [_sum(square), *self._split(work), _sum(work, self.groups.damping)]
+        values += [_sum(square), *self._split(work), _sum(work, self._dynamics.damping)]
+        if self._dynamics.chords is not None:
+            values.append(self._dynamics.chords.mean(x, self._kT))
         if self._around is not None:
             values.append(_sum(square, self._near(x, state)))
-        fields = [self._field(of_bodies, slow, chosen) for chosen in (~self.groups.inner, self.groups.inner)]
+        fields = [self._field(of_bodies, slow, chosen) for chosen in (~self._inner, self._inner)]
         if self._scaled is not None:
             values += self._scaled.pressure(state, of_bodies, total, fields, self._generalised)
         for observable in observables.values():
@@ -134,8 +94,7 @@ class Frames:
 
     def _split(self, product: Force) -> tuple[float, float]:
         """Return the sums over bodies without and with inner steps."""
-        inner = self.groups.inner
-        both = (~inner, inner)
+        both = (~self._inner, self._inner)
         one, other = (_sum(product, (of.astype(float), of[: self.bodies.n_turning].astype(float))) for of in both)
         return one, other
 
@@ -166,29 +125,6 @@ class Field(NamedTuple):
 
     bodies: Force
     particles: Array
-
-
-def langevin_of(integrator: object) -> ExactRigidBodyIntegrator:
-    """Return an integrator for which the theory holds; ValueError for any other."""
-    if not isinstance(integrator, ExactRigidBodyIntegrator) or not isinstance(integrator.getThermostat(), Langevin):
-        raise ValueError(
-            "averages can be corrected only for Langevin dynamics of this package: use "
-            f"ExactRigidBodyLangevinIntegrator instead of {type(integrator).__name__}"
-        )
-    thermostat: Any = integrator.getThermostat()
-    if not any((*thermostat.frictions, *thermostat.flexible_frictions)):
-        raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
-    if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
-        raise ValueError(
-            "averages can be corrected only if the integrator uses all force groups: call setIntegrationForceGroups"
-        )
-    return integrator
-
-
-def _acting(system: openmm.System, bodies: RigidBodies, integrator: ExactRigidBodyIntegrator) -> FastForces | None:
-    found = fast_forces(system, bodies, integrator.getMultipleTimeSteps())
-    step = integrator.getStepSize()._value
-    return found if found is not None and found.acts(integrator.getScheme(), step) else None
 
 
 def _sum(product: Force, weights: tuple[Array, Array] | None = None) -> float:
@@ -233,7 +169,7 @@ class _ScaledContext:
     A molecule's centre is the mean place of its particles, as for OpenMM's barostats.
     """
 
-    def __init__(self, simulation: Any, bodies: RigidBodies, named: Sequence[Sequence[int]] | None) -> None:
+    def __init__(self, simulation: Any, dynamics: Dynamics, kT: float) -> None:
         context, system = simulation.context, simulation.system
         self._context = context
         if not system.usesPeriodicBoundaryConditions():
@@ -242,11 +178,11 @@ class _ScaledContext:
         properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
         kept = {name: value for name, value in properties.items() if name in ("Precision", "Threads", "DeviceIndex")}
         self._own = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, kept)
-        self._molecule = molecule_of(context, named)
+        self._molecule = molecule_of(context, dynamics.named)
         self._sizes = np.bincount(self._molecule)
-        self._of_bodies = self._molecule[bodies.first_particle]
+        self._of_bodies = self._molecule[dynamics.bodies.first_particle]
         self.molecules = len(self._sizes)
-        self._ideal = self.molecules * gas_constant_times(simulation.integrator.getTemperature())
+        self._ideal = self.molecules * kT
 
     def _centres(self, x: Array) -> Array:
         """Return the means (molecules, 3) of vectors of particles."""

@@ -42,6 +42,8 @@ class Settings:
     pressure : float
         That of a barostat in bar.
     observables : tuple of str
+    chords : bool, optional
+        Whether drifts are those of `openmm_exactrb.averages.chord`.
     """
 
     scheme: str
@@ -57,12 +59,14 @@ class Settings:
     barostat: str = ""
     pressure: float = 0.0
     observables: tuple[str, ...] = ()
+    chords: bool = False
 
 
 def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, ...]:
     """Return the names of the columns of a file."""
     names = ["step", "time (ps)", "potential (kJ/mol)", "volume (nm^3)"]
     names += ["square (kJ/mol/ps^2)", "work (kJ/mol/ps^2)", "inner work (kJ/mol/ps^2)", "damped work (kJ/mol/ps^2)"]
+    names += ["chord (kJ/mol/ps^2)"] * settings.chords
     names += ["square around (kJ/mol/ps^2)"] * around
     names += ["pressure (bar)", "pressure slope (bar/ps^2)", "pressure inner slope (bar/ps^2)"] * pressure
     for name in settings.observables:
@@ -73,6 +77,18 @@ def columns_of(settings: Settings, pressure: bool, around: bool) -> tuple[str, .
 def head(settings: Settings, columns: tuple[str, ...]) -> str:
     """Return the first two lines of a file."""
     return f"{_MARK}{json.dumps(asdict(settings))}\n{','.join(columns)}\n"
+
+
+def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
+    """Return whether a file is of a run with these settings and columns."""
+    first, second, *_ = [*text.splitlines(), "", ""]
+    return first.startswith(_MARK) and _settings(first) == settings and second == ",".join(columns)
+
+
+def _settings(line: str) -> Settings:
+    known = json.loads(line.removeprefix(_MARK))
+    tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
+    return Settings(**{**known, **tuples})
 
 
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
@@ -88,12 +104,10 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not lines[0].startswith(_MARK):
         raise ValueError(f"{file} was not written by an AverageReporter: give the file that one wrote")
-    known = json.loads(lines[0].removeprefix(_MARK))
-    tuples = {name: tuple(value) for name, value in known.items() if isinstance(value, list)}
     names = [name.split(" (")[0] for name in lines[1].split(",")]
     rows = [line.split(",") for line in lines[2:]]
     for number, row in enumerate(rows, start=3):
         if len(row) != len(names):
             raise ValueError(f"line {number} of {file} is incomplete: delete this line")
     values = np.array(rows, dtype=np.float64).reshape(-1, len(names))
-    return Settings(**{**known, **tuples}), dict(zip(names, values.T, strict=True))
+    return _settings(lines[0]), dict(zip(names, values.T, strict=True))

@@ -9,11 +9,11 @@ from typing import Any
 
 from openmm import unit
 
-from openmm_exactrb.averages.frames import Frames, Observable, langevin_of
-from openmm_exactrb.averages.record import Settings, columns_of, head
+from openmm_exactrb.averages.dynamics import Dynamics, dynamics_of
+from openmm_exactrb.averages.frames import Frames, Observable
+from openmm_exactrb.averages.record import Settings, columns_of, continues, head
 from openmm_exactrb.context.updates import BAROSTATS, acting_updates
 from openmm_exactrb.openmm_access.units import gas_constant_times, plain
-from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.support import checks
 
 
@@ -42,8 +42,8 @@ class AverageReporter:
 
     Notes
     -----
-    The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step. Each
-    line is flushed at once.
+    The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or
+    OpenMM's LangevinMiddleIntegrator. Each line is flushed at once.
     """
 
     def __init__(
@@ -60,6 +60,7 @@ class AverageReporter:
         self._pressure, self._observables = checks.switch(pressure, "pressure"), dict(observables or {})
         self._around = None if around is None else (around[0], plain(around[1], unit.nanometer, "a distance"))
         self._frames: Frames | None = None
+        self._dynamics: Any = None
         self._out: Any = None
         self._present: object = None  # what may be changed in a run
 
@@ -79,7 +80,7 @@ class AverageReporter:
     def report(self, simulation: Any, state: Any) -> None:
         """Write a line for a Simulation and a State with positions, energy and forces."""
         frames = self._frames or self._begin(simulation)
-        if _changing(simulation) != self._present:
+        if self._changing(simulation) != self._present:
             raise ValueError(
                 "the step size, the thermostat or a parameter of the Context has changed: report the new settings to "
                 "another file"
@@ -94,34 +95,31 @@ class AverageReporter:
             self._out.close()
 
     def _begin(self, simulation: Any) -> Frames:
-        settings = settings_of(simulation, self._observables)
-        frames = Frames(simulation, self._pressure, self._around)
-        first = head(settings, columns_of(settings, self._pressure, self._around is not None))
+        dynamics = self._dynamics = dynamics_of(simulation)
+        settings = settings_of(simulation, dynamics, self._observables)
+        frames = Frames(simulation, dynamics, self._pressure, self._around)
+        columns = columns_of(settings, self._pressure, self._around is not None)
         continued = self._append and self._file.is_file() and self._file.stat().st_size > 0
         if continued:
             text = self._file.read_text(encoding="utf-8")
-            if not text.startswith(first):
+            if not continues(text, settings, columns):
                 raise ValueError(f"{self._file} belongs to a run with other settings: give another file")
             if not text.endswith("\n"):
                 raise ValueError(f"{self._file} ends with an incomplete line: delete this line, or give another file")
         self._out = self._file.open("a" if continued else "w", encoding="utf-8")
         if not continued:
-            self._out.write(first)
-        self._frames, self._present = frames, _changing(simulation)
+            self._out.write(head(settings, columns))
+        self._frames, self._present = frames, self._changing(simulation)
         return frames
 
-
-def _changing(simulation: Any) -> object:
-    """Return the settings of a run that a user may change in it."""
-    integrator, parameters = simulation.integrator, dict(simulation.context.getParameters())
-    return integrator.getStepSize()._value, integrator.getThermostat(), integrator.getScheme(), parameters
+    def _changing(self, simulation: Any) -> object:
+        """Return what a user may change in a run."""
+        return self._dynamics.changing(), dict(simulation.context.getParameters())
 
 
-def settings_of(simulation: Any, observables: Mapping[str, Any]) -> Settings:
+def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, Any]) -> Settings:
     """Return what corrections need to know of a Simulation; ValueError if its averages cannot be corrected."""
-    integrator: Any = langevin_of(simulation.integrator)
-    thermostat, system = integrator.getThermostat(), simulation.system
-    order = second_order(thermostat.steps(integrator.getScheme()))
+    system, order = simulation.system, dynamics.order
     barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
     if len(barostats) > 1:
         raise ValueError("averages cannot be corrected with several barostats: keep one of them")
@@ -129,18 +127,19 @@ def settings_of(simulation: Any, observables: Mapping[str, Any]) -> Settings:
     pressure = simulation.context.getParameter(barostats[0].Pressure()) if isotropic else 0.0
     masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
     return Settings(
-        scheme=integrator.getScheme().name,
-        step=integrator.getStepSize().value_in_unit(unit.picosecond),
+        scheme=dynamics.scheme,
+        step=dynamics.step,
         alpha=order.alpha,
         beta=order.beta,
         # Bodies with inner steps end at the heat exchange: `openmm_exactrb.schemes.thermostatted.canonical_momenta`.
         slopes=(order.slope, order.alpha),
-        temperature=thermostat.temperature,
-        kT=gas_constant_times(thermostat.temperature),
-        frictions=tuple(dict.fromkeys((*thermostat.frictions, *thermostat.flexible_frictions))),
-        freedom=sum(integrator.degreesOfFreedom()),
+        temperature=dynamics.temperature,
+        kT=gas_constant_times(dynamics.temperature),
+        frictions=dynamics.frictions,
+        freedom=dynamics.freedom,
         mass=sum(masses),
         barostat=type(barostats[0]).__name__ if barostats else "",
         pressure=pressure,
         observables=tuple(observables),
+        chords=dynamics.chords is not None,
     )

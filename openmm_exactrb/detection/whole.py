@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.fit import RIGIDITY, ShapeWarning, best_attitudes
-from openmm_exactrb.mechanics.images import Decided, decided, image_gaps, joined
+from openmm_exactrb.mechanics.images import (
+    Decided,
+    decided,
+    half_width,
+    image_gaps,
+    joined,
+    lattice,
+    spanning_pairs,
+)
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.warn import warn
@@ -26,6 +34,12 @@ Indices = NDArray[np.intp]
 _SHORTER = 1.0 - 1e-6
 # A body counts as split if its parts fit together with a gap of at most this many times the longest within them.
 _FITTING = 2.0
+# A gap of less than this part of half the box has no other image that is nearly as short.
+_CLEAR = 0.5
+# Distances (nm) are common that differ by less; shapes may by as much as a file rounds positions.
+_COMMON, _ROUNDED = 1e-6, 2e-3
+# So many bodies are compared to find the distances that all have.
+_COMPARED = 4
 
 
 #: Pairs of particles (m, 2) and their distances (m,) in nm.
@@ -145,60 +159,137 @@ _REMEDY = (
 
 
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
-    """Return positions with those bodies whole that nothing joins, where another of their masses shows their shape.
+    """Return positions with those bodies whole that nothing joins, where others of their masses show their shape.
 
     ``split`` is whether the box has split other molecules.
     """
     same: dict[bytes, list[int]] = {}
     for place, body in enumerate(bodies):
         same.setdefault(masses[body].tobytes(), []).append(place)
-    y = x
+    y, doubtful = x, []
     for places in same.values():
         particles = np.stack([bodies[place] for place in places])
-        X, shifts, fits = x[particles], np.zeros((*particles.shape, 3)), np.zeros(len(particles), dtype=bool)
-        wide = np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5
-        gaps = np.zeros((2, len(X)))
-        gaps[0, wide], _ = image_gaps(X[wide], None)
-        gaps[1, wide], shifts[wide] = image_gaps(X[wide], box)
-        torn = gaps[1] < _SHORTER * gaps[0]
-        if not torn.any():
-            continue
-        Y = X + np.where(torn[:, None, None], shifts, 0.0) @ box
-        if not torn.all():
-            shape = X[np.argmin(torn)]
-            fits = torn & ~_congruent(shape, X) & _congruent(shape, Y)
-        for row in np.flatnonzero(torn & ~fits):
-            _say(numbers[places[row]], X[row], gaps[:, row], split)
-        if fits.any():
-            y = y.copy() if y is x else y
-            y[particles[fits]] = Y[fits]
+        X, known = _by_common_shape(x[particles], box)
+        if not np.array_equal(X, x[particles]):
+            y, split = y.copy() if y is x else y, True
+            y[particles] = X
+        doubtful += [(numbers[places[row]], X[row]) for row in np.flatnonzero(~known)]
+    for number, X in doubtful:
+        _say(number, X, box, split)
     return y
 
 
-def _congruent(shape: Array, X: Array) -> NDArray[np.bool_]:
-    """Return which bodies (n, k, 3) have a shape (k, 3) within `RIGIDITY`."""
-    sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shape[None], X))
-    attitudes = matrix(best_attitudes(np.ones(len(shape)), sites, relative)).transpose(2, 0, 1)
-    missed = relative - turned(np.ascontiguousarray(attitudes), sites)
-    return np.asarray(np.sqrt((missed**2).sum(axis=2).max(axis=1)) <= RIGIDITY)
+def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return bodies (n, k, 3) of equal masses, those that were split joined, and which of them others confirm.
+
+    A shape that all can have, by images of their particles, is that of all. If no shape suits all, those that have the
+    shape of a whole one by their nearest images are joined.
+    """
+    if len(X) == 1 or X.shape[1] == 1:
+        return X, np.full(len(X), X.shape[1] == 1)
+    near, torn = _nearest(X, box)
+    confirmed, gaps = np.ones(len(X), dtype=bool), X - X[:, :1]
+    if _congruent(X[0], X).all():
+        return X, ~torn if np.ptp(gaps, axis=0).max() <= RIGIDITY else confirmed
+    if not torn.any() and (image_gaps(X, None)[0] <= _CLEAR * half_width(box)).all():
+        return X, confirmed
+    apart = (gaps - gaps[0]) @ np.linalg.inv(box)
+    if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all are turned alike
+        _check_clear(near[0], box)
+        return _joined_to(near[0], X, box), confirmed
+    common = _common_images(X, box)
+    joint = _joined_to(common, X, box)
+    if _congruent(common, joint).all():
+        return joint, confirmed
+    whole = X[np.argmin(torn)]
+    fits = torn & ~torn.all() & ~_congruent(whole, X, _ROUNDED) & _congruent(whole, near, _ROUNDED)
+    return np.where(fits[:, None, None], near, X), fits | ~torn & _congruent(whole, X, _ROUNDED)
 
 
-def _say(number: int, X: Array, gaps: Array, split: bool) -> None:
-    """Raise ValueError, or warn, of a body that the periodic box may have split."""
-    given, across = gaps
-    if split:
+def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return bodies (n, k, 3) joined by nearest images, and which of them have shorter gaps then."""
+    near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow ones are not
+    if torn.any():
+        (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
+        near[torn] += shifts @ box
+        torn[torn] = across < _SHORTER * given
+    return near, np.asarray(torn)
+
+
+def _common_images(X: Array, box: Array) -> Array:
+    """Return the first body (k, 3) with its particles at distances from the first that images in others have too."""
+    shape, offered = np.array(X[0]), lattice(2) @ box
+    for place in range(1, len(shape)):
+        gaps = (X[:_COMPARED, place] - X[:_COMPARED, 0])[:, None] + offered
+        lengths = np.linalg.norm(gaps, axis=2)
+        missed = np.abs(lengths[0, :, None] - lengths[1:, None]).min(axis=2).max(axis=0)
+        if missed.min() > _COMMON:
+            return np.asarray(X[0])
+        shape[place] = X[0, 0] + gaps[0, np.argmin(missed)]
+    return shape
+
+
+def _joined_to(shape: Array, X: Array, box: Array) -> Array:
+    """Return bodies (n, k, 3) with the images of their particles that suit a shape (k, 3); as given if several do."""
+    n, k, _ = X.shape
+    within = spanning_pairs(shape[None], braced=True)
+    lengths = np.linalg.norm(shape[within[:, 0]] - shape[within[:, 1]], axis=1)
+    pairs = (np.arange(n)[:, None, None] * k + within).reshape(-1, 2)
+    try:
+        y = joined(X.reshape(-1, 3), Links(pairs, np.tile(lengths, n), n * k), box)
+    except ValueError:
+        return X
+    return np.asarray(y.reshape(X.shape))
+
+
+def _check_clear(near: Array, box: Array) -> None:
+    """Raise ValueError if a body (k, 3) joined by nearest images has a gap that may as well be another."""
+    longest = _steps(near).max()
+    if longest > _CLEAR * half_width(box):
         raise ValueError(
-            f"the periodic box has split molecules, and body {number} has a gap of {given:.3g} nm that is "
-            f"{across:.3g} nm across the box, so that its shape is ambiguous: {_REMEDY}"
+            f"bodies of {len(near)} particles with the same masses have different shapes that are the same across the "
+            f"periodic box, where the gap is at least {longest:.3g} nm: {_REMEDY}"
         )
-    steps = _steps(X)
-    inner = steps[steps <= across * (1.0 + 1e-6)]
-    if len(inner) and across <= _FITTING * inner.max():
+
+
+def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:
+    """Return which bodies (n, k, 3) have a shape (k, 3), or that of its mirror image, within a distance."""
+    sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shape[None], X))
+    found = np.zeros(len(X), dtype=bool)
+    for hand in (sites, -sites):
+        attitudes = matrix(best_attitudes(np.ones(len(shape)), hand, relative)).transpose(2, 0, 1)
+        missed = relative - turned(np.ascontiguousarray(attitudes), hand)
+        found |= np.sqrt((missed**2).sum(axis=2).max(axis=1)) <= within
+    return found
+
+
+def _say(number: int, X: Array, box: Array, split: bool) -> None:
+    """Raise ValueError, or warn, of a body (k, 3) that the periodic box may have split."""
+    (near,), (torn,) = _nearest(X[None], box)
+    clear, in_cell = _CLEAR * half_width(box), _in_cell(X, box)
+    if not torn and not (split and in_cell and np.linalg.norm(np.ptp(X, axis=0)) > clear):
+        return
+    steps, across = _steps(X), _steps(near).max(initial=0.0)
+    given = steps.max(initial=0.0)
+    if split and (torn or across > clear):
+        raise ValueError(
+            f"the periodic box has split molecules, and the shape of body {number} is ambiguous, because its gap of "
+            f"{given:.3g} nm may be one of {across if torn else 4.0 * clear - given:.3g} nm across the box: {_REMEDY}"
+        )
+    fitting = across <= _FITTING * steps[steps <= across * (1.0 + 1e-6)].max(initial=0.0)
+    likely = (in_cell or given > 4.0 * clear) and (len(X) > 2 or across < clear)
+    if torn and (fitting or likely):
         warn(
-            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have no gap if the "
-            f"periodic box had split it: if so, {_REMEDY}",
+            f"body {number} has a gap of {given:.3g} nm and is taken as it is given, but would have one of "
+            f"{across:.2g} nm if the periodic box had split it: if so, {_REMEDY}",
             ShapeWarning,
         )
+
+
+def _in_cell(X: Array, box: Array) -> bool:
+    """Return whether particles (k, 3) are where wrapping them one by one leaves them, in a cell from 0 or about 0."""
+    place = X @ np.linalg.inv(box)
+    return any(((place > low - 1e-3) & (place < low + 1.0 + 1e-3)).all() for low in (0.0, -0.5))
 
 
 def _steps(X: Array) -> Array:

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
 
@@ -59,7 +59,7 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
     nearest = np.linalg.norm(gap[far] + found.shifts[far] @ box, axis=1)
     hard = far[~(short[far] & (nearest < half))]  # the others have one image only that is nearer than half the box
     if len(hard):
-        offered = _lattice(2 + int(wanted[hard].max() / (2.0 * half)))
+        offered = lattice(2 + int(wanted[hard].max() / (2.0 * half)))
         for link in hard:
             shifts = found.shifts[link] + offered
             missed = np.abs(np.linalg.norm(gap[link] + shifts @ box, axis=1) - wanted[link])
@@ -79,7 +79,7 @@ def half_width(box: Array) -> float:
     return float(0.5 / np.linalg.norm(np.linalg.inv(box), axis=0).max())
 
 
-def _lattice(reach: int) -> Array:
+def lattice(reach: int) -> Array:
     """Return all triples of whole numbers up to a size."""
     return np.array(list(itertools.product(range(-reach, reach + 1), repeat=3)), dtype=np.float64)
 
@@ -118,7 +118,7 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
     gap = x[links.pairs[:, 1]] - x[links.pairs[:, 0]]
     offered = [np.array([shift]) for shift in shifts]
     for link in of_tree[links.lengths[of_tree] >= half_width(box) - _NEAR]:
-        around = -np.round(gap[link] @ np.linalg.inv(box)) + _lattice(2 + int(links.lengths[link] / half_width(box)))
+        around = -np.round(gap[link] @ np.linalg.inv(box)) + lattice(2 + int(links.lengths[link] / half_width(box)))
         near = np.abs(np.linalg.norm(gap[link] + around @ box, axis=1) - links.lengths[link]) < _NEAR
         offered[link] = around[near] if near.any() else offered[link]
     ways = itertools.islice(itertools.product(*offered), _MOST_WAYS)
@@ -160,7 +160,7 @@ class Shapes:
         n, pairs, lengths = self._bodies.n_particles, [np.zeros((0, 2), dtype=np.intp)], [np.zeros(0)]
         for kind in self._bodies.kinds:
             if kind.particles.shape[1] > 1:
-                within = _within(kind, braced)
+                within = spanning_pairs(kind.sites, braced)
                 apart = np.linalg.norm(kind.sites[:, within[:, 0]] - kind.sites[:, within[:, 1]], axis=2)
                 pairs.append(kind.particles[:, within].reshape(-1, 2))
                 lengths.append(np.broadcast_to(apart, (len(kind.particles), len(within))).ravel())
@@ -172,15 +172,15 @@ class Shapes:
         return Links(np.concatenate(pairs), np.concatenate(lengths), n)
 
 
-def _within(kind: Kind, braced: bool) -> Indices:
-    """Return pairs of the particles of a body: a tree, and each with four that span it if it is to be braced."""
-    tree = shortest_tree(kind.sites)
+def spanning_pairs(sites: Array, braced: bool) -> Indices:
+    """Return pairs of the particles of bodies (n, k, 3): a tree, and each with four that span them if it is braced."""
+    tree = shortest_tree(sites)
     if not braced:
         return tree
-    number = np.arange(kind.sites.shape[1])
+    number = np.arange(sites.shape[1])
     away, spanning = np.full(len(number), np.inf), [0]
     for _ in range(4):
-        away = np.minimum(away, np.linalg.norm(kind.sites[0] - kind.sites[0, spanning[-1]], axis=1))
+        away = np.minimum(away, np.linalg.norm(sites[0] - sites[0, spanning[-1]], axis=1))
         spanning.append(int(np.argmax(away)))
     braces = [np.column_stack([np.full(len(number), k), number])[number != k] for k in spanning]
     return np.concatenate([tree, *braces])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import openmm
 
@@ -67,35 +67,37 @@ def soft_dipole_hbonds(
 
 
 def soft_rod_energy(
-    truncation: Truncation, spheres: SphereCutoff, coupling: float, *, attracts: bool, wca: bool
+    truncation: Truncation, spheres: SphereCutoff, coupling: float, length: float, *, attracts: bool, wca: bool
 ) -> str:
-    """Return the energy of two spheres less the Coulomb energy of their rods; both are (centre, plus, minus).
+    """Return the energy of two spheres less the Coulomb energy of their rods; both are (centre, plus).
 
-    u and v are the rods. The nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
+    u and v are the rods, and the minus ends follow from their length: three particles a donor crash on PoCL. The
+    nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
     """
-    rods = "- dipole_coupling*(1/pp + 1/mm - 1/pm - 1/mp)"
+    rods = "- dipole_coupling*((uv + 2*vr)/(pp*pm*(pp + pm)) + (uv - 2*vr)/(mm*mp*(mm + mp)))"
     return (
         f"0.5*E; E = {_energy(_core(attracts=attracts, wca=wca), truncation, spheres, rods)}"
         f"dipole_coupling = {coupling!r};"
-        "uv = 0.5*(PM + MP - PP - MM); ur = 0.25*(PP + PM - MP - MM); vr = 0.25*(PM - MP - PP + MM);"
-        "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1);"
-        "PP = pp^2; MM = mm^2; PM = pm^2; MP = mp^2;"
-        "pp = distance(d2, a2); mm = distance(d3, a3); pm = distance(d2, a3); mp = distance(d3, a2)"
+        "pp = sqrt(A + ur - vr - 0.5*uv); mm = sqrt(A - ur + vr - 0.5*uv);"
+        "pm = sqrt(A + ur + vr + 0.5*uv); mp = sqrt(A - ur - vr + 0.5*uv); A = r2 + 2*h2;"
+        f"uv = 2*(p2 + q2 - r2 - t2); ur = q2 - r2 - h2; vr = r2 + h2 - p2; h2 = {0.25 * length**2!r};"
+        "q2 = distance(d2, a1)^2; p2 = distance(d1, a2)^2; t2 = distance(d2, a2)^2;"
+        "i3 = i/r; i = 1/r2; r2 = r*r; r = distance(d1, a1)"
     )
 
 
 def add_hbonds(
     force: openmm.CustomHbondForce,
-    groups: Sequence[Sequence[int]],
+    pairs: Iterable[tuple[int, int]],
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Make each two or three particles a donor and an acceptor, not for itself, by the distance of the first (nm)."""
+    """Make each pair of particles a donor and an acceptor, not for itself, by the distance of the first (nm)."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
-    for i, (first, second, *third) in enumerate(groups):
-        force.addDonor(first, second, *(third or [-1]))
-        force.addAcceptor(first, second, *(third or [-1]))
+    for i, (first, second) in enumerate(pairs):
+        force.addDonor(first, second, -1)
+        force.addAcceptor(first, second, -1)
         force.addExclusion(i, i)
     force.setNonbondedMethod(force.CutoffPeriodic)
     force.setCutoffDistance(cutoff)

@@ -57,7 +57,8 @@ def dipole_rod_forces(
     box : sequence of three float
         Edges in nm of the rectangular periodic box of the System.
     boundary : Ewald
-        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision.
+        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision;
+        in single precision errors are 2e-4 at best.
         The default cutoff is three times the mean distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
@@ -108,10 +109,10 @@ def dipole_rod_forces(
     for plus, minus in rods:
         charges.addException(plus, minus, 0.0, 1.0, 0.0)
     attracts = "soft_attraction" in parameters
-    energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, attracts=attracts, wca=wca)
+    energy = soft_rod_energy((cutoff, switch, 0.0), spheres, coupling, length, attracts=attracts, wca=wca)
     near = openmm.CustomHbondForce(energy)
-    groups = [(centre, *rod) for centre, rod in zip(centres, rods, strict=True)]
-    add_hbonds(near, groups, parameters, max(cutoff, spheres.cutoff))
+    middle_and_plus = [(centre, plus) for centre, (plus, _) in zip(centres, rods, strict=True)]
+    add_hbonds(near, middle_and_plus, parameters, max(cutoff, spheres.cutoff))
     near.setName("SoftDipoleForce")
     return charges, near
 

@@ -22,7 +22,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
     Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
     the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
-    bodies become zero. Call it before the Context is created.
+    bodies, and their parameter offsets, become zero. Call it before the Context is created.
 
     Parameters
     ----------
@@ -64,6 +64,12 @@ def _except(force: Any, within: list[Pair]) -> None:
             force.setExceptionParameters(present[pair], *pair, *numbers)
         else:
             force.addException(*pair, *numbers)
+    if isinstance(force, openmm.NonbondedForce):
+        gone = {present[pair] for pair in within if pair in present}
+        for i in range(force.getNumExceptionParameterOffsets()):
+            parameter, exception, *_ = force.getExceptionParameterOffset(i)
+            if exception in gone:
+                force.setExceptionParameterOffset(i, parameter, exception, 0.0, 0.0, 0.0)
 
 
 def _missing(within: list[Pair], present: set[Pair]) -> Iterator[Pair]:

@@ -124,7 +124,8 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Its drift and noise are the error of the step, of the order of the scheme. `totalEnergy` is that at the end of
         the step. With a scheme that ends with a drift behind the heat exchange, such as the default, momenta there lag
         behind the positions, and the sum of the energies fluctuates by an amount proportional to the step size. A
-        barostat or a ``CMMotionRemover`` changes the effective energy too.
+        barostat, a ``CMMotionRemover``, positions or velocities that are set, and with such a scheme also another step
+        size, change the effective energy too.
 
         Raises
         ------

@@ -81,7 +81,7 @@ class NoseHooverChain(Thermostat):
         frequency = plain(self.collisionFrequency, _RATE, "a collision frequency")
         object.__setattr__(self, "temperature", kelvin(self.temperature))
         object.__setattr__(self, "collisionFrequency", frequency)
-        if not (self.temperature > 0.0 and frequency > 0.0):
+        if not (self.temperature > 0.0 and frequency > 0.0 and frequency**2 > 0.0):
             raise ValueError(
                 "a Nosé-Hoover chain needs a temperature and a collision frequency above zero, not "
                 f"{self.temperature:g} K and {frequency:g}/ps"
@@ -254,8 +254,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     def conservedEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange plus that of the chains.
 
-        It is as constant as the total energy of the scheme without a thermostat. A barostat or a ``CMMotionRemover``
-        changes it too.
+        It is as constant as the total energy of the scheme without a thermostat. A barostat, a ``CMMotionRemover`` and
+        positions or velocities that are set change it too.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

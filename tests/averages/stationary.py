@@ -62,12 +62,15 @@ class Motion:
         behind, before = _around_exchange(scheme)
         exchange = expm(h * friction * self.exchange)
         moved = self.basis(self.through(self.z, behind + before, h))
-        step = exchange @ ((self.basis(self.z) * self.w[:, None]).T @ moved)
-        rest = np.linalg.solve(np.eye(len(step) - 1) - step.T[1:, 1:], step.T[1:, 0])  # the first function is 1
-        density = exchange.T @ np.concatenate([[1.0], rest])
+        density = exchange.T @ self.left_alone(exchange @ ((self.basis(self.z) * self.w[:, None]).T @ moved))
         read = self.through(self.z, behind, h)
         weight = self.basis(self.z) @ density * self.w
         return np.array([weight @ f(read) for f in observables])
+
+    def left_alone(self, step):
+        """Return the density, in the basis, that a step leaves alone."""
+        # The first function is 1.
+        return np.concatenate([[1.0], np.linalg.solve(np.eye(len(step) - 1) - step.T[1:, 1:], step.T[1:, 0])])
 
     def remaining(self, friction, source):
         """Return phi, at the nodes, of (friction * exchange - flow) phi = source."""
@@ -216,6 +219,21 @@ class Rotor(Motion):
         push = field * (1.0 - u * u)
         return u, s + push, square + 2.0 * field * s + field * push
 
+    def through_chord(self, h, friction, nodes=4):
+        """Return the means of the basis after the kick and the drift of LangevinMiddleIntegrator, by quadrature."""
+        u, s, e = self.kick(self.z, h, 0.0)
+        side = np.sqrt(1.0 - u * u)
+        x, up, across = np.stack([side, 0 * u, u]), np.stack([-u, 0 * u, side]), np.stack([0 * u, 0 * u + 1.0, 0 * u])
+        v = s / side * up + np.sqrt(np.maximum(e - (s / side) ** 2, 0.0)) * across
+        decay = np.exp(-h * friction)
+        noise, weights = np.polynomial.hermite_e.hermegauss(nodes)
+        means = 0.0
+        for i, j, k in np.ndindex(nodes, nodes, nodes):
+            after = decay * v + np.sqrt(1.0 - decay**2) * (noise[i] * x + noise[j] * up + noise[k] * across)
+            (_, _, z), (*_, s), e = (lambda n, w: (n, w, (w * w).sum(axis=0)))(*chord(x, v, after, h))
+            means = means + weights[[i, j, k]].prod() / weights.sum() ** 3 * self.basis((z, s, e))
+        return means
+
     @property
     def observables(self):
         mu = self.mu
@@ -237,6 +255,18 @@ class Rotor(Motion):
         return self.mu**2 * (1.0 - z[0] ** 2)
 
     work = square
+
+
+def chord(x, v, after, h):
+    """Return the place (3, n) on the unit sphere and the velocity behind a drift of LangevinMiddleIntegrator.
+
+    Half of it has the velocity v and half the one after the heat exchange, which may leave the sphere.
+    """
+    way = 0.5 * h * (v + after)
+    along = way - (way * x).sum(axis=0) * x
+    n = np.sqrt(1.0 - (along**2).sum(axis=0)) * x + along
+    w = after + (n - x - way) / h
+    return n, w - (w * n).sum(axis=0) * n
 
 
 def _gauss(weight, edge, n):

@@ -38,7 +38,7 @@ def rotors(integrator, strength=2.0):
     x[:, :, 0] = 3.0 * np.arange(COUNT)[:, None]
     x[:, 1, 2] = length
     simulation.context.setPositions(x.reshape(-1, 3))
-    integrator.setVelocitiesToTemperature(300.0, 1)
+    simulation.context.setVelocitiesToTemperature(300.0, 1)
     return simulation
 
 
@@ -92,7 +92,7 @@ def water(integrator, *forces):
         system.addForce(force)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions(positions)
-    integrator.setVelocitiesToTemperature(300.0, 2)
+    simulation.context.setVelocitiesToTemperature(300.0, 2)
     return simulation
 
 
@@ -208,7 +208,7 @@ def test_the_pressure_is_that_of_openmm(tmp_path, model):
     integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 5.0, 0.001)
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("Reference"))
     simulation.context.setPositions(positions)
-    integrator.setVelocitiesToTemperature(300.0, 2)
+    simulation.context.setVelocitiesToTemperature(300.0, 2)
     file = tmp_path / "water.csv"
     with reporting(simulation, file, 1, pressure=True):
         simulation.step(3)
@@ -294,11 +294,10 @@ def test_a_run_continues_its_file_and_no_other(tmp_path):
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: rb.ExactRigidBodyIntegrator(0.002), "only for Langevin dynamics of this package"),
-        (
-            lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002),
-            "only for Langevin dynamics of this package",
-        ),
+        (lambda: rb.ExactRigidBodyIntegrator(0.002), "only for Langevin dynamics: use ExactRigidBodyLangevin"),
+        (lambda: rb.ExactRigidBodyNoseHooverIntegrator(300.0, 1.0, 0.002), "LangevinMiddleIntegrator instead of Exact"),
+        (lambda: openmm.BrownianIntegrator(300.0, 1.0, 0.002), "instead of BrownianIntegrator"),
+        (lambda: openmm.LangevinMiddleIntegrator(300.0, 0.0, 0.002), "with friction: set one above 0"),
         (lambda: rb.ExactRigidBodyLangevinIntegrator(300.0, 0.0, 0.002), "with friction: set one above 0"),
         (
             lambda: rb.ExactRigidBodyLangevinIntegrator(

@@ -10,6 +10,8 @@ from openmm import unit
 import openmm_exactrb as rb
 import starts
 from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.detection.whole import constraints, whole_positions
+from openmm_exactrb.mathematics import quaternions
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 SEEDS = st.integers(0, 2**32 - 1)
@@ -189,6 +191,82 @@ def test_bodies_without_bonds_have_the_shape_that_others_of_their_masses_show():
     np.testing.assert_allclose(kind.inertia[0], 12.0 * 6.0 * 0.14**2 * np.array([0.5, 0.5, 1.0]), rtol=1e-9)
 
 
+def copies_of(shape, box, rng, turn=True):
+    """Return three copies of a shape, turned or not, anywhere in a box, and their particles."""
+    placed = []
+    for hand in (1.0, 1.0, -1.0 if turn else 1.0):
+        Q = hand * quaternions.rotation_matrix(quaternions.random(rng, 1))[0] if turn else np.eye(3)
+        placed.append(shape @ Q.T + rng.uniform(0.0, 1.0, 3) @ box)
+    k = len(shape)
+    return np.concatenate(placed), [range(first, first + k) for first in (0, k, 2 * k)]
+
+
+def apart_within(bodies, x):
+    return [apart(x[list(body)]) for body in bodies]
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_three_bodies_without_bonds_have_the_shape_that_images_of_all_can_have(seed):
+    """However wide their gaps are, and if one is a mirror image."""
+    rng = np.random.default_rng(seed)
+    box = random_box(rng)
+    x, named = copies_of(random_body(rng, box), box, rng)
+    system = system_of(len(x), box)
+    for images in (x, wrapped(x, box), x + rng.integers(-1, 2, x.shape) @ box):
+        found = whole_positions(system, images, np.full(len(x), 12.0), named, box, constraints(system))
+        np.testing.assert_allclose(apart_within(named, found), apart_within(named, x), rtol=0.0, atol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SEEDS)
+def test_bodies_of_equal_masses_may_have_different_shapes(seed):
+    rng = np.random.default_rng(seed)
+    box = random_box(rng)
+    x = np.concatenate([0.25 * rng.uniform(0.0, 1.0, (4, 3)) @ box + rng.uniform(0.0, 1.0, 3) @ box for _ in "abc"])
+    system, named = system_of(12, box), [range(4), range(4, 8), range(8, 12)]
+    assert whole_positions(system, x, np.full(12, 12.0), named, box, constraints(system)) is x
+
+
+@pytest.mark.parametrize("length", [1.4, 0.3])
+def test_dumbbells_side_by_side_of_two_lengths_across_the_box_are_refused_unless_one_is_short(length):
+    x = np.array([[k, place, 1.0] for place in (0.5, 1.5) for k in (1.5, 1.5 + length)])
+    given = x.copy()
+    given[3, 0] -= 3.0
+    system, named = system_of(4, CUBE), [[0, 1], [2, 3]]
+    if length == 0.3:
+        np.testing.assert_allclose(find_bodies(system, given, named, CUBE).inertia[:, 2], 6.0 * length**2, rtol=1e-12)
+        return
+    with pytest.raises(ValueError, match=r"shapes that are the same across the periodic box, where .* 1\.4 nm"):
+        find_bodies(system, given, named, CUBE)
+
+
+def test_bodies_of_a_file_that_rounds_are_joined_too():
+    x = np.round(rings_of_six([[1.0, 1.0, 1.0], [3.0, 1.2, 1.0], [1.03, 3.01, 2.97]]), 3)
+    named = [range(6), range(6, 12), range(12, 18)]
+    system = system_of(18, CUBE)
+    found = find_bodies(system, np.round(wrapped(x, CUBE), 3), named, CUBE)
+    np.testing.assert_allclose(found.inertia, find_bodies(system, x, named).inertia, rtol=1e-9)
+
+
+def test_a_pair_that_looks_split_is_taken_as_it_is_given_with_a_warning():
+    x = np.array([[0.05, 1.0, 1.0], [2.95, 1.0, 1.0]])
+    with pytest.warns(rb.ShapeWarning, match=r"gap of 2\.9 nm .* would have one of 0\.1 nm"):
+        bodies = find_bodies(system_of(2, CUBE), x, [[0, 1]], CUBE)
+    assert bodies.inertia[0, 2] == pytest.approx(6.0 * 2.9**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("place", [1.0, 2.5])
+def test_a_wide_pair_is_refused_where_the_box_has_split_others_unless_it_leaves_the_cell(place):
+    x = np.array([[place, 1.0, 1.0], [place + 1.0, 1.0, 1.0], [0.05, 2.0, 2.0], [2.95, 2.0, 2.0]])
+    system = system_of(4, CUBE, [(2, 3, 0.1)])
+    if place == 2.5:
+        assert find_bodies(system, x, [[0, 1]], CUBE).inertia[0, 2] == pytest.approx(6.0, rel=1e-12)
+        return
+    with pytest.raises(ValueError, match=r"gap of 1 nm may be one of 2 nm across the box: set positions in which"):
+        find_bodies(system, x, [[0, 1]], CUBE)
+
+
 def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
     x = wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE)
     with pytest.warns(rb.ShapeWarning, match=r"body 0 has a gap of 2\.72 nm and is taken as it is given"):
@@ -199,7 +277,7 @@ def test_a_body_that_looks_split_is_taken_as_it_is_given_with_a_warning():
 def test_a_body_without_bonds_is_refused_where_other_molecules_are_split():
     x = np.concatenate([wrapped(rings_of_six([[3.0, 1.0, 1.0]]), CUBE), [[0.05, 2.0, 2.0], [2.95, 2.0, 2.0]]])
     with pytest.raises(
-        ValueError, match=r"has split molecules, and body 0 has a gap of 2\.72 nm that is 0\.14 nm across"
+        ValueError, match=r"body 0 is ambiguous, because its gap of 2\.72 nm may be one of 0\.14 nm across"
     ):
         find_bodies(system_of(8, CUBE, [(6, 7, 0.1)]), x, [range(6)], CUBE)
 

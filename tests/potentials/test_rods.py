@@ -5,7 +5,9 @@ import openmm
 import pytest
 
 import openmm_exactrb as rb
+import starts
 from force_laws import assert_lawful, context_of, evaluated
+from on_device import platform_for
 from openmm_exactrb.potentials import dipole_rod_forces, rod_length
 
 STATE = {"seed": 3, "perturbation": 0.08, "density": 0.6, "dipole": (0.0, 0.6, 0.8), "epsilon": 1e-9}
@@ -62,6 +64,18 @@ def test_what_is_added_within_the_cutoff_is_lawful(rng):
     assert_lawful(near, x, 3 * [edge])
     moments = sum(charges.getParticleParameters(i)[0]._value * x[i] for i in (0, 1))
     assert np.linalg.norm(moments) * 138.93545764438198**0.5 == pytest.approx(1.5, rel=1e-12)
+
+
+@pytest.mark.parametrize("boundary", [rb.Ewald(cutoff=1.5, tolerance=1e-3), rb.ReactionField(cutoff=0.7)])
+def test_a_device_has_the_energies_and_forces_of_reference(boundary):
+    _, system, positions = rb.dipole_fluid(27, kernel="openmm", boundary=boundary, **STATE | {"epsilon": 1.0})
+    energy, forces = evaluated(context_of(system, positions))
+    platform, properties = platform_for("device")
+    on_device, forces_there = evaluated(
+        starts.context_of(system, openmm.VerletIntegrator(0.001), positions, platform=platform, properties=properties)
+    )
+    assert on_device == pytest.approx(energy, rel=1e-4)  # each platform has its own mesh
+    assert apart(forces_there, forces) < 1e-4
 
 
 def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():

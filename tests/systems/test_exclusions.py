@@ -113,6 +113,36 @@ def test_all_forces_exclude_the_same_pairs_and_a_second_call_changes_nothing():
     assert openmm.XmlSerializer.serialize(system) == text
 
 
+@pytest.mark.parametrize("method", ["CutoffPeriodic", "PME", "LJPME"])
+def test_offsets_of_exceptions_within_go_and_others_stay(method):
+    """An energy that depends on a parameter of the Context loses what does so within bodies."""
+    system, x, bodies = mixture(True)
+    for _ in range(system.getNumForces() - 1):  # which would need the same exceptions
+        system.removeForce(1)
+    (pairs,) = system.getForces()
+    pairs.setNonbondedMethod(getattr(pairs, method))
+    outside = pairs.addException(bodies[0][0], bodies[0][0] + K + 1, 0.05, 0.2, 0.1)
+    pairs.addGlobalParameter("scale", 0.0)
+    for exception in (0, outside):
+        pairs.addExceptionParameterOffset("scale", exception, 0.1, 0.02, 0.3)
+    changes = []
+    for excludes in (False, True):
+        if excludes:
+            rb.exclude_within(system, bodies)
+        context = openmm.Context(system, openmm.VerletIntegrator(0.001), REFERENCE)
+        context.setPositions(x)
+        context.computeVirtualSites()
+        forces = []
+        for scale in (0.0, 1.0):
+            context.setParameter("scale", scale)
+            forces.append(context.getState(forces=True).getForces(asNumpy=True)._value)
+        change = forces[1] - forces[0]
+        changes.append(np.concatenate([change[bodies[0]].sum(axis=0), change[bodies[0][0] + K + 1]]))
+        assert (np.abs(change[bodies[0][1]]).max() < 1e-10) == excludes
+    assert np.abs(changes[0]).max() > 0.1
+    np.testing.assert_allclose(*changes, rtol=0.0, atol=1e-9)
+
+
 def test_trial_moves_of_a_barostat_have_the_same_energy_differences():
     """What a barostat asks for: molecules are moved as wholes when the box is scaled, and the energies compared."""
     system, x, bodies = mixture(True)

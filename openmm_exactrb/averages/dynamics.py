@@ -1,0 +1,175 @@
+"""What corrections need to know of an integrator: Langevin dynamics of this package, or OpenMM's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import openmm
+from numpy.typing import NDArray
+from openmm import unit
+
+from openmm_exactrb.averages.chord import Chords
+from openmm_exactrb.context.updates import acting_updates
+from openmm_exactrb.detection.find import find_bodies
+from openmm_exactrb.detection.whole import constraints
+from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.mechanics.fit import fit
+from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
+from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
+from openmm_exactrb.schemes import scheme_for_thermostat
+from openmm_exactrb.schemes.second_order import SecondOrder, second_order
+from openmm_exactrb.schemes.thermostatted import with_thermostat
+from openmm_exactrb.thermostats.langevin import Langevin
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Langevin dynamics with one exchange of heat a step.
+
+    Attributes
+    ----------
+    scheme : str
+    step : float
+        In ps.
+    order : SecondOrder
+    temperature : float
+        In K.
+    frictions : tuple of float
+        In 1/ps.
+    freedom : int
+        Degrees of freedom.
+    bodies : RigidBodies
+    named : sequence of sequences of int
+        Bodies that a user named.
+    state : callable
+        Returns the state of the bodies at the positions (n_particles, 3) of the Context.
+    damping : (N,) and (K,) arrays
+        Frictions of translation and of rotation, over their mean for a degree of freedom.
+    fast : FastForces, optional
+        Forces of the drifts.
+    chords : Chords, optional
+        Of drifts that are no free motion.
+    changing : callable
+        Returns the settings that a user may change in a run.
+    """
+
+    scheme: str
+    step: float
+    order: SecondOrder
+    temperature: float
+    frictions: tuple[float, ...]
+    freedom: int
+    bodies: RigidBodies
+    named: Sequence[Sequence[int]] | None
+    state: Callable[[Array], BodyState]
+    damping: tuple[Array, Array]
+    fast: FastForces | None
+    chords: Chords | None
+    changing: Callable[[], object]
+
+
+def dynamics_of(simulation: Any) -> Dynamics:
+    """Return what corrections need to know of a Simulation's integrator.
+
+    Raises
+    ------
+    ValueError
+        If the theory does not hold for it.
+    """
+    integrator = simulation.integrator
+    theirs = isinstance(integrator, openmm.LangevinMiddleIntegrator)
+    if not theirs and not (
+        isinstance(integrator, ExactRigidBodyIntegrator) and isinstance(integrator.getThermostat(), Langevin)
+    ):
+        raise ValueError(
+            "averages can be corrected only for Langevin dynamics: use ExactRigidBodyLangevinIntegrator or OpenMM's "
+            f"LangevinMiddleIntegrator instead of {type(integrator).__name__}"
+        )
+    frictions = _frictions_of_openmm(integrator) if theirs else _frictions(integrator.getThermostat())
+    if not any(frictions):
+        raise ValueError("averages can be corrected only for Langevin dynamics with friction: set one above 0")
+    if integrator.getIntegrationForceGroups() & 0xFFFFFFFF != 0xFFFFFFFF:
+        raise ValueError(
+            "averages can be corrected only if the integrator uses all force groups: call setIntegrationForceGroups"
+        )
+    return _of_openmm(simulation, frictions) if theirs else _of_this_package(simulation, frictions)
+
+
+def _frictions(thermostat: Langevin) -> tuple[float, ...]:
+    return tuple(dict.fromkeys((*thermostat.frictions, *thermostat.flexible_frictions)))
+
+
+def _frictions_of_openmm(integrator: openmm.LangevinMiddleIntegrator) -> tuple[float, ...]:
+    return (integrator.getFriction().value_in_unit(unit.picosecond**-1),)
+
+
+def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
+    integrator, context = simulation.integrator, simulation.context
+    thermostat, step = integrator.getThermostat(), integrator.getStepSize()._value
+    bodies = integrator.bodyState()[0]
+    fast = fast_forces(simulation.system, bodies, integrator.getMultipleTimeSteps())
+    return Dynamics(
+        scheme=integrator.getScheme().name,
+        step=step,
+        order=second_order(thermostat.steps(integrator.getScheme())),
+        temperature=thermostat.temperature,
+        frictions=frictions,
+        freedom=sum(integrator.degreesOfFreedom()),
+        bodies=bodies,
+        named=integrator.getNamedBodies(),
+        state=lambda _: integrator.bodyState()[1],
+        damping=_damping(thermostat, bodies, in_flexible_molecules(context, bodies, integrator.getNamedBodies())),
+        fast=fast if fast is not None and fast.acts(integrator.getScheme(), step) else None,
+        chords=None,
+        changing=lambda: (integrator.getStepSize()._value, integrator.getThermostat(), integrator.getScheme()),
+    )
+
+
+def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
+    """Return the dynamics of a LangevinMiddleIntegrator: BAOA, whose drifts are chords."""
+    integrator, context, system = simulation.integrator, simulation.context, simulation.system
+    if any(isinstance(force, openmm.AndersenThermostat) for force in acting_updates(context)):
+        raise ValueError("averages cannot be corrected with an AndersenThermostat in addition: remove it")
+    x = arrays.positions(context.getState(positions=True))
+    bodies = find_bodies(system, x, box=arrays.periodic_box(context))
+    removed = 3 * any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
+    return Dynamics(
+        scheme="LangevinMiddle",
+        step=integrator.getStepSize().value_in_unit(unit.picosecond),
+        order=second_order(with_thermostat(scheme_for_thermostat("BAOA"))),
+        temperature=integrator.getTemperature().value_in_unit(unit.kelvin),
+        frictions=frictions,
+        freedom=bodies.translational_freedom + bodies.rotational_freedom - removed,
+        bodies=bodies,
+        named=None,
+        state=lambda positions: fit(bodies, positions, np.zeros_like(positions)),
+        damping=(np.ones(len(bodies)), np.ones(bodies.n_turning)),
+        fast=None,
+        chords=Chords(bodies, constraints(system)[0], x),
+        changing=lambda: (
+            integrator.getStepSize()._value,
+            integrator.getTemperature()._value,
+            integrator.getFriction()._value,
+        ),
+    )
+
+
+def _damping(thermostat: Langevin, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the frictions of bodies, some of which are in flexible molecules, over their mean."""
+    rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
+    translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
+    rotation = rotation[: bodies.n_turning]
+    freedom = np.full(len(bodies), 3.0)
+    if len(bodies.clusters):
+        freedom[bodies.clustered] *= bodies.clusters.degrees_of_freedom / (3.0 * len(bodies.clusters.mass))
+    turning = (bodies.principal_moments > 0.0).sum(axis=0)
+    mean = (translation @ freedom + rotation @ turning) / (freedom.sum() + turning.sum())
+    return translation / mean, rotation / mean
