@@ -40,6 +40,13 @@ def pytest_collection_finish():
     gc.enable()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def few_objects_to_search():
+    """Leave out what earlier tests made, such as compiled kernels, where the Context of an integrator is searched."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture
 def rng():
     return np.random.default_rng(20)

@@ -1,5 +1,6 @@
 """The recipes in docs/contributing.md, carried out as a reader would type them."""
 
+import copy
 import io
 import os
 import re
@@ -89,8 +90,8 @@ def carried_out(root, *arguments):
 @pytest.fixture(scope="module")
 def tested(checkout):
     """Return what the tests say of the scheme and the rotor."""
-    tests = "tests/schemes", "tests/rotors/test_rotors.py", "-k", "VEFRL or axes_321"
-    return carried_out(checkout, "-m", "pytest", *tests, "-v", "-p", "no:cacheprovider")
+    tests = [f"tests/{name}.py" for name in ("schemes/test_scheme_laws", "schemes/test_schemes", "rotors/test_rotors")]
+    return carried_out(checkout, "-m", "pytest", *tests, "-k", "VEFRL or axes_321", "-v", "-p", "no:cacheprovider")
 
 
 def named(page, name):
@@ -257,34 +258,23 @@ def test_a_reporter_asks_the_integrator():
     assert [float(T) for T in rows[-1][1:]] == [T._value for T in integrator.temperatures()]
 
 
-FADING = """
-import copy, sys
-import numpy as np, openmm, openmm_exactrb as rb
-names, method = {}, {}
-exec(sys.argv[1], names)
-exec(sys.argv[2], method)
-names["Friction"].device_moves = method["device_moves"]
-_, system, positions = rb.rigid_water(3)
-found = []
-for engine in ("host", "device"):
-    integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
-    platform = openmm.Platform.getPlatform("OpenCL")
-    context = openmm.Context(copy.deepcopy(system), integrator, platform, {"Precision": "double"})
-    context.setPositions(positions)
-    integrator.setVelocitiesToTemperature(300.0, 1)
-    integrator.step(20)
-    assert integrator.getEngine() == engine
-    found.append([np.asarray(a) for a in integrator.bodyState()[1]])
-for host, device in zip(*found, strict=True):
-    np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-12)
-"""
-
-
 @pytest.mark.opencl
 def test_a_device_stage_is_one_method_and_moves_as_on_the_host():
-    device_platform(["OpenCL"])
-    (friction,), (method,) = recipe("A substep")[1], recipe("A device stage")[1]
-    carried_out(ROOT, "-c", FADING, friction, method)
+    names = typed("A substep")
+    names["Friction"].device_moves = typed("A device stage")["device_moves"]
+    _, system, positions = rb.rigid_water(3)
+    found = []
+    for engine in ("host", "device"):
+        integrator = rb.ExactRigidBodyIntegrator(0.001, names["damped"], engine=engine)
+        platform = device_platform(["OpenCL"])
+        context = openmm.Context(copy.deepcopy(system), integrator, platform, {"Precision": "double"})
+        context.setPositions(positions)
+        integrator.setVelocitiesToTemperature(300.0, 1)
+        integrator.step(20)
+        assert integrator.getEngine() == engine
+        found.append([np.asarray(a) for a in integrator.bodyState()[1]])
+    for host, device in zip(*found, strict=True):
+        np.testing.assert_allclose(device, host, rtol=0.0, atol=1e-12)
 
 
 def test_a_substep_without_a_device_stage_is_left_to_the_host():

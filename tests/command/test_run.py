@@ -11,7 +11,7 @@ import numpy as np
 import openmm
 import pytest
 from openmm import app, unit
-from processes_of_command import finish, launch
+from processes_of_command import launch
 
 import openmm_exactrb as rb
 from openmm_exactrb.command.equilibration import candidates
@@ -75,10 +75,10 @@ def test_an_interval_of_forces_is_a_step(serialised, tmp_path, capsys):
     assert files[0] == files[1]
 
 
-def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path):
+def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path, capsys):
     once, killed = tmp_path / "once", tmp_path / "killed"
     command = "run", *serialised, *SHORT, "--checkpoint", 0, "--no-picture", "--out"
-    assert finish(*command, once, "--duration", "0.4")[0] == 0
+    assert carry_out(capsys, *command, once, "--duration", "0.4")[0] == 0
     process = launch(*command, killed, "--duration", "0.4")
     energies = killed / "energies.csv"
     while process.poll() is None and not (energies.exists() and energies.read_text(encoding="utf-8").count("\n") > 8):
@@ -86,7 +86,7 @@ def test_a_run_that_was_killed_ends_in_the_same_bytes(serialised, tmp_path):
     process.kill()
     process.communicate()
     assert energies.read_text(encoding="utf-8").count("\n") < 102, "it was killed too late"
-    status, _, errors = finish(*command, killed, "--duration", "0.4", "--resume")
+    status, _, errors = carry_out(capsys, *command, killed, "--duration", "0.4", "--resume")
     assert (status, errors) == (0, "")
     assert energies.read_bytes() == (once / "energies.csv").read_bytes()
     top = str(once / "topology.pdb")
@@ -208,8 +208,8 @@ def test_a_state_does_not_bring_the_pressure_that_it_was_saved_at(box, tmp_path,
         content = context.getState(positions=True, velocities=moving, parameters=parameters)
         file.write_text(openmm.XmlSerializer.serialize(content))
     assert "MonteCarloPressure" in with_parameters.read_text(encoding="utf-8")
-    options = "--ensemble", "npt", "--pressure", "500", "--temperature", "280", "--duration", "0.2", "--no-picture"
-    options += () if moving else ("--equilibrate", "0.05")
+    options = "--ensemble", "npt", "--pressure", "500", "--temperature", "280", "--duration", "0.1", "--no-picture"
+    options += () if moving else ("--equilibrate", "0.01")
     volumes = []
     for file in (files[1], with_parameters):
         out = tmp_path / file.stem

@@ -18,17 +18,15 @@ from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble import Job, workers
 from openmm_exactrb.ensemble.jobs import versions
 
+# On workers that are there, so that it soon begins.
 SCRIPT = """
-import sys, time
+import sys
+folder, scheduler, *sys.path[:0] = sys.argv[1:]
 from openmm_exactrb import ensemble
+from job_functions import slow
 
-def slow_square(x):
-    time.sleep(0.1)
-    return {"square": x * x}
-
-if __name__ == "__main__":
-    for result in ensemble.as_completed(ensemble.sweep(slow_square, {"x": range(8)}), sys.argv[1], workers=1):
-        print(result.cached, result.job.arguments["x"], result.value["square"], flush=True)
+for result in ensemble.as_completed(ensemble.sweep(slow, {"x": range(8)}), folder, scheduler=scheduler):
+    print(result.cached, result.job.arguments["x"], result.value, flush=True)
 """
 
 
@@ -82,10 +80,9 @@ def test_job_that_kills_its_workers_is_given_up(tmp_path):
     assert [result.value for result in alive] == [9, 16]
 
 
-def test_killed_script_continues_where_it_stopped(tmp_path):
-    script, kept = tmp_path / "script.py", tmp_path / "kept"
-    script.write_text(SCRIPT)
-    command = [sys.executable, str(script), str(kept)]
+def test_killed_script_continues_where_it_stopped(tmp_path, scheduler):
+    kept = tmp_path / "kept"
+    command = [sys.executable, "-c", SCRIPT, str(kept), scheduler, *sys.path]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         for _ in range(3):
             process.stdout.readline()
@@ -96,7 +93,7 @@ def test_killed_script_continues_where_it_stopped(tmp_path):
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [line[0] for line in lines] == ["True"] * len(finished) + ["False"] * (8 - len(finished))
-    assert {(int(x), int(y)) for _, x, y in lines} == {(x, x * x) for x in range(8)}
+    assert {(int(x), int(value)) for _, x, value in lines} == {(x, x) for x in range(8)}
     assert all(file.stat().st_mtime_ns == then for file, then in finished.items())
     assert len(list(kept.iterdir())) == 8
     assert "8/8" in done.stderr

@@ -12,7 +12,7 @@ import time
 import mdtraj
 import numpy as np
 import pytest
-from processes import EXAMPLES, SETTINGS, finish, launch
+from processes import finish, launch
 from small_droplets import COMMAND, STEPS, check_joined, one_line
 
 from openmm_exactrb.runs import checkpoint
@@ -100,25 +100,35 @@ def test_a_signal_ends_the_run_with_a_checkpoint_and_says_how_to_resume(tmp_path
     check_joined(out, whole)
 
 
+# In a mount namespace of its own, which goes with the process.
+FULL = """
+import subprocess, sys
+folder, *sys.path[:0] = sys.argv[1:]
+from processes import finish
+from small_droplets import COMMAND
+
+def run(name, *options):
+    return finish(f"{folder}/{name}", *COMMAND, "--out", f"{folder}/disk/out", "--checkpoint", 0.02, *options)[0]
+
+if __name__ == "__main__":
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20k", "tmpfs", f"{folder}/disk"], check=True)
+    print(run("full"), run("again", "--resume"))
+    subprocess.run(["mount", "-o", "remount,size=10m", f"{folder}/disk"], check=True)
+    print(run("errors", "--resume", "--checkpoint", 60))
+    subprocess.run(["cp", "-r", f"{folder}/disk/out", f"{folder}/out"], check=True)
+"""
+
+
 def test_a_full_disk_is_one_line_and_the_run_resumes_when_there_is_room(tmp_path, whole):
-    """On a file system that is really full, in a mount namespace that goes with the shell."""
+    """On a file system that is really full."""
     if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
         pytest.skip("no rights to mount a small file system")
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    script = f"""
-        mount -t tmpfs -o size=20k tmpfs {disk}
-        "$@" 2> {tmp_path}/full; echo $? > {tmp_path}/status
-        "$@" --resume 2>> {tmp_path}/again
-        mount -o remount,size=10m {disk}
-        "$@" --resume --checkpoint 60 || exit 1
-        cp -r {disk}/out {tmp_path}/out
-    """
-    command = [sys.executable, EXAMPLES / COMMAND[0], *COMMAND[1:], "--out", disk / "out", "--checkpoint", 0.02]
-    shell = ["unshare", "-rm", "sh", "-c", script, "sh", *map(str, command)]
-    done = subprocess.run(shell, capture_output=True, text=True, env=os.environ | SETTINGS)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "status").read_text(encoding="utf-8") == "1\n"
+    (tmp_path / "disk").mkdir()
+    script = tmp_path / "full_disk.py"
+    script.write_text(FULL)
+    command = ["unshare", "-rm", sys.executable, str(script), str(tmp_path), *sys.path]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "1 1\n0\n"), done.stderr
     assert "No space left on device" in one_line((tmp_path / "full").read_text(encoding="utf-8"))
     assert "No space left on device" in one_line((tmp_path / "again").read_text(encoding="utf-8"))
     check_joined(tmp_path / "out", whole)

@@ -152,7 +152,7 @@ def test_a_worker_killed_while_it_starts_is_reported(tmp_path):
 
 def test_tuning_shows_progress_unless_asked_not_to(capfd):
     _, system, positions = rb.dipole_fluid(4, trap=0.5)
-    few = {"schemes": ["V2"], "temperature": 30, "duration": 0.5, "levels": 3, "platform": "Reference"}
+    few = {"schemes": ["V2"], "temperature": 30, "duration": 0.1, "levels": 3, "platform": "Reference"}
     rb.tune(system, positions, **few)
     told = capfd.readouterr()
     assert len(told.err.splitlines()) >= 3

@@ -18,7 +18,9 @@ from openmm_exactrb.openmm_access import platforms
 from openmm_exactrb.thermostats.hybrid import ExactRigidBodyHybridIntegrator
 
 pytestmark = pytest.mark.opencl
+LONG = pytest.mark.validate
 H = 0.001
+SAVED = ("checkpoint", "W2_1"), ("State", "S2_2")
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +58,9 @@ def lengths(context):
     return np.array([np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in ((0, 1), (0, 2), (1, 2))])
 
 
-@pytest.mark.parametrize(("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), ("S6_10", 10), ("BAOA", 1)])
+@pytest.mark.parametrize(
+    ("scheme", "forces"), [("S2_2", 2), ("W2_1", 1), pytest.param("S6_10", 10, marks=LONG), ("BAOA", 1)]
+)
 def test_a_step_launches_one_kernel_a_force_and_a_call_a_few_more(box, scheme, forces):
     thermal = scheme == "BAOA"
     context = on_device(
@@ -71,7 +75,7 @@ def test_a_step_launches_one_kernel_a_force_and_a_call_a_few_more(box, scheme, f
     assert device.launches - launches <= steps * forces + 5
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
+@pytest.mark.parametrize("scheme", [pytest.param("S2_2", marks=LONG), "W2_1"])
 def test_what_is_set_between_calls_is_taken_up_as_on_the_host(box, scheme):
     contexts = pair(*box, lambda engine: rb.ExactRigidBodyIntegrator(H, scheme, engine=engine))
     for change in range(6):
@@ -112,7 +116,7 @@ def test_a_parameter_and_a_box_act_from_the_next_call_on(box):
     assert apart(*contexts) < 1e-11
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
+@pytest.mark.parametrize("scheme", [pytest.param("S2_2", marks=LONG), "W2_1"])
 @pytest.mark.parametrize(
     "barostat",
     [
@@ -143,7 +147,7 @@ def test_a_barostat_moves_whole_bodies_with_the_box(box, barostat, scheme):
     np.testing.assert_allclose(lengths(context), before, rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize(("scheme", "frequency"), [("S2_2", 1), ("W2_1", 1), ("S2_2", 3)])
+@pytest.mark.parametrize(("scheme", "frequency"), [pytest.param("S2_2", 1, marks=LONG), ("W2_1", 1), ("S2_2", 3)])
 def test_the_motion_of_the_centre_of_mass_is_removed_as_on_the_host(box, scheme, frequency):
     system = copy.deepcopy(box[0])
     system.addForce(openmm.CMMotionRemover(frequency))
@@ -179,8 +183,10 @@ def test_molecules_that_openmm_wraps_and_reorders_move_on(box):
     assert apart(*contexts) < 1e-3  # chaos has had its time, and no box vector is between them
 
 
-@pytest.mark.parametrize("scheme", ["S2_2", "W2_1"])
-@pytest.mark.parametrize("how", ["checkpoint", "State"])
+@pytest.mark.parametrize(
+    ("how", "scheme"),
+    [("checkpoint", "S2_2"), ("State", "W2_1"), *(pytest.param(*case, marks=LONG) for case in SAVED)],
+)
 def test_a_new_context_continues_with_the_same_bits(box, scheme, how):
     def fresh():
         integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 1.0, H, engine="device") if scheme == "S2_2" else make()
