@@ -15,6 +15,15 @@ from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
 from openmm_exactrb.thermostats import NoseHooverChain, StochasticRescaling
 from peptides import in_water
 
+# Each precision and each kind of GPU once; all combinations with --validate.
+BUILDS = pytest.mark.parametrize(
+    ("precision", "arch"),
+    [
+        pytest.param(precision, arch, marks=[] if i == j else pytest.mark.validate)
+        for i, precision in enumerate(("single", "mixed", "double"))
+        for j, arch in enumerate(("80", "90", "120"))
+    ],
+)
 UPDATES = SimpleNamespace(pushes=True, removes_motion=True, moves=True)
 
 
@@ -45,8 +54,7 @@ def assert_none_spills(texts, arch, precision, folder):
         assert {name: spilled for name, (_, spilled) in found.items() if spilled} == {}
 
 
-@pytest.mark.parametrize("arch", ["80", "90", "120"])
-@pytest.mark.parametrize("precision", ["single", "mixed", "double"])
+@BUILDS
 @pytest.mark.parametrize(
     ("scheme", "thermostat", "start"),
     [
@@ -62,8 +70,7 @@ def test_kernels_compile_for_cuda_and_spill_nothing(scheme, thermostat, start, p
 
 
 @pytest.mark.opencl
-@pytest.mark.parametrize("arch", ["80", "90", "120"])
-@pytest.mark.parametrize("precision", ["single", "mixed", "double"])
+@BUILDS
 @pytest.mark.parametrize(("scheme", "constraints"), [("W2_3m", "HBonds"), ("BAOA", "AllBonds")])
 def test_inner_steps_compile_for_cuda_and_spill_nothing(scheme, constraints, precision, arch, tmp_path):
     cuda.installed("nvidia/cuda_nvcc/bin/ptxas")
