@@ -6,13 +6,18 @@ BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 LOWEST ?= .venv-lowest
 ARGS ?=
 
-.PHONY: run test lowest lint docs browse linkcheck validate benchmarks paper dist clean
+.PHONY: run test cuda-check lowest lint docs browse linkcheck validate benchmarks paper dist clean
 
 run: $(VENV)/.run
 	$(BIN)/python examples/dipole_fluid.py --compare --overwrite $(ARGS)
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n auto $(ARGS)
+
+# Compiles all kernels for CUDA, without a GPU.
+cuda-check: $(VENV)/.test
+	$(BIN)/python -m pip install --quiet --editable ".[cuda-check]"
+	$(BIN)/python -m pytest -n auto tests/engines/device/test_cuda.py $(ARGS)
 
 lowest: $(LOWEST)/.test
 	$(LOWEST)/bin/python -m pytest -n auto -W ignore::DeprecationWarning $(ARGS)

@@ -8,6 +8,7 @@ on; every seed is a run, and one row of the record.
 
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
+    python benchmarks/water/averages.py --models tip4p2005 --masses plain --schemes LangevinMiddle --fs 2 4
     python benchmarks/water/averages.py --table
 """
 
@@ -48,15 +49,20 @@ def simulation_of(run: dict[str, Any]) -> app.Simulation:
         barostat = openmm.MonteCarloBarostat(run["bar"], TEMPERATURE, max(1, round(0.1 / step_of(run))))
         barostat.setRandomNumberSeed(run["seed"])
         system.addForce(barostat)
-    integrator = rb.ExactRigidBodyLangevinIntegrator(
-        TEMPERATURE, FRICTION, forceInterval=0.001 * run["fs"], scheme=run["scheme"]
-    )
+    integrator = integrator_of(run["scheme"], 0.001 * run["fs"])
     integrator.setRandomNumberSeed(run["seed"])
     simulation = app.Simulation(topology, system, integrator, openmm.Platform.getPlatform("CPU"), REPEATED)
     simulation.context.setPositions(positions)
-    integrator.minimizeEnergy(maxIterations=300)
-    integrator.setVelocitiesToTemperature(TEMPERATURE, run["seed"])
+    simulation.minimizeEnergy(maxIterations=300)
+    simulation.context.setVelocitiesToTemperature(TEMPERATURE, run["seed"])
     return simulation
+
+
+def integrator_of(scheme: str, interval: float) -> openmm.Integrator:
+    """Return an integrator with a force evaluation in an interval (ps)."""
+    if scheme == "LangevinMiddle":
+        return openmm.LangevinMiddleIntegrator(TEMPERATURE, FRICTION, interval)
+    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, FRICTION, forceInterval=interval, scheme=scheme)
 
 
 def step_of(run: dict[str, Any]) -> float:

@@ -175,3 +175,46 @@ def test_a_named_water_with_a_virtual_site_is_not():
         simulation = app.Simulation(topology, system, integrator, REFERENCE)
         simulation.context.setPositions(positions)
         integrator.step(1)
+
+
+def lone_chain():
+    """Return the chain of `domains` alone."""
+    (full, x), system, bonds = domains(), openmm.System(), openmm.HarmonicBondForce()
+    for k in range(16):
+        system.addParticle(full.getParticleMass(k))
+        if k:
+            bonds.addBond(k - 1, k, 0.3, 8000.0)
+    system.addForce(bonds)
+    return system, x[:16]
+
+
+def angular_momentum(context):
+    state, system = context.getState(positions=True, velocities=True), context.getSystem()
+    x, v = (getattr(state, f"get{what}")(asNumpy=True)._value for what in ("Positions", "Velocities"))
+    masses = np.array([system.getParticleMass(k)._value for k in range(16)])
+    return np.cross(x - masses @ x / masses.sum(), masses[:, None] * v).sum(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "kept"),
+    [
+        (lambda **bodies: rb.ExactRigidBodyNoseHooverIntegrator(300, 5, 0.005, together=True, **bodies), True),
+        (lambda **bodies: rb.ExactRigidBodyNoseHooverIntegrator(300, 5, 0.005, **bodies), False),
+        (lambda **bodies: rb.ExactRigidBodyLangevinIntegrator(300, 5, 0.005, **bodies), False),
+    ],
+    ids=["one chain", "two chains", "Langevin"],
+)
+def test_one_chain_never_turns_the_angular_momentum_of_a_lone_molecule(integrator, kept):
+    """Its rotation as a whole has the temperature of its start: OpenMM's issue 3993."""
+    system, x = lone_chain()
+    integrator = integrator(bodies=DOMAINS)
+    integrator.setRandomNumberSeed(1)
+    simulation = simulation_of(system, x, integrator)
+    integrator.setVelocitiesToTemperature(300, 1)
+    before = angular_momentum(simulation.context)
+    simulation.step(200)
+    after = angular_momentum(simulation.context)
+    assert integrator.degreesOfFreedom() == (3 * (2 + 6), 6)
+    assert abs(np.linalg.norm(after) / np.linalg.norm(before) - 1.0) > 0.02
+    angle = np.linalg.norm(np.cross(before, after)) / np.linalg.norm(before) / np.linalg.norm(after)
+    assert (angle < 1e-10) == kept

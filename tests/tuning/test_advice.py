@@ -149,12 +149,12 @@ def test_settings_that_limit_the_error_are_said_first():
 
 @pytest.mark.usefixtures("tuned")  # kernels are compiled by then
 def test_a_tuning_ends_within_its_budget(droplet):
-    """With what the survey knows by then, and saying so; all schemes and 100 ps would take minutes."""
+    """And says so; all schemes and 2 ns would take hours. What it knows by then depends on the machine."""
     begun = time.process_time()
-    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=100.0, budget=4.0, report=None)
-    assert time.process_time() - begun < 4.4
-    assert "the budget of 4 s of processor time ended the search" in " ".join(str(result).split())
-    assert 0.0 < result.best().error <= 5e-2
+    result = rb.tune(*droplet, target=5e-2, platform="Reference", horizon=2000.0, budget=3.0, report=None)
+    assert time.process_time() - begun < 3.3
+    assert "the budget of 3 s of processor time ended the search" in " ".join(str(result).split())
+    assert result.points
 
 
 @pytest.mark.usefixtures("tuned")

@@ -3,14 +3,27 @@
 from types import SimpleNamespace
 
 import cuda
+import openmm
 import pytest
 from zoo import every_kind, water
 
+import openmm_exactrb as rb
+from on_device import device_platform
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.engines.device.assembly import Assembly
 from openmm_exactrb.schemes.catalogue import scheme_for_thermostat
 from openmm_exactrb.thermostats import NoseHooverChain, StochasticRescaling
+from peptides import in_water
 
+# Each precision and each kind of GPU once; all combinations with --validate.
+BUILDS = pytest.mark.parametrize(
+    ("precision", "arch"),
+    [
+        pytest.param(precision, arch, marks=[] if i == j else pytest.mark.validate)
+        for i, precision in enumerate(("single", "mixed", "double"))
+        for j, arch in enumerate(("80", "90", "120"))
+    ],
+)
 UPDATES = SimpleNamespace(pushes=True, removes_motion=True, moves=True)
 
 
@@ -23,8 +36,25 @@ def sources(scheme, thermostat, start):
     return dict.fromkeys(launch.source.text for launch in launches)
 
 
-@pytest.mark.parametrize("arch", ["80", "90", "120"])
-@pytest.mark.parametrize("precision", ["single", "mixed", "double"])
+def of_flexible(scheme, constraints, precision):
+    """Return the kernels of a peptide in water with inner steps."""
+    _, system, x = in_water(constraints, 30)
+    integrator = rb.ExactRigidBodyLangevinIntegrator(300.0, 3.0, 0.002, scheme, engine="device", fast="bonded")
+    context = openmm.Context(system, integrator, device_platform(), {"Precision": precision})
+    context.setPositions(x)
+    integrator.step(0)
+    launches = integrator._propagator._assembly.program.launches  # noqa: SLF001
+    return dict.fromkeys(launch.source.text for launch in launches)
+
+
+def assert_none_spills(texts, arch, precision, folder):
+    for text in texts:
+        found = cuda.needs(cuda.as_compiled(text, precision), arch, folder)
+        assert found
+        assert {name: spilled for name, (_, spilled) in found.items() if spilled} == {}
+
+
+@BUILDS
 @pytest.mark.parametrize(
     ("scheme", "thermostat", "start"),
     [
@@ -36,7 +66,12 @@ def sources(scheme, thermostat, start):
     ids=["water", "every kind", "rescaling", "chain"],
 )
 def test_kernels_compile_for_cuda_and_spill_nothing(scheme, thermostat, start, precision, arch, tmp_path):
-    for text in sources(scheme_for_thermostat(scheme), thermostat, start):
-        found = cuda.needs(cuda.as_compiled(text, precision), arch, tmp_path)
-        assert found
-        assert {name: spilled for name, (_, spilled) in found.items() if spilled} == {}
+    assert_none_spills(sources(scheme_for_thermostat(scheme), thermostat, start), arch, precision, tmp_path)
+
+
+@pytest.mark.opencl
+@BUILDS
+@pytest.mark.parametrize(("scheme", "constraints"), [("W2_3m", "HBonds"), ("BAOA", "AllBonds")])
+def test_inner_steps_compile_for_cuda_and_spill_nothing(scheme, constraints, precision, arch, tmp_path):
+    cuda.installed("nvidia/cuda_nvcc/bin/ptxas")
+    assert_none_spills(of_flexible(scheme, constraints, precision), arch, precision, tmp_path)
