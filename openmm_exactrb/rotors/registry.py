@@ -153,7 +153,7 @@ def _columns(inertia: ArrayLike) -> Array:
     if (least < np.maximum(SMALLEST_MOMENT, largest / WIDEST)).any() or (largest > LARGEST_MOMENT).any():
         raise ValueError(
             f"inertia must lie between {SMALLEST_MOMENT:g} and {LARGEST_MOMENT:g}, the moments of a body within a "
-            f"factor {WIDEST:g}: use other units, or treat the body as linear"
+            f"factor {WIDEST:g}: use other units, give light particles more mass, or treat the body as linear"
         )
     return np.ascontiguousarray(np.atleast_2d(moments).T)
 
