@@ -43,7 +43,7 @@ def test_the_advice_holds_for_other_starts(tuned, droplet):
     assert np.median(found) < 1.5 * choice.error
 
 
-@pytest.mark.parametrize("updates", ["remover", "both"])
+@pytest.mark.parametrize("updates", [pytest.param("remover", marks=pytest.mark.validate), "both"])
 def test_the_promised_forces_are_those_of_a_simulation(updates):
     topology, system, positions = rb.rigid_water(
         27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4, removeCMMotion=True
