@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path += [str(ROOT / "examples"), str(ROOT / "benchmarks" / "constraints")]
 DATA = ROOT / "examples" / "data"
 DOCS = ROOT / "docs"
-# Built pages, copies of the examples, and recipes that have tests of their own (tests/test_recipes.py).
+# Built pages, copies of the examples, and recipes that have tests of their own (tests/project/test_recipes.py).
 ELSEWHERE = {DOCS / "_build", DOCS / "examples", DOCS / "contributing.md"}
 PAGES = [ROOT / "README.md", *sorted(p for p in DOCS.rglob("*.md") if not ELSEWHERE & {p, *p.parents})]
 PIECE = re.compile(

@@ -22,9 +22,10 @@ from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
 from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.schemes import splitting
-from openmm_exactrb.tuning.floor import causes, is_water, limits
+from openmm_exactrb.tuning.floor import causes, limits
 
 _SHOWN = 3  # periods
+_WATER = 18.015  # amu
 
 
 def described(
@@ -52,7 +53,7 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from limits(system, bodies)
+    yield from limits(system)
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
     yield from _refusals(system, positions)
@@ -147,7 +148,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
     """Yield a line for constant energy and one for constant temperature, where steps were measured."""
-    if not any(map(is_water, bodies.kinds)):
+    if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return
     flexible = fast_forces(system, bodies, MultipleTimeSteps.of("auto", None, None)) is not None

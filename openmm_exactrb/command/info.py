@@ -6,7 +6,6 @@ import argparse
 import os
 import platform
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import openmm
@@ -19,6 +18,7 @@ from openmm_exactrb.openmm_access.platforms import platforms, why_not_by_default
 from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.schemes import CATALOGUE, scheme_for_thermostat
 from openmm_exactrb.states import read_xml
+from openmm_exactrb.support.version import version
 
 #: The purpose, in one sentence.
 PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
@@ -57,7 +57,7 @@ def carry_out(args: argparse.Namespace) -> int:
 def _lines() -> Iterator[str]:
     yield f"openmm-exactrb {openmm_exactrb.__version__} in {Path(openmm_exactrb.__file__).parent}"
     yield f"Python {platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
-    yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {_version(name)}' for name in _LIBRARIES)}"
+    yield f"OpenMM {openmm.__version__}, {', '.join(f'{name} {version(package=name)}' for name in _LIBRARIES)}"
     yield from (f"{name} engine: {engine.information()}" for name, engine in ENGINES.items())
     yield "platforms, fastest first:"
     for found in platforms():
@@ -71,10 +71,3 @@ def _lines() -> Iterator[str]:
     yield f"schemes: {len(CATALOGUE)} in openmm_exactrb.SCHEMES, of which these are recommended for most runs:"
     yield from (f"  {scheme_for_thermostat(name)!r}" for name in _RECOMMENDED)
     yield f'rotors: {len(ROTORS)} in openmm_exactrb.ROTORS; "exact" is the default'
-
-
-def _version(library: str) -> str:
-    try:
-        return metadata.version(library)
-    except metadata.PackageNotFoundError:
-        return "not installed"

@@ -85,13 +85,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_missing(files: Iterable[Path]) -> None:
-    """Raise FileNotFoundError for the first file that is not there."""
-    for file in files:
-        if not file.exists():
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
-
-
 def with_defaults(args: argparse.Namespace) -> argparse.Namespace:
     """Return the options with the defaults of those that were not given."""
     named = {name: value for name, value in vars(args).items() if value is not None}
@@ -119,7 +112,9 @@ def load(args: argparse.Namespace) -> Box:
         raise ValueError(
             f"there is nothing to {args.command}: give {FILES}, or --solvate 216 for a box of 216 molecules of water"
         )
-    check_missing(args.files)
+    for file in args.files:
+        if not file.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(file))
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)

@@ -20,7 +20,7 @@ from openmm_exactrb.detection.whole import Constraints, constraints, whole_posit
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
-from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
@@ -208,8 +208,7 @@ def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tupl
     if not len(particles):
         return
     rows = np.concatenate([masses[particles], distances.reshape(len(particles), -1)], axis=1)
-    keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
-    group = np.unique(keys, return_inverse=True)[1]
+    group = arrays.alike(rows)[1]
     order = np.argsort(group, kind="stable")
     for members in np.split(order, np.cumsum(np.bincount(group))[:-1]):
         yield int(particles[members[0], 0]), particles[members], distances[members[0]]

@@ -20,6 +20,7 @@ from openmm_exactrb.environment import Force
 from openmm_exactrb.kernels.records import Terms
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
+from openmm_exactrb.openmm_access import arrays
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -187,7 +188,7 @@ def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
     if not series:
         return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))
     particles, n, cosines, sines = (np.concatenate(arrays) for arrays in zip(*series, strict=True))
-    first, row = _alike(particles)
+    first, row = arrays.alike(particles)
     shape = int(n.max(initial=0)) + 1, len(first)
     places = np.ravel_multi_index((n, row), shape)
     sums = [np.bincount(places, part, math.prod(shape)).reshape(shape)[1:] for part in (cosines, sines)]
@@ -213,14 +214,3 @@ _SERIES: dict[Any, Callable[[Bonded], tuple[Indices, Indices, Array, Array]]] = 
     openmm.PeriodicTorsionForce: _of_cosines,
     openmm.RBTorsionForce: _of_polynomials,
 }
-
-
-def _alike(rows: Indices) -> tuple[Indices, Indices]:
-    """Return the first of each group of equal rows, in their order, and the group of each row."""
-    order = np.lexsort(rows.T)
-    new = np.append(True, (np.diff(rows[order], axis=0) != 0).any(axis=1))[: len(rows)]
-    first = order[new]  # the sort is stable
-    rank = np.argsort(np.argsort(first))
-    group = np.empty(len(rows), np.int64)
-    group[order] = rank[np.cumsum(new) - 1]
-    return np.sort(first), group

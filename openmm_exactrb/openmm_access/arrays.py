@@ -6,12 +6,15 @@ counts where a force evaluation takes 40: the call that they make is made direct
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 def positions(state: openmm.State) -> Array:
@@ -61,6 +64,14 @@ def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
     if isinstance(source, openmm.System):
         return np.array([vector.value_in_unit(unit.nanometer) for vector in source.getDefaultPeriodicBoxVectors()])
     return np.reshape(box(source.getState()), (3, 3))
+
+
+def alike(rows: NDArray[Any]) -> tuple[Indices, Indices]:
+    """Return the first of each group of rows with the same bytes, in their order, and the group of each row."""
+    rows = np.ascontiguousarray(rows)
+    keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
+    _, first, group = np.unique(keys, return_index=True, return_inverse=True)
+    return np.sort(first), np.argsort(np.argsort(first))[group]
 
 
 def _vectors(state: openmm.State, kind: int) -> Array:

@@ -29,15 +29,10 @@ class OwnProgram:
 
     _made = False
 
-    addComputeGlobal = _closed("addComputeGlobal")
-    addComputePerDof = _closed("addComputePerDof")
-    addComputeSum = _closed("addComputeSum")
-    addConstrainPositions = _closed("addConstrainPositions")
-    addConstrainVelocities = _closed("addConstrainVelocities")
-    addGlobalVariable = _closed("addGlobalVariable")
-    addPerDofVariable = _closed("addPerDofVariable")
-    addTabulatedFunction = _closed("addTabulatedFunction")
-    addUpdateContextState = _closed("addUpdateContextState")
-    beginIfBlock = _closed("beginIfBlock")
-    beginWhileBlock = _closed("beginWhileBlock")
-    endBlock = _closed("endBlock")
+
+for _name in (
+    *("addComputeGlobal", "addComputePerDof", "addComputeSum", "addConstrainPositions", "addConstrainVelocities"),
+    *("addGlobalVariable", "addPerDofVariable", "addTabulatedFunction", "addUpdateContextState"),
+    *("beginIfBlock", "beginWhileBlock", "endBlock"),
+):
+    setattr(OwnProgram, _name, _closed(_name))

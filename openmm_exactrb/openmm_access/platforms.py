@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from functools import cache
 from typing import Any
 
 import openmm
@@ -45,12 +46,17 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
 
 def why_not_by_default(platform: openmm.Platform) -> str | None:
     """Return why a platform is taken only where the user names it, or None."""
-    if platform.getName() != "OpenCL":
+    return _why_not_by_default(platform.getName())
+
+
+@cache
+def _why_not_by_default(name: str) -> str | None:
+    if name != "OpenCL":
         return None
     system = openmm.System()
     system.addParticle(1.0)
     try:
-        why = no_gpu(openmm.Context(system, openmm.VerletIntegrator(0.001), platform))
+        why = no_gpu(openmm.Context(system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatform(name)))
     except openmm.OpenMMException as error:
         return f"cannot create a Context: {error}"
     return why and f"{why}, where OpenMM's minimiser may crash"

@@ -44,7 +44,7 @@ def splitting(
     """
     switch = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
     x = y = 3.0
-    distance = (math.prod(box) / n) ** (1.0 / 3.0)
+    distance = mean_distance(n, box)
     for _ in range(60):
         a = x * distance / switch
         x = math.log(max(a**2.5 * x**1.5 / tolerance, math.e)) ** 0.5
@@ -98,7 +98,7 @@ def meshes(
     points: tuple[int, ...] | None = None,
 ) -> Iterator[EwaldParameters]:
     """Yield meshes of several sizes that meet a tolerance, with what is given."""
-    distance, half, goal = _distance(n, edges), 0.5 * min(edges), tolerance / errors.SAFETY
+    distance, half, goal = mean_distance(n, edges), 0.5 * min(edges), tolerance / errors.SAFETY
     part = 0.75 if switch is None or cutoff is None else switch / cutoff
     for p in (8, 10) if order is None else (order,):
         least = math.inf
@@ -134,6 +134,6 @@ def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
         many += 1
 
 
-def _distance(n: int, edges: Edges) -> float:
+def mean_distance(n: int, edges: Edges) -> float:
     """Return the mean distance of n dipoles."""
     return math.pow(math.prod(edges) / n, 1.0 / 3.0)

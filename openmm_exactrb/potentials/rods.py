@@ -10,6 +10,7 @@ import openmm
 
 from openmm_exactrb.potentials.boundaries import Edges, Ewald, edges_of
 from openmm_exactrb.potentials.dipoles import checked_pairs, context_parameters, spheres_of
+from openmm_exactrb.potentials.ewald import mean_distance
 from openmm_exactrb.potentials.formula import add_hbonds, soft_rod_energy
 from openmm_exactrb.potentials.moments import COULOMB
 from openmm_exactrb.support import checks
@@ -133,12 +134,8 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
             "larger one, or kernel='compiled'"
         )
     if boundary.cutoff is None:
-        boundary = replace(boundary, cutoff=min(3.0 * _mean_distance(n, edges), 0.45 * min(edges)))
+        boundary = replace(boundary, cutoff=min(3.0 * mean_distance(n, edges), 0.45 * min(edges)))
     return boundary.distances(edges)
-
-
-def _mean_distance(n: int, edges: Edges) -> float:
-    return math.pow(math.prod(edges) / n, 1.0 / 3.0)
 
 
 def _mesh(n: int, edges: Edges, cutoff: float, length: float, tolerance: float) -> tuple[float, float]:
@@ -147,6 +144,6 @@ def _mesh(n: int, edges: Edges, cutoff: float, length: float, tolerance: float) 
     With a, the mean distance, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 of the real-space sum, as
     charges on either side of the cutoff are split, and 0.01 (alpha spacing)³ (alpha a)^4 of the mesh.
     """
-    a = _mean_distance(n, edges)
+    a = mean_distance(n, edges)
     alpha = math.sqrt(math.log(max(2.0 / tolerance * (a / length) ** 1.5, math.e))) / cutoff
     return alpha, min(0.4, math.pow(70.0 * tolerance / (alpha * a) ** 4, 1.0 / 3.0)) / alpha

@@ -21,7 +21,7 @@ def identity_of(simulation: Any) -> dict[str, str]:
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,
-        "openmm-exactrb": version("not installed"),
+        "openmm-exactrb": version(),
         "platform": simulation.context.getPlatform().getName(),
         "System": _text_of_system(simulation.system),
         "integrator": type(integrator).__name__,

@@ -1,4 +1,4 @@
-"""The version of this package, as the tools that installed it know it."""
+"""The version of a package, as the tools that installed it know it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from importlib import metadata
 
 
 @cache
-def version(otherwise: str) -> str:
-    """Return the version of this package, or `otherwise` if it is not installed, but a source folder on the path."""
+def version(otherwise: str = "not installed", package: str = "openmm-exactrb") -> str:
+    """Return the version of a package, or `otherwise` if it is not installed: this one may be a folder on the path."""
     try:
-        return metadata.version("openmm-exactrb")
+        return metadata.version(package)
     except metadata.PackageNotFoundError:
         return otherwise

@@ -26,7 +26,7 @@ from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.support.checks import whole
+from openmm_exactrb.support.checks import switch, whole
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, reciprocal, scaled
@@ -90,8 +90,7 @@ class NoseHooverChain(Thermostat):
             object.__setattr__(self, name, whole(getattr(self, name), name))
         if self.numYoshidaSuzuki not in WEIGHTS:
             raise ValueError(f"numYoshidaSuzuki must be one of 1, 3, 5 and 7, not {self.numYoshidaSuzuki!r}")
-        if not isinstance(self.together, bool):
-            raise ValueError(f"together must be True or False, not {self.together!r}")
+        switch(self.together, "together")
 
     @property
     def own_numbers(self) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.support.checks import not_negative, positive, whole
+from openmm_exactrb.support.checks import not_negative, positive, switch, whole
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
@@ -60,8 +60,7 @@ class StochasticRescaling(Thermostat):
         time = plain(self.relaxationTime, unit.picosecond, "a relaxation time")
         object.__setattr__(self, "temperature", kelvin(self.temperature))
         object.__setattr__(self, "relaxationTime", positive(time, "a relaxation time", "ps"))
-        if not isinstance(self.together, bool):
-            raise ValueError(f"together must be True or False, not {self.together!r}")
+        switch(self.together, "together")
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
         """Return kT, the relaxation time, the degrees of freedom, and whether one number is for all."""

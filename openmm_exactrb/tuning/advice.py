@@ -154,8 +154,7 @@ def _in_motion(
     state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
 ) -> InitialState:
     """Say what limits the error of a state, and bring it to the temperature if one is given."""
-    probe, _context = state.probe()
-    for line in limits(state.system, probe.bodyState()[0]):
+    for line in limits(state.system):
         tell(line)
     at_rest = not state.velocities.any()
     if temperature is None and at_rest:

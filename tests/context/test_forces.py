@@ -232,7 +232,13 @@ NESTED = {"fast": (1,), "inner": "S6_10", "innerSteps": 4}
 
 @pytest.mark.parametrize(
     ("scheme", "order", "inner"),
-    [("V2", 2, {}), ("V2_drift", 2, {}), ("S6_10", 6, {}), ("V2_drift", 2, NESTED), ("SRKN4_6b", 4, NESTED)],
+    [
+        ("V2", 2, {}),
+        ("V2_drift", 2, {}),
+        ("S6_10", 6, {}),
+        pytest.param("V2_drift", 2, NESTED, marks=pytest.mark.validate),
+        ("SRKN4_6b", 4, NESTED),
+    ],
 )
 def test_forces_that_depend_on_time_keep_the_order(scheme, order, inner):
     """Within a call of `step` too time goes on, with the drifts."""

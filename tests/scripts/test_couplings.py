@@ -49,7 +49,7 @@ def test_a_barostat_changes_the_box_and_no_molecule(name):
     assert np.isfinite(simulation.integrator.totalEnergy()._value)
 
 
-@pytest.mark.parametrize("name", BAROSTATS)
+@pytest.mark.parametrize("name", ["isotropic", "flexible"])
 def test_a_barostat_that_does_not_act_changes_nothing(name):
     """Steps between its moves are those without it, at their cost: no force more, the same bits."""
     with_it, without = in_a_barostat(name, 1000), water()

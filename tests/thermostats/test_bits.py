@@ -155,7 +155,7 @@ def test_a_new_process_continues_with_the_same_bits(tmp_path):
     file = tmp_path / "saved"
     file.write_bytes(pickle.dumps(saved))
     here = Path(__file__).parent
-    arguments = [sys.executable, "-c", GO_ON, str(here), str(here.parent), str(file)]
+    arguments = [sys.executable, "-c", GO_ON, str(here), str(here.parent / "common"), str(file)]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == expected

@@ -43,7 +43,7 @@ def test_the_advice_holds_for_other_starts(tuned, droplet):
     assert np.median(found) < 1.5 * choice.error
 
 
-@pytest.mark.parametrize("updates", ["remover", "both"])
+@pytest.mark.parametrize("updates", [pytest.param("remover", marks=pytest.mark.validate), "both"])
 def test_the_promised_forces_are_those_of_a_simulation(updates):
     topology, system, positions = rb.rigid_water(
         27, nonbondedMethod=app.CutoffPeriodic, nonbondedCutoff=0.4, removeCMMotion=True
@@ -142,7 +142,6 @@ def test_settings_that_limit_the_error_are_said_first():
     result = rb.tune(system, positions, target=1e-6, **some)
     assert "without a switch" in said[0]
     assert "ewaldErrorTolerance" in said[1]
-    assert "about 0.3 kJ/mol over 30 ps" in said[2]  # 0.064 kJ/mol times the root of 27
     assert said[-1].startswith("the target is out of reach: ")
     assert result.chosen is None
     assert "set switchDistance" in " ".join(str(result).split())

@@ -20,7 +20,7 @@ def test_what_is_slow_to_import_waits():
 
 
 def test_tests_and_their_child_processes_run_the_files_of_this_checkout(tmp_path):
-    ours = Path(__file__).parent.parent / "openmm_exactrb" / "__init__.py"
+    ours = Path(__file__).parents[2] / "openmm_exactrb" / "__init__.py"
     script = "import openmm_exactrb; print(openmm_exactrb.__file__)"
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
     assert Path(openmm_exactrb.__file__) == Path(run.stdout.strip()) == ours

@@ -12,7 +12,7 @@ from on_device import platform_for
 from openmm_exactrb.multiple_time_steps.bonded import interacting_exceptions
 from starts import context_of, positions_of
 
-PEPTIDE = Path(__file__).parents[1] / "examples" / "data" / "alanine_dipeptide.pdb"
+PEPTIDE = Path(__file__).parents[2] / "examples" / "data" / "alanine_dipeptide.pdb"
 FORCE_FIELD = app.ForceField("amber14-all.xml", "amber14/tip3p.xml")
 CONSTRAINTS = {"HBonds": app.HBonds, "AllBonds": app.AllBonds, "HAngles": app.HAngles, "None": None}
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)

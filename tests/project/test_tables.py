@@ -10,7 +10,7 @@ from benchmarks import tables, write_tables
 from benchmarks.dipoles.tables import dipole_memory, droplet_gains
 from benchmarks.water.tables import reading_points
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_figures_that_are_typed_are_those_that_were_measured():

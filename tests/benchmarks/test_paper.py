@@ -22,7 +22,7 @@ import oracle
 from benchmarks.paper import claims, common, compiled, figure01, figure16, reference, report, satellite
 from openmm_exactrb import rotors
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 REPORT = ROOT / "benchmarks" / "paper" / "report.py"
 PAGES = ROOT / "docs" / "paper"
 DATA = PAGES / "data"

@@ -26,7 +26,7 @@ from orders import slope
 from peptides import peptide
 from starts import context_of, simulation_of
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
 
 

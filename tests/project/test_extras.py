@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pages import PAGES, PIECE
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 RULES = re.findall(r"^([^\s#:]+): (.*)\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
 EXAMPLES = sorted((ROOT / "examples").rglob("*.py"))

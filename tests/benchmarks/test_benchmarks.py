@@ -14,7 +14,7 @@ from benchmarks.common.clocks import in_turns
 from benchmarks.common.energies import spread
 from benchmarks.common.starts import R, canonical, context_of, masses_of, positions_and_velocities, thermostat
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 BENCHMARKS = ROOT / "benchmarks"
 README = (BENCHMARKS / "README.md").read_text(encoding="utf-8")
 SCRIPTS = sorted(str(file.relative_to(BENCHMARKS)) for file in BENCHMARKS.rglob("*.py") if file.name != "__init__.py")

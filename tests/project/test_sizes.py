@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 TEXTS = {
     str(file.relative_to(ROOT)): file.read_text(encoding="utf-8")
     for folder in ("openmm_exactrb", "tests", "benchmarks")

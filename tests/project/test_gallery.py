@@ -7,7 +7,7 @@ import pytest
 from benchmarks.common.markdown import rows
 from benchmarks.dipoles.tables import stockmayer_constants
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def text(name):
