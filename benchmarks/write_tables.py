@@ -29,6 +29,7 @@ from benchmarks.water.equipartition_record import RECORD, over_frictions, over_g
 AS_THEY_ARE = [
     "cholesterol",
     "device_drift",
+    "device_drift_peptide",
     "device_precision",
     "dipole_bonds",
     "dipole_rods",
