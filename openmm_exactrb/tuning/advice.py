@@ -209,7 +209,7 @@ def _plan(
 
 def _result(measured: Measurements, target: float | None, outcome: Outcome, notes: list[str]) -> Tuning:
     benchmark = measured.benchmark
-    state, (n_bodies, _, time, free) = benchmark.state, benchmark.characteristics
+    state, (n_bodies, _, time, free, _) = benchmark.state, benchmark.characteristics
     if time == free:
         notes.append(
             "bodies hardly interact at the start: the measured errors say little about runs in which they collide"

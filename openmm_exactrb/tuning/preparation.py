@@ -6,7 +6,6 @@ OpenMM's own lose rigid molecules that have more constraints than they need, suc
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterator
@@ -29,6 +28,9 @@ _EXTENT = 0.1
 # Of the Langevin dynamics: step, least and largest friction over the characteristic time, the shortest step over the
 # time of free bodies, and the steps after which the characteristic time is found again.
 _STEP, _WEAKEST, _STRONGEST, _SHORTEST, _STEPS = 0.07, 0.2, 1.0, 1e-3, 75
+# How far in nm a body of the mean mass flies in a step at most, in case it meets another, and how often the step is
+# halved after one that diverges.
+_FLIGHT, _HALVINGS = 0.003, 4
 # Times in which friction takes the momentum away, in a length that is named.
 _RELAXED = 10.0
 #: Parts of so many steps that bring a start to a temperature.
@@ -48,6 +50,8 @@ class Characteristics(NamedTuple):
     time: float
     #: Time in ps in which free bodies turn by a radian, and particles without a shape fly over 0.1 nm.
     free: float
+    #: In nm/ps, of a thermal component of the velocity at the mean mass.
+    speed: float
 
 
 def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
@@ -65,7 +69,10 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
     turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
     square, free = float((force**2 / bodies.mass).sum() + turning.sum()), _free_time(bodies, kinetic)
     time = math.sqrt(2.0 * kinetic / square) if square > 0.0 else math.inf
-    return Characteristics(len(bodies), kinetic / len(bodies), min(time, free), free)
+    kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
+    return Characteristics(
+        len(bodies), kinetic / len(bodies), min(time, free), free, math.sqrt(kT / bodies.mass.mean())
+    )
 
 
 def _free_time(bodies: RigidBodies, kinetic: float) -> float:
@@ -108,19 +115,25 @@ def heat(
 ) -> Iterator[float]:
     """Perform Langevin dynamics for a length in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
-    The step follows the forces, so that a start far from equilibrium is no obstacle.
+    The step follows the forces, so that a start far from equilibrium is no obstacle. It is halved where bodies collide
+    that are still without forces when the step is chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
-    for part in itertools.count():
-        if left <= 1e-9 or (length is None and part == PARTS) or not may_continue():
-            return
+    part, halvings = 0, 0
+    while left > 1e-9 and (length is not None or part < PARTS) and may_continue():
         scales = characteristics(integrator, context)
-        step = max(_STEP * scales.time, _SHORTEST * scales.free)
+        step = min(max(_STEP * scales.time, _SHORTEST * scales.free), _FLIGHT / scales.speed) / 2**halvings
         steps = math.ceil(min(_STEPS, left / step))
         step = min(step, left / steps)
         integrator.setStepSize(step)
         integrator.setFriction(min(max(_WEAKEST / scales.time, least), _STRONGEST / scales.time))
-        with diverging():
-            integrator.step(steps)
-        left -= steps * step
+        try:
+            with diverging():
+                integrator.step(steps)
+        except IntegrationError:  # the Context keeps the last valid step
+            if halvings == _HALVINGS:
+                raise
+            halvings += 1
+            continue
+        part, left = part + 1, left - steps * step
         yield float(sum(energy._value for energy in integrator.kineticEnergies()))

@@ -16,6 +16,7 @@ from openmm_exactrb.tuning import Choice
 from openmm_exactrb.tuning.benchmark import Benchmark, Method
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import InitialState, conservative, initial_state, thermalised
+from small_molecules import MOLECULES, placed, system_of
 from starts import simulation_of
 
 VERLET = Method()
@@ -121,6 +122,23 @@ def test_a_start_is_thermalised():
         / unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
     )
     assert 150.0 < temperature < 600.0
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "seed"), [("C6H6", 8, 1), pytest.param("SF6", 27, 2, marks=pytest.mark.validate)]
+)
+def test_molecules_of_a_gas_collide_on_the_way_to_a_temperature(name, n, seed):
+    """A step that suits forces between bodies far apart was lost at the first collision."""
+    molecule = MOLECULES[name]
+    x, edge = placed(molecule, n, seed)
+    system = system_of(molecule, n, edge, cutoff=0.6, tolerance=1e-3)
+    start = InitialState(system, x, np.zeros_like(x), platform="Reference")
+    warm = thermalised(start, 200.0, seed, True, PLENTY)
+    probe, _context = warm.probe()
+    freedom = sum(probe.degreesOfFreedom())
+    kinetic = sum(energy._value for energy in probe.kineticEnergies())
+    expected = 0.5 * freedom * unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin) * 200.0
+    assert abs(kinetic / expected - 1.0) < 0.2 + 5.0 * math.sqrt(2.0 / freedom)
 
 
 def test_bodies_named_by_hand_are_minimised():
