@@ -373,7 +373,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         """Return the propagator of the present Context."""
         if self._propagator is None or self._unsettled():
             self._settle(context := self._found())
-            self._propagator = self._selection.propagator(context, self, self._settings(), self.timings)
+            self._propagator = self._selection.engine.propagator(context, self, self._settings(), self.timings)
             self._propagator.sync.new_trajectory = _parting(self)
             warn_of_removed_motion(context.getSystem())
         return self._propagator

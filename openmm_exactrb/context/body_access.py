@@ -67,9 +67,7 @@ class BodyAccess:
         translational ones are subtracted, whatever its interval: temperatures are those of the motion relative to the
         centre of mass.
         """
-        propagator = self._up_to_date()
-        bodies = propagator.sync.bodies
-        return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
+        return freedom_of(self._up_to_date())
 
     @overload
     def temperatures(self) -> Temperatures: ...
@@ -98,9 +96,9 @@ class BodyAccess:
         propagator = self._up_to_date()
         sync = propagator.sync
         if groups is None:
-            return _temperatures(self._thermal_energies(sync.state), self.degreesOfFreedom())
+            return temperatures_of(thermal_energies(propagator, sync.state), freedom_of(propagator))
         motions = of_groups(sync.bodies, sync.state, groups, propagator.updates.removes_motion)
-        return {name: _temperatures(*motion) for name, motion in motions.items()}
+        return {name: temperatures_of(*motion) for name, motion in motions.items()}
 
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan without any.
@@ -108,16 +106,8 @@ class BodyAccess:
         It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters ask for it, and would
         otherwise count the constraints of the System, which redundant ones and bodies named by hand make wrong.
         """
-        energy, freedom = sum(self._thermal_energies(self._up_to_date().sync.state)), sum(self.degreesOfFreedom())
-        return _temperature(energy, freedom)
-
-    def _thermal_energies(self, state: State) -> tuple[float, float]:
-        """Return the kinetic energies that temperatures are made of, in kJ/mol."""
         propagator = self._up_to_date()
-        bodies, rounded = propagator.sync.bodies, state.rounded
-        drift = bodies.drift(rounded) if propagator.updates.removes_motion else None
-        energies: tuple[float, float] = bodies.kinetic_energies(rounded, drift)
-        return energies
+        return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
 
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
@@ -229,7 +219,21 @@ class BodyAccess:
         sync.replace(State(*map(np.ascontiguousarray, full)))
 
 
-def _temperatures(energies: Sequence[float], freedom: Sequence[float]) -> Temperatures:
+def freedom_of(propagator: Any) -> tuple[int, int]:
+    """Return the degrees of freedom of translation and of rotation."""
+    bodies = propagator.sync.bodies
+    return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
+
+
+def thermal_energies(propagator: Any, state: State) -> tuple[float, float]:
+    """Return the kinetic energies that temperatures are made of, in kJ/mol."""
+    bodies, rounded = propagator.sync.bodies, state.rounded
+    drift = bodies.drift(rounded) if propagator.updates.removes_motion else None
+    energies: tuple[float, float] = bodies.kinetic_energies(rounded, drift)
+    return energies
+
+
+def temperatures_of(energies: Sequence[float], freedom: Sequence[float]) -> Temperatures:
     """Return the temperatures of kinetic energies (kJ/mol) of translation and rotation: nan without freedom."""
     one, other = map(_temperature, energies, freedom)
     return one, other

@@ -8,9 +8,8 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.engines.catalogue import ENGINES, in_order
-from openmm_exactrb.engines.engine import Engine, Propagator, Settings
+from openmm_exactrb.engines.engine import Engine, Settings
 
 #: The first engine that serves the Context and pays there.
 AUTO = "auto"
@@ -66,12 +65,6 @@ class Selection:
 
     def _choose(self, engine: Engine, note: str, settings: Settings) -> None:
         self.engine, self.note, self.marks = engine, note, (variables.NOTHING, *engine.marks(settings))
-
-    def propagator(
-        self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
-    ) -> Propagator:
-        """Return a propagator of the engine that `settle` has chosen."""
-        return self.engine.propagator(context, integrator, settings, timings)
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:
         """Return the engine that wrote the state in an integrator's variables, None without a state.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
@@ -10,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 from openmm import unit
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.context.body_access import freedom_of, temperatures_of, thermal_energies
 from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.rotors import Rotor
@@ -82,11 +82,8 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
             raise ValueError("there has been no heat exchange yet: call step first")
-        energies = [self._thermal_energies(state) for state in exchange]
-        pairs = zip(map(sum, zip(*energies, strict=True)), self.degreesOfFreedom(), strict=True)
-        R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
-        translational, rotational = (energy / ((freedom or math.nan) * R) * unit.kelvin for energy, freedom in pairs)
-        return translational, rotational
+        energies = [thermal_energies(propagator, state) for state in exchange]
+        return temperatures_of([0.5 * sum(pair) for pair in zip(*energies, strict=True)], freedom_of(propagator))
 
     def _energyAtExchange(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange, where its errors are of the order of the scheme."""

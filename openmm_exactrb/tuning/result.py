@@ -120,13 +120,10 @@ class Tuning:
         target = self.target if target is None else positive(target, "target", "kJ/mol per body")
         if target is None:
             raise ValueError("give best() a target: tune() was called without one")
-        if target == self.target and method is None:
-            found = [] if self.chosen is None else [self.chosen]
-        else:
-            found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
-        if not found:
+        found = self.chosen if target == self.target and method is None else self.surveyed(target, method)
+        if found is None:
             raise UnreachableError(self._why_unreachable(target, method))
-        return min(found, key=lambda choice: choice.cost)
+        return found
 
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
@@ -152,9 +149,9 @@ class Tuning:
         """Return the setting of a point that was run over the horizon."""
         return self._setting(point.method, point.step, point.error, point.cost, True)
 
-    def surveyed(self, target: float) -> Choice | None:
-        """Return the cheapest setting by the survey, or None."""
-        found = [choice for name in self._methods(None) if (choice := self._choice(name, target))]
+    def surveyed(self, target: float, method: str | None = None) -> Choice | None:
+        """Return the cheapest setting of a method, or of all schemes, by the survey; None if it has none."""
+        found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
         return min(found, key=lambda choice: choice.cost, default=None)
 
     def _methods(self, method: str | None) -> list[str]:
