@@ -25,14 +25,15 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-# Constraints less independent than this, relative to the others of a cluster, follow from them.
-_INDEPENDENT = 1e-8
+# Constraints less independent than this, relative to the others of a cluster, follow from them. It is the square of a
+# slope, such as that of a flat pyramid, which has to be far above h²ω² of a rotation by ω.
+_INDEPENDENT = 1e-4
 # Constraints of a cluster, whose matrices are dense here.
 _LARGEST = 100
 
 
 class _Held(NamedTuple):
-    """Clusters of one graph: the ends (N, m, 2) of their constraints, and the matrix L (m, m)."""
+    """Clusters of one graph: the ends (N, m, 2) of their constraints, and the matrix L (m, m) in 1/Da."""
 
     ends: Indices
     inverse_mass: Array
@@ -45,9 +46,9 @@ class Chords:
     ----------
     bodies : RigidBodies
     pairs : (m, 2) array
-        The particles of all constraints.
+        The particles of all constraints of the System.
     x : (n_particles, 3) array
-        Positions in nm.
+        Positions in nm, which obey the constraints of clusters that are not rigid.
 
     Raises
     ------
@@ -57,58 +58,67 @@ class Chords:
 
     def __init__(self, bodies: RigidBodies, pairs: Indices, x: Array) -> None:
         self._flexible, self._rigid, lost = [], 0.0, 0
-        for particles, masses, own, rigid in _clusters(bodies, pairs):
+        for particles, masses, own, sites in _clusters(bodies, pairs):
             if len(own) > _LARGEST:
                 raise ValueError(
                     f"averages of LangevinMiddleIntegrator cannot be corrected with {len(own)} constraints in one "
                     "cluster: constrain bonds with hydrogens only (HBonds), or use ExactRigidBodyLangevinIntegrator"
                 )
-            differences = np.zeros((len(own), len(masses)))
-            differences[np.arange(len(own)), own[:, 0]], differences[np.arange(len(own)), own[:, 1]] = 1.0, -1.0
+            differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)
-            lost += int(np.linalg.matrix_rank(_matrix(held, x)[1], rtol=_INDEPENDENT, hermitian=True).sum())
-            if rigid:
-                self._rigid += _mean(held, x)
-            else:
+            # The places of a rigid body are those of its shape: what positions a run begins with may be rough.
+            r = _vectors(held, x) if sites is None else sites[:, own[:, 0]] - sites[:, own[:, 1]]
+            ranks = np.linalg.matrix_rank(_matrix(held, r), rtol=_INDEPENDENT, hermitian=True)
+            alike = len(particles) // len(r)
+            lost += alike * int(ranks.sum())
+            if sites is None:
                 self._flexible.append(held)
+            else:
+                self._rigid += alike * _mean(held, r)
         particles_with_mass = sum(kind.particles.size for kind in bodies.kinds)
         if 3 * particles_with_mass - lost != bodies.translational_freedom + bodies.rotational_freedom:
             raise ValueError(
                 "averages of LangevinMiddleIntegrator cannot be corrected for linear molecules of more than two "
-                "constrained atoms or planar ones of more than three: use ExactRigidBodyLangevinIntegrator"
+                "constrained atoms or nearly planar ones of more than three: use ExactRigidBodyLangevinIntegrator"
             )
 
     def mean(self, x: Array, kT: float) -> float:
         """Return the mean of T over canonical velocities at positions (n_particles, 3), in kJ/mol/ps²."""
-        return kT**2 * (self._rigid + sum(_mean(held, x) for held in self._flexible))
+        return kT**2 * (self._rigid + sum(_mean(held, _vectors(held, x)) for held in self._flexible))
 
 
-def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, bool]]:
-    """Yield particles (N, n), masses (n,) and members of constraints (m, 2) of clusters, and whether they are rigid."""
+def _clusters(bodies: RigidBodies, pairs: Indices) -> Iterator[tuple[Indices, Array, Indices, Array | None]]:
+    """Yield particles (N, n), masses (n,), members of constraints (m, 2), and the sites of clusters that are rigid.
+
+    Sites are (1, n, 3) of one shape, or (N, n, 3), in nm.
+    """
     for kind in bodies.kinds:
         if kind.turns:
             number = np.full(bodies.n_particles, -1)
             number[kind.particles[0]] = np.arange(len(kind.masses))
             own = number[pairs]
-            yield kind.particles, kind.masses, own[(own >= 0).all(axis=1)], True
+            yield kind.particles, kind.masses, own[(own >= 0).all(axis=1)], kind.sites
     for cluster in bodies.clusters.kinds:
-        yield cluster.particles, cluster.masses, cluster.pairs, False
+        yield cluster.particles, cluster.masses, cluster.pairs, None
 
 
-def _matrix(held: _Held, x: Array) -> tuple[Array, Array]:
-    """Return the vectors r (N, m, 3) of constraints, and the matrices Z (N, m, m)."""
-    r = x[held.ends[:, :, 0]] - x[held.ends[:, :, 1]]
-    return r, held.inverse_mass * (r @ r.transpose(0, 2, 1))
+def _vectors(held: _Held, x: Array) -> Array:
+    """Return the vectors r (N, m, 3) of constraints in nm."""
+    return np.asarray(x[held.ends[:, :, 0]] - x[held.ends[:, :, 1]])
 
 
-def _mean(held: _Held, x: Array) -> float:
-    """Return the mean of T, summed over clusters, at kT = 1.
+def _matrix(held: _Held, r: Array) -> Array:
+    """Return the matrices Z (N, m, m) in nm²/Da."""
+    return np.asarray(held.inverse_mass * (r @ r.transpose(0, 2, 1)))
+
+
+def _mean(held: _Held, r: Array) -> float:
+    """Return the mean of T, summed over clusters, over kT²: in mol/(kJ ps²).
 
     The rates u have the covariance C = W - W Rᵀ Z⁻¹ R W, where W = L ⊗ 1 and R has the vectors r; the mean of q_c q_d
     is the product of the traces of C_cc and C_dd and twice the square of C_cd.
     """
-    r, z = _matrix(held, x)
-    inverse = np.linalg.pinv(z, rcond=_INDEPENDENT, hermitian=True)
+    inverse = np.linalg.pinv(_matrix(held, r), rcond=_INDEPENDENT, hermitian=True)
     forced = held.inverse_mass[:, None, :] * r.transpose(0, 2, 1)[:, None]  # W Rᵀ, (N, m, 3, m)
     rates = np.einsum("cd,ab->cadb", held.inverse_mass, np.eye(3)) - np.einsum(
         "ncap,npq,ndbq->ncadb", forced, inverse, forced, optimize=True

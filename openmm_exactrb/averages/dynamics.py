@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.averages.chord import Chords
-from openmm_exactrb.context.updates import acting_updates
+from openmm_exactrb.context.updates import ContextUpdates, warn_of_removed_motion
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
@@ -100,7 +100,10 @@ def dynamics_of(simulation: Any) -> Dynamics:
         raise ValueError(
             "averages can be corrected only if the integrator uses all force groups: call setIntegrationForceGroups"
         )
-    return _of_openmm(simulation, frictions) if theirs else _of_this_package(simulation, frictions)
+    dynamics = (_of_openmm if theirs else _of_this_package)(simulation, frictions)
+    if not dynamics.temperature:
+        raise ValueError("averages can be corrected only at a temperature above 0 K: call setTemperature")
+    return dynamics
 
 
 def _frictions(thermostat: Langevin) -> tuple[float, ...]:
@@ -136,8 +139,9 @@ def _of_this_package(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
     """Return the dynamics of a LangevinMiddleIntegrator: BAOA, whose drifts are chords."""
     integrator, context, system = simulation.integrator, simulation.context, simulation.system
-    if any(isinstance(force, openmm.AndersenThermostat) for force in acting_updates(context)):
-        raise ValueError("averages cannot be corrected with an AndersenThermostat in addition: remove it")
+    temperature = integrator.getTemperature().value_in_unit(unit.kelvin)
+    ContextUpdates(context, ()).check_temperatures(context, temperature)
+    warn_of_removed_motion(system)
     x = arrays.positions(context.getState(positions=True))
     bodies = find_bodies(system, x, box=arrays.periodic_box(context))
     removed = 3 * any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
@@ -145,7 +149,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         scheme="LangevinMiddle",
         step=integrator.getStepSize().value_in_unit(unit.picosecond),
         order=second_order(with_thermostat(scheme_for_thermostat("BAOA"))),
-        temperature=integrator.getTemperature().value_in_unit(unit.kelvin),
+        temperature=temperature,
         frictions=frictions,
         freedom=bodies.translational_freedom + bodies.rotational_freedom - removed,
         bodies=bodies,
@@ -154,11 +158,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         damping=(np.ones(len(bodies)), np.ones(bodies.n_turning)),
         fast=None,
         chords=Chords(bodies, constraints(system)[0], x),
-        changing=lambda: (
-            integrator.getStepSize()._value,
-            integrator.getTemperature()._value,
-            integrator.getFriction()._value,
-        ),
+        changing=lambda: (integrator.getStepSize(), integrator.getTemperature(), integrator.getFriction()),
     )
 
 

@@ -82,8 +82,8 @@ class AverageReporter:
         frames = self._frames or self._begin(simulation)
         if self._changing(simulation) != self._present:
             raise ValueError(
-                "the step size, the thermostat or a parameter of the Context has changed: report the new settings to "
-                "another file"
+                "the step size, the thermostat, the force groups or a parameter of the Context have changed: report "
+                "the new settings to another file"
             )
         values = [state.getTime().value_in_unit(unit.picosecond), *frames.row(state, self._observables)]
         self._out.write(",".join([str(simulation.currentStep), *(repr(float(v)) for v in values)]) + "\n")
@@ -114,7 +114,8 @@ class AverageReporter:
 
     def _changing(self, simulation: Any) -> object:
         """Return what a user may change in a run."""
-        return self._dynamics.changing(), dict(simulation.context.getParameters())
+        groups = simulation.integrator.getIntegrationForceGroups()
+        return self._dynamics.changing(), groups, dict(simulation.context.getParameters())
 
 
 def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, Any]) -> Settings:

@@ -1,11 +1,11 @@
 """Averages of OpenMM's LangevinMiddleIntegrator, whose drifts are chords of the constraints."""
 
+import copy
 import itertools
 
 import numpy as np
 import openmm
 import pytest
-from openmm import app
 
 import openmm_exactrb as rb
 from averages.stationary import Rotor, chord
@@ -18,7 +18,6 @@ from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
-from starts import topology_of
 
 BAOA = second_order(with_thermostat(scheme_for_thermostat("BAOA")))
 
@@ -207,15 +206,47 @@ def test_constraints_that_the_theory_does_not_cover_are_refused(molecule, senten
         cluster(lengths, [12.0] * len(x), pairs, x)
 
 
-def test_a_second_thermostat_is_refused(tmp_path):
-    system = openmm.System()
-    system.addParticle(1.0)
-    system.addForce(openmm.AndersenThermostat(300.0, 1.0))
-    integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
-    simulation = app.Simulation(topology_of(system), system, integrator, openmm.Platform.getPlatform("Reference"))
-    simulation.context.setPositions([[0.0, 0.0, 0.0]])
-    with (
-        reporting(simulation, tmp_path / "no.csv", 1),
-        pytest.raises(ValueError, match="AndersenThermostat in addition"),
-    ):
+def test_what_is_known_of_rigid_molecules_does_not_depend_on_the_precision_of_positions():
+    """Positions that a run begins with may not obey the constraints yet."""
+    _, system, positions = rb.rigid_water(1)
+    exact = np.array(positions._value)
+    rough = exact + np.random.default_rng(3).normal(0.0, 0.005, exact.shape)
+    held = constraints(system)[0]
+    found = [Chords(find_bodies(system, x), held, x).mean(exact, KT) for x in (exact, rough)]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    x, pairs = planar()
+    lengths = [np.linalg.norm(x[i] - x[j]) for i, j in pairs]
+    with pytest.raises(ValueError, match="nearly planar"):
+        cluster(lengths, [12.0] * 4, pairs, x + np.random.default_rng(4).normal(0.0, 0.001, x.shape))
+
+
+def atomic():
+    """Return a barostat that moves atoms instead of molecules."""
+    barostat = openmm.MonteCarloBarostat(1.0, 300.0, 1)
+    barostat.setScaleMoleculesAsRigid(False)
+    return barostat
+
+
+@pytest.mark.parametrize(
+    ("temperature", "forces", "sentence"),
+    [
+        (300.0, [openmm.AndersenThermostat(300.0, 1.0)], "AndersenThermostat, but this integrator"),
+        (300.0, [openmm.MonteCarloBarostat(1.0, 310.0, 1)], "at 310 K, the integrator at 300 K: set both"),
+        (300.0, [atomic()], "would scale the bodies themselves"),
+        (0.0, [], "only at a temperature above 0 K"),
+    ],
+)
+def test_what_makes_another_ensemble_is_refused(tmp_path, temperature, forces, sentence):
+    simulation = water(openmm.LangevinMiddleIntegrator(temperature, 1.0, 0.002), *map(copy.copy, forces))
+    with reporting(simulation, tmp_path / "no.csv", 1), pytest.raises(ValueError, match=sentence):
         simulation.step(1)
+
+
+def test_force_groups_may_not_change_in_a_run(tmp_path):
+    integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.02)
+    simulation = rotors(integrator)
+    with reporting(simulation, tmp_path / "rotors.csv", 1):
+        simulation.step(1)
+        integrator.setIntegrationForceGroups({1})
+        with pytest.raises(ValueError, match="force groups or a parameter of the Context have changed"):
+            simulation.step(1)
