@@ -50,7 +50,7 @@ class Criterion:
         """Judge whether the mean over the draws lies between two values, within two standard errors."""
         mean, error = np.mean(values), np.std(values, ddof=1) / np.sqrt(len(values))
         met = low - 2.0 * error <= mean <= high + 2.0 * error
-        words = f"{text}, in the mean over {len(values)} draws, within two standard errors: {mean:.1f} ± {error:.1f}"
+        words = f"{text}, on average over {len(values)} draws, within two standard errors: {mean:.1f} ± {error:.1f}"
         return cls(words, int(met), 1)
 
     @classmethod

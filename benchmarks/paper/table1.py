@@ -215,7 +215,7 @@ def claims(data):
     }
     yield Claim(
         "The computational effort is dominated by the elliptic integrals of the third kind.",
-        f"their part of the time of a call of {bodies_of(data)} bodies is {words['compiled']} compiled, and "
+        f"their share of the time of a call with {bodies_of(data)} bodies is {words['compiled']} compiled, and "
         f"{words['numpy']} in numpy. In the authors' Fortran, Gauss's rule instead of the exact integrals takes 1.1 of 2.3 "
         "µs per body: they are about half of the effort.",
         tuple(

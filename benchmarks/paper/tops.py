@@ -162,7 +162,7 @@ def claims(data):
         + ".",
         tuple(
             Criterion.mean(
-                f"{name}: log10 of the ratio within log10(3) of 3",
+                f"{name}: log10 of the ratio is within log10(3) of 3",
                 np.log10(r),
                 3.0 - np.log10(3.0),
                 3.0 + np.log10(3.0),

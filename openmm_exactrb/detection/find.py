@@ -146,7 +146,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
             seen[particle] = number
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
-            raise ValueError(f"body {number} has no particle with mass")
+            raise ValueError(f"body {number} has no particle with mass: name at least one")
         if len(particles) > 2 * len(massive):
             warn(
                 f"body {number} has the mass and inertia of {len(massive)} particles, because the other "

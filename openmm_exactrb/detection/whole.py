@@ -247,8 +247,8 @@ def _check_clear(near: Array, box: Array) -> None:
     longest = _steps(near).max()
     if longest > _CLEAR * half_width(box):
         raise ValueError(
-            f"bodies of {len(near)} particles with the same masses have different shapes that are the same across the "
-            f"periodic box, where the gap is at least {longest:.3g} nm: {_REMEDY}"
+            f"bodies of {len(near)} particles with the same masses differ in shape only by the periodic images of "
+            f"their particles, and across a gap of at least {longest:.3g} nm either image may be meant: {_REMEDY}"
         )
 
 

@@ -168,8 +168,8 @@ class ClusterKind:
             )
         if len(self.pairs) > LARGEST:
             raise ValueError(
-                f"{len(self.pairs)} constraints hold {self.name(0)} together, more than {LARGEST}: create the System "
-                "with constraints=HBonds, which constrains hydrogens only"
+                f"{len(self.pairs)} constraints hold {self.name(0)} together, but at most {LARGEST} are supported: "
+                "create the System with constraints=HBonds, which constrains hydrogens only"
             )
         independence, constraint = self.most_dependent(_anywhere(len(self.masses)))
         if independence.max() < _INDEPENDENT:

@@ -81,7 +81,7 @@ def long_range_correction(
     """
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:
-        raise ValueError("long_range_correction needs spheres in a periodic box, without wca: omit it")
+        raise ValueError("long_range_correction is only for spheres in a periodic box without wca: omit this argument")
     of_repulsion, of_attraction = (2.0 * np.pi * n**2 * _beyond(spheres, p) for p in (12, 6))
     attracts = f" - {float(of_attraction)!r}*soft_attraction" if attraction else ""
     force = openmm.CustomVolumeForce(f"({float(of_repulsion)!r}*soft_repulsion{attracts})/v")

@@ -70,7 +70,9 @@ def force_gradient(
         raise ValueError(f"scheme {name}: {pattern!r} is not a palindrome of alternating drifts A and kicks B or C")
     half = (len(kicks) + 1) // 2
     if kicks[:half].count("C") != len(e):
-        raise ValueError(f"scheme {name}: give e for each C of the first half of {pattern!r}, not {len(e)} numbers")
+        raise ValueError(
+            f"scheme {name}: e must have one number for each C in the first half of {pattern!r}, not {len(e)}"
+        )
     if not (math.isfinite(magnification) and magnification):
         raise ValueError(f"scheme {name}: magnification must be a finite number other than 0, not {magnification}")
     parts, displacements = palindrome(name, "b", b, len(kicks)), iter(e)

@@ -136,8 +136,8 @@ def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Arra
     k, m = layers[int(np.argmax(room))]
     if max(room) < _CLOSEST:
         raise ValueError(
-            f"{n} parallel ellipsoids do not fit on a lattice at this density: neighbours come within "
-            f"{max(room):.2f} of their contact; use a lower density, or another n"
+            f"{n} parallel ellipsoids do not fit on a lattice at this density: the nearest neighbours would "
+            f"be at {max(room):.2f} of the distance at which they touch; use a lower density, or another n"
         )
     cells = np.array(list(itertools.product(range(k), range(k), range(m))), dtype=np.float64)
     places = ((cells[:, None] + _CELL) / (k, k, m)).reshape(-1, 3)

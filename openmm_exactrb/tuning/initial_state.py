@@ -197,8 +197,8 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
                 done.append(next(heat(integrator, context)))
         if not done:
             raise ValueError(
-                f"a short run at {temperature:.0f} K that leads from the start to another one diverges whenever it is "
-                f"tried: minimise the energy of the start first"
+                f"every short run at {temperature:.0f} K from the start diverges: minimise the energy of the start "
+                "first"
             )
         states.append(state.updated(context))
     return states

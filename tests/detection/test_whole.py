@@ -237,7 +237,7 @@ def test_dumbbells_side_by_side_of_two_lengths_across_the_box_are_refused_unless
     if length == 0.3:
         np.testing.assert_allclose(find_bodies(system, given, named, CUBE).inertia[:, 2], 6.0 * length**2, rtol=1e-12)
         return
-    with pytest.raises(ValueError, match=r"shapes that are the same across the periodic box, where .* 1\.4 nm"):
+    with pytest.raises(ValueError, match=r"differ in shape only by the periodic images .* 1\.4 nm"):
         find_bodies(system, given, named, CUBE)
 
 
