@@ -66,7 +66,7 @@ class Chords:
                 )
             differences = np.eye(len(masses))[own[:, 0]] - np.eye(len(masses))[own[:, 1]]
             held = _Held(particles[:, own], differences / masses @ differences.T)
-            # The places of a rigid body are those of its shape: what positions a run begins with may be rough.
+            # Of a rigid body by its shape: the positions that a run begins with may be rough.
             r = _vectors(held, x) if sites is None else sites[:, own[:, 0]] - sites[:, own[:, 1]]
             ranks = np.linalg.matrix_rank(_matrix(held, r), rtol=_INDEPENDENT, hermitian=True)
             alike = len(particles) // len(r)

@@ -36,10 +36,13 @@ from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
 from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 # Blocks of the jackknife, and the fewest frames that they can be made of.
 _BLOCKS, _FEWEST = 20, 40
+# Statistical errors that the limits of friction may differ by without a warning.
+_DISTINCT = 3.0
 # kg/m³ per Da/nm³.
 _DENSITY = 1.66053906660
 
@@ -137,6 +140,11 @@ def corrected(
     ------
     ValueError
         If the file has not what the correction needs, or the theory does not hold for the run.
+
+    Warns
+    -----
+    UserWarning
+        If the limits of weak and strong friction differ by more than three statistical errors.
     """
     settings, columns = _checked(file)
     excess = 0.0
@@ -159,7 +167,9 @@ def corrected(
         value, observable_of = of(some)
         return value, *_errors(settings, some, observable_of, local, excess)
 
-    return _jackknife(columns, result)
+    found = _jackknife(columns, result)
+    _warn_of_friction(found)
+    return found
 
 
 def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
@@ -236,6 +246,17 @@ def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
     if given is None or not np.ptp(given):
         return own
     return own - _covariance(a, given) * _covariance(b, given) / _covariance(given, given)
+
+
+def _warn_of_friction(found: Average) -> None:
+    """Warn of an average for which it matters whether friction is weak or strong."""
+    weak, strong = found.bracket
+    if abs(weak - strong) > _DISTINCT * found.error:
+        warn(
+            f"the corrected average is {weak:.6g} if all motions exchange energy faster than friction does, but "
+            f"{strong:.6g} if none does, as for bonds that vibrate in the kicks, and its error leaves that out: "
+            "constrain such bonds, or use a shorter step"
+        )
 
 
 def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
