@@ -116,8 +116,8 @@ FIGURES = [
     ("README.md", "({} K after projection on the constraints", ("NVT", LFM, 6.0), 5.0),
     (EXAMPLE, "differ by {} K after this projection", ("NVT", LFM, 6.0), 5.0),
     (EXAMPLE, "and by {} K with the scheme ``W2_3m``", ("NVT", "W2_3m", 6.0), 5.0),
-    (STUDY, "BAOA is {} K apart at 20/ps", ("NVT", "BAOA", 6.0), 20.0),
-    (STUDY, "apart at 20/ps and {} K at 30/ps", ("NVT", "BAOA", 6.0), 30.0),
+    (STUDY, "With `BAOA` rotation is {} K hotter than translation at 20/ps", ("NVT", "BAOA", 6.0), 20.0),
+    (STUDY, "hotter than translation at 20/ps and {} K at 30/ps", ("NVT", "BAOA", 6.0), 30.0),
     (STUDY, "the rotation that it reports is {} K hotter", ("NVT", LFM, 6.0), 20.0),
 ]
 

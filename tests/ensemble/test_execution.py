@@ -89,7 +89,7 @@ def test_killed_script_continues_where_it_stopped(tmp_path, scheduler):
         process.kill()
     finished = {file: file.stat().st_mtime_ns for file in kept.glob("*.json")}
     assert 3 <= len(finished) < 8
-    done = subprocess.run(command, capture_output=True, text=True)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8")
     assert done.returncode == 0, done.stderr
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [line[0] for line in lines] == ["True"] * len(finished) + ["False"] * (8 - len(finished))

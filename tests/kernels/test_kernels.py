@@ -28,5 +28,5 @@ def test_another_source_of_the_kernels_is_another_key_of_the_cache(tmp_path, mon
     keys = []
     for file in ("kernels/compiled/bodies.py", "kernels/compiled/bodies.py", "mathematics/elliptic.py"):
         keys.append(build.sources.__wrapped__())
-        (copied / file).write_text((copied / file).read_text(encoding="utf-8") + "\n")
+        (copied / file).write_text((copied / file).read_text(encoding="utf-8") + "\n", encoding="utf-8")
     assert len(set(keys)) == 3
