@@ -26,6 +26,19 @@ def solvated(file: Path, **water) -> tuple[app.Topology, unit.Quantity]:
     return model.topology, model.positions
 
 
+def system_of(topology: app.Topology, force_field: tuple[str, ...] = FORCE_FIELD, **settings) -> openmm.System:
+    """Return a System with PME behind a switch and bonds to hydrogen held; `settings` are more of createSystem."""
+    return app.ForceField(*force_field).createSystem(
+        topology,
+        nonbondedMethod=app.PME,
+        nonbondedCutoff=0.85,
+        switchDistance=0.75,
+        constraints=app.HBonds,
+        removeCMMotion=False,
+        **settings,
+    )
+
+
 def placed(a, b, c, bond, angle, torsion):
     """Return the place of an atom by its distance to c, its angle with b and its torsion about b-c."""
     angle, torsion = np.radians(angle), np.radians(torsion)

@@ -29,7 +29,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
+from benchmarks.common.proteins import PEPTIDE, solvated, system_of
 
 PRECISIONS = ("single", "mixed", "double")
 COLUMNS = (
@@ -38,13 +38,11 @@ COLUMNS = (
 )
 
 
-def system_of(which, molecules):
+def start_of(which, molecules):
     """Return a System and positions."""
     if which == "peptide":
         topology, positions = solvated(PEPTIDE)
-        made = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75}
-        force_field = app.ForceField(*FORCE_FIELD)
-        system = force_field.createSystem(topology, constraints=app.HBonds, removeCMMotion=False, **made)
+        system = system_of(topology)
         rb.heavy_hydrogens(system, topology, 3.0, water=True)
         rb.separate_bonded(system)
         return system, positions
@@ -149,7 +147,7 @@ def main():
     options = parser.parse_args()
     warnings.filterwarnings("ignore", message="the Context is in single precision")
     inner = {"fast": "bonded"} if options.system == "peptide" else {}
-    system, positions = system_of(options.system, options.molecules)
+    system, positions = start_of(options.system, options.molecules)
     energies = Energies(system, openmm.Platform.getPlatform(options.platform))
     folder = folder_of(options)
     if not (folder / "start.xml").exists():

@@ -38,7 +38,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated, system_of
 from benchmarks.common.records import ROOT
 from openmm_exactrb.openmm_access.platforms import no_gpu
 from openmm_exactrb.schemes import scheme_for_thermostat
@@ -124,15 +124,8 @@ def protein(name):
         topology, system, positions = test.topology, test.system, test.positions
     else:
         topology, positions = solvated(of_file(name))
-        system = app.ForceField(*(CHARMM if name == "membrane" else FORCE_FIELD)).createSystem(
-            topology,
-            nonbondedMethod=app.PME,
-            nonbondedCutoff=0.85,
-            switchDistance=0.75,
-            ewaldErrorTolerance=1e-5,
-            constraints=app.HBonds,
-            removeCMMotion=False,
-        )
+        force_field = CHARMM if name == "membrane" else FORCE_FIELD
+        system = system_of(topology, force_field, ewaldErrorTolerance=1e-5)
     rb.heavy_hydrogens(system, topology, 3.0, water=True)
     rb.separate_bonded(system)
     return system, positions

@@ -18,6 +18,7 @@ import argparse
 import itertools
 import math
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +29,11 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.markdown import markdown, with_error
 from benchmarks.common.records import DOCS, OUT, Record, Row
+from benchmarks.common.reported import reported
 from benchmarks.common.starts import REPEATED
 
 TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
-FRAME, BURN, PART = 0.2, 20.0, 20.0  # ps: between two frames, not counted, and between two savings
+FRAME, PART = 0.2, 20.0  # ps between two frames, and between two savings
 SMOOTH = {"nonbondedMethod": app.PME, "nonbondedCutoff": 0.85, "switchDistance": 0.75, "ewaldErrorTolerance": 1e-4}
 KEY = ("model", "masses", "scheme", "fs", "ensemble", "bar", "ps", "seed")
 UNITS = {"potential energy": "kJ/mol", "pressure": "bar", "density": "kg/m³", "enthalpy": "kJ/mol"}
@@ -72,24 +74,8 @@ def step_of(run: dict[str, Any]) -> float:
 
 def frames(run: dict[str, Any]) -> Path:
     """Make the frames of a run, from where an earlier command stopped."""
-    folder = OUT / "averages"
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / ("_".join(str(run[name]) for name in KEY) + ".csv")
-    saved, simulation = file.with_suffix(".xml"), simulation_of(run)
-    step = step_of(run)
-    if saved.exists():
-        simulation.loadState(str(saved))
-    else:
-        simulation.step(round(BURN / step))
-    interval = max(1, round(FRAME / step))
-    reporter = rb.AverageReporter(file, interval, pressure=True, append=saved.exists())
-    simulation.reporters.append(reporter)
-    end = round((BURN + run["ps"]) / step)
-    while simulation.currentStep < end:
-        simulation.step(min(round(PART / step), end - simulation.currentStep))
-        simulation.saveState(str(saved))
-    reporter.close()
-    return file
+    file = OUT / "averages" / ("_".join(str(run[name]) for name in KEY) + ".csv")
+    return reported(file, simulation_of(run), partial(rb.AverageReporter, pressure=True), FRAME, run["ps"], PART)
 
 
 def row_of(run: dict[str, Any]) -> dict[str, Any]:

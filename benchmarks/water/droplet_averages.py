@@ -3,7 +3,7 @@
 Droplets of 8 TIP3P, 32 of them far apart, each in a harmonic well, at 298.15 K and 5/ps: a force evaluation costs so
 little that the error of the step is many times the statistical one, which a liquid does not allow on a processor. The
 exact averages are those of generalised hybrid Monte Carlo. Cutoffs are longer than a droplet, so that no pair crosses
-them. Frames are kept in out/benchmarks/droplet_averages, so that a command that was stopped goes on.
+them. Frames are kept in out/benchmarks/droplet_averages, and an interrupted command continues from them.
 
     python benchmarks/water/droplet_averages.py --ns 5 --seeds 1 2
     python benchmarks/water/droplet_averages.py --table
@@ -23,11 +23,12 @@ from openmm import app
 import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
 from benchmarks.common.records import DOCS, OUT, Record, Row
+from benchmarks.common.reported import reported
 from benchmarks.common.starts import REPEATED
 from openmm_exactrb.averages.record import read
 
 TEMPERATURE, FRICTION, MOLECULES, DROPLETS, APART, WELL, CUTOFF = 298.15, 5.0, 8, 32, 6.0, 500.0, 2.5
-FRAME, BURN, PART = 0.24, 20.0, 24.0  # ps: between two frames, not counted, and between two savings
+FRAME, PART = 0.24, 24.0  # ps between two frames, and between two savings
 #: Integrator, scheme, time between two forces (fs), mass of a hydrogen (Da).
 POINTS = [
     ("Langevin", "W2_3m", 8.0, 3.0),
@@ -109,25 +110,9 @@ class EnergyOnly:
 
 def frames(run: dict[str, Any]) -> Path:
     """Make the frames of a run, from where an earlier command stopped."""
-    folder = OUT / "droplet_averages"
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / ("_".join(str(run[name]) for name in KEY) + ".csv")
-    saved, simulation = file.with_suffix(".xml"), simulation_of(run)
-    step = simulation.integrator.getStepSize()._value
-    if saved.exists():
-        simulation.loadState(str(saved))
-    else:
-        simulation.step(round(BURN / step))
-    interval, again = max(1, round(FRAME / step)), saved.exists()
+    file = OUT / "droplet_averages" / ("_".join(str(run[name]) for name in KEY) + ".csv")
     kind = EnergyOnly if run["integrator"] == "hybrid" else rb.AverageReporter
-    reporter = kind(file, interval, append=again)
-    simulation.reporters.append(reporter)
-    end = round((BURN + 1000.0 * run["ns"]) / step)
-    while simulation.currentStep < end:
-        simulation.step(min(round(PART / step), end - simulation.currentStep))
-        simulation.saveState(str(saved))
-    reporter.close()
-    return file
+    return reported(file, simulation_of(run), kind, FRAME, 1000.0 * run["ns"], PART)
 
 
 def row_of(run: dict[str, Any]) -> dict[str, Any]:
