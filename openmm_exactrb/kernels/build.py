@@ -17,6 +17,7 @@ from numba.core.caching import FunctionCache
 _log = logging.getLogger("openmm_exactrb")
 
 Function = Callable[..., Any]
+_Decorator = Callable[[Function], Function]
 
 _REORDERED = {"reassoc", "contract", "arcp", "nsz"}
 # Functions that only compiled code calls need no wrappers, which take longer to compile than a short function.
@@ -24,7 +25,7 @@ _NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _PACKAGE = Path(__file__).parent.parent
 
 
-def compiled(*arguments: str | type[Any]) -> Callable[[Function], Function]:
+def compiled(*arguments: str | type[Any]) -> _Decorator:
     """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
 
     `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
@@ -56,34 +57,18 @@ def _type(word: str) -> Any:
     return types.Array(scalar, int(axes), "C", readonly=word[0].islower()) if axes else scalar
 
 
-def reordered(function: Function) -> Function:
+def at_first_call(function: Function) -> Function:
     """Compile a function at its first call, with sums reordered and products fused, but no other fast mathematics."""
     fast: Function = _cached(njit(error_model="numpy", nogil=True, fastmath=_REORDERED)(function))
     return fast
 
 
-def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call with arguments of some types."""
-    own: Function = _cached(njit(nogil=True)(function))
-    return own
-
-
-def inner(function: Function) -> Function:
-    """Mark a function that only compiled ones call."""
-    callee: Function = njit(error_model="numpy", **_NO_WRAPPERS)(function)
-    return callee
-
-
-def inner_reordered(function: Function) -> Function:
-    """Do as `inner`, with sums reordered and products fused."""
-    callee: Function = njit(error_model="numpy", fastmath=_REORDERED, **_NO_WRAPPERS)(function)
-    return callee
-
-
-def inlined(function: Function) -> Function:
-    """Mark a function that is inlined into compiled ones."""
-    part: Function = njit(error_model="numpy", inline="always")(function)
-    return part
+#: Marks a function that only compiled ones call.
+inner: _Decorator = njit(error_model="numpy", **_NO_WRAPPERS)
+#: The same, with sums reordered and products fused.
+inner_reordered: _Decorator = njit(error_model="numpy", fastmath=_REORDERED, **_NO_WRAPPERS)
+#: Marks a function that is inlined into compiled ones.
+inlined: _Decorator = njit(error_model="numpy", inline="always")
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]

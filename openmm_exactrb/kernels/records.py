@@ -20,14 +20,19 @@ I2 = Annotated[NDArray[np.int64], "I2"]
 
 
 class Bodies(NamedTuple):
-    """Bodies, of which those that turn come first, and their particles."""
+    """Bodies, of which those that turn come first."""
 
-    mass: F1  #: of the bodies (N,)
+    mass: F1  #: (N,)
     moments: F2  #: of those that turn (3, 1) or (3, K)
     constants: F2  #: of their free rotation, see `openmm_exactrb.rotors.exact.constants`
-    particles: I1  #: (n,)
-    owners: I1  #: the body of each particle (n,)
-    sites: F2  #: the place of each particle in its body (n, 3)
+
+
+class Particles(NamedTuple):
+    """The particles of bodies, one body behind the other."""
+
+    starts: I1  #: the first particle of each body (N + 1,)
+    rows: I1  #: of the particles in arrays (n, 3) of all of a System
+    sites: F2  #: the place of each particle in its body (n, 3), which counts in those that turn
 
 
 class Terms(NamedTuple):

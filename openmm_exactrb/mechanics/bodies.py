@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
+from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState, State
 
@@ -27,28 +28,14 @@ _THIN = 1e-6
 
 @dataclass(frozen=True)
 class Kind:
-    """Bodies of the same masses, and of one shape or of one each.
+    """Bodies of the same masses, and of one shape or of one each, in their principal axes about the centre of mass."""
 
-    Attributes
-    ----------
-    particles : (n, k) array
-        The k particles with mass of each of the n bodies.
-    bodies : slice
-        Their indices among all bodies.
-    masses : (k,) array
-    sites : (1, k, 3) or (n, k, 3) array
-        Places of the particles in the principal axes of the body, about the centre of mass: of all bodies, or of each.
-    mass : float
-    inertia : (1, 3) or (n, 3) array
-        Principal moments in ascending order; the first is 0 for a linear body, all are for particles in one point.
-    """
-
-    particles: Indices
-    bodies: slice
-    masses: Array
-    sites: Array
+    particles: Indices  #: the k particles with mass of each of the n bodies (n, k)
+    bodies: slice  #: their indices among all bodies
+    masses: Array  #: of the particles (k,)
+    sites: Array  #: places of the particles, of all bodies (1, k, 3) or of each (n, k, 3)
     mass: float
-    inertia: Array
+    inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 on a line, all are in a point
 
     @property
     def turns(self) -> bool:
@@ -68,28 +55,9 @@ class Kind:
 
 
 class RigidBodies:
-    """The rigid bodies of a System, and its particles that belong to none.
+    """The N rigid bodies of a System of `n_particles`, and its particles that belong to none.
 
-    Parameters
-    ----------
-    kinds : sequence of Kind
-    n_particles : int
-        Particles of the System, virtual sites and those without mass included.
-    clusters : Clusters, optional
-        Of single particles that constraints hold. Their kinds are the first behind those that turn.
-
-    Attributes
-    ----------
-    mass : (N,) array
-    inertia : (1, 3) or (K, 3) array
-        Moments for the rotor, of one kind with one shape or of each body that turns. A linear body turns as a sphere
-        does whose momentum has no component along the axis.
-    first_particle : (N,) array of int
-    n_turning : int
-        K, the number of bodies that turn.
-    clusters : Clusters
-    clustered : slice
-        Indices of the atoms of clusters among all bodies.
+    The kinds of clusters of single particles, which constraints hold, are the first behind those that turn.
     """
 
     def __init__(self, kinds: Sequence[Kind], n_particles: int, clusters: Clusters | None = None) -> None:
@@ -97,15 +65,18 @@ class RigidBodies:
         self._turning = tuple(kind for kind in kinds if kind.turns)
         self.n_particles = n_particles
         self.clusters = Clusters([]) if clusters is None else clusters
+        #: K, the number of bodies that turn.
         self.n_turning = sum(len(kind.particles) for kind in self._turning)
         self.mass: Array = np.concatenate([np.zeros(0), *(np.full(len(kind.particles), kind.mass) for kind in kinds)])
-        self.first_particle = np.concatenate([np.zeros(0, dtype=np.intp), *(kind.particles[:, 0] for kind in kinds)])
+        self.particles = _particles(kinds)
+        #: One for each body (N,).
+        self.first_particle = self.particles.rows[self.particles.starts[:-1]]
+        #: The atoms of clusters among all bodies.
         self.clustered = slice(self.n_turning, self.n_turning + len(self.clusters.mass))
+        #: Moments for the rotor (1, 3) or (K, 3): a linear body is a sphere that has no momentum along its axis.
         self.inertia = _moments(self._turning)
         self._flexible = bool(len(self.clusters))
-        self._single = self.first_particle[self.n_turning :]
-        self._points = tuple(kind for kind in kinds if not kind.turns and kind.particles.shape[1] > 1)
-        self._particles_of = kernels.load("bodies")
+        self._kernels = kernels.load("bodies")
 
     @property
     def translational_freedom(self) -> int:
@@ -154,34 +125,19 @@ class RigidBodies:
 
     def positions(self, state: BodyState, out: Array) -> Array:
         """Write the positions of all particles with mass into `out` (n_particles, 3)."""
-        for kind in self._turning:
-            self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
-        if self._single.size:
-            out[self._single] = state.R.T[self.n_turning :]
-        for kind in self._points:
-            out[kind.particles] = state.R.T[kind.bodies, None]
+        self._kernels.place(state.R, state.q, self.particles, out)
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
         """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
         V, omega = self.tangent(state).P / self.mass, state.m / self.inertia.T
-        for kind in self._turning:
-            self._particles_of.move(V, omega, state.q, kind.particles, kind.sites, kind.bodies.start, out)
-        if self._single.size:
-            out[self._single] = V.T[self.n_turning :]
-        for kind in self._points:
-            out[kind.particles] = V.T[kind.bodies, None]
+        self._kernels.move(V, omega, state.q, self.particles, out)
         return out
 
     def forces(self, state: BodyState, forces: Array) -> tuple[Array, Array]:
         """Return total forces (3, N) and body-frame torques (3, K) from forces on the particles (n_particles, 3)."""
         total, torque = np.empty((3, len(self))), np.empty((3, self.n_turning))
-        for kind in self._turning:
-            self._particles_of.collect(state.q, kind.particles, kind.sites, kind.bodies.start, forces, total, torque)
-        if self._single.size:
-            total[:, self.n_turning :] = forces[self._single].T
-        for kind in self._points:
-            total[:, kind.bodies] = forces[kind.particles].sum(axis=1).T
+        self._kernels.collect(state.q, self.particles, forces, total, torque)
         return total, torque
 
     def tangent(self, state: BodyState) -> BodyState:
@@ -256,6 +212,17 @@ class Part:
         for a, b, i in zip(after, own, self._places, strict=True):
             a[..., i] = b
         return after
+
+
+def _particles(kinds: Sequence[Kind]) -> Particles:
+    """Return the particles of bodies, in the order of these."""
+    sizes, rows, sites = [np.zeros(1, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros((0, 3))]
+    for kind in kinds:
+        n, k = kind.particles.shape
+        sizes.append(np.full(n, k))
+        rows.append(kind.particles.ravel())
+        sites.append(np.broadcast_to(kind.sites, (n, k, 3)).reshape(-1, 3))
+    return Particles(np.cumsum(np.concatenate(sizes)), np.concatenate(rows), np.concatenate(sites))
 
 
 def _moments(turning: Sequence[Kind]) -> Array:

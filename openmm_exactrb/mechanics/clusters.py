@@ -31,27 +31,13 @@ _INDEPENDENT = 1e-9
 
 @dataclass(frozen=True)
 class ClusterKind:
-    """Clusters of one graph, with the same masses and lengths.
+    """Clusters of one graph, with the same masses and lengths."""
 
-    Attributes
-    ----------
-    particles : (N, n) array
-        The n particles of each of the N clusters.
-    masses : (n,) array
-        In amu.
-    pairs : (m, 2) array
-        The two members of each constraint, by their indices in `particles`.
-    lengths : (m,) array
-        In nm.
-    implied : (k, 2) array, optional
-        The members of constraints that follow from the others, and so take no freedom.
-    implied_lengths : (k,) array, optional
-    """
-
-    particles: Indices
-    masses: Array
-    pairs: Indices
-    lengths: Array
+    particles: Indices  #: the n particles of each of the N clusters (N, n)
+    masses: Array  #: in amu (n,)
+    pairs: Indices  #: the two members of each constraint, by their indices in `particles` (m, 2)
+    lengths: Array  #: in nm (m,)
+    #: The members (k, 2) and lengths (k,) of constraints that follow from the others, and so take no freedom.
     implied: Indices = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     implied_lengths: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -193,13 +179,7 @@ class ClusterKind:
 
 
 class ClusterState(NamedTuple):
-    """Places and momenta of the atoms of all clusters, as sums high + low.
-
-    Attributes
-    ----------
-    x, p : (2, 3, M) arrays
-        In nm and amu nm/ps.
-    """
+    """Places (nm) and momenta (amu nm/ps) of the atoms of all clusters, as sums high + low (2, 3, M)."""
 
     x: Array
     p: Array
@@ -272,7 +252,7 @@ def _anywhere(n: int) -> Array:
 
 
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
-    """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
+    """Return clusters sorted into kinds, by their first particles: equal stars are one, whatever their order.
 
     ValueError if constraints cannot be kept: see `ClusterKind.check_kept`.
     """
@@ -282,9 +262,11 @@ def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
             a.tobytes() for a in (group.masses, group.pairs, group.lengths, group.implied, group.implied_lengths)
         )
         kinds.setdefault(key, []).append(group)
-    joined = [replace(same[0], particles=_by_number([kind.particles for kind in same])) for same in kinds.values()]
-    for kind in joined:
-        kind.check_kept()
+    joined = []
+    for same in kinds.values():
+        particles = np.concatenate([kind.particles for kind in same])
+        joined.append(replace(same[0], particles=particles[np.argsort(particles.min(axis=1))]))
+        joined[-1].check_kept()
     return Clusters(joined)
 
 
@@ -308,9 +290,3 @@ def _in_canonical_order(group: ClusterKind) -> ClusterKind:
         pairs=pairs[by_ends],
         lengths=group.lengths[by_ends],
     )
-
-
-def _by_number(particles: Sequence[Indices]) -> Indices:
-    """Return the clusters (N, n) of several groups in the order of their first particles."""
-    joined = np.concatenate(particles)
-    return joined[np.argsort(joined.min(axis=1))]

@@ -21,24 +21,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Kinetic:
-    """How bodies move without forces.
+    """How bodies move without forces."""
 
-    Attributes
-    ----------
-    drift : callable
-        drift(state, tau) -> state: the flow of the kinetic energy.
-    displaced : callable
-        displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
-    tangent : callable
-        tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
-        before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
-    split : mapping of str to callable
-        Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
-    """
-
+    #: The flow of the kinetic energy.
     drift: Flow[State]
+    #: displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
     displaced: Callable[[State, Array], State]
+    #: The state without those parts of the momenta that constraints do not allow. A drift does the same before it
+    #: moves, so that kicks and noise need it only where the energy is read.
     tangent: Callable[[State], State]
+    #: Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
     split: Mapping[str, Flow[State]] = field(default_factory=dict)
 
 
@@ -56,10 +48,7 @@ def rigid(mass: Array, rotation: Rotation) -> Kinetic:
     def displaced(state: State, push: Array) -> State:
         return state._replace(R=exactly(state.R[0] + push / mass))
 
-    def tangent(state: State) -> State:
-        return state
-
-    return Kinetic(drift, displaced, tangent)
+    return Kinetic(drift, displaced, lambda state: state)
 
 
 def geodesics(free: Kinetic, bodies: RigidBodies) -> Kinetic:

@@ -32,20 +32,11 @@ _MOST_WAYS = 4096
 
 @dataclass(frozen=True)
 class Decided:
-    """By how many vectors of the box the second ends of links are to be shifted against the first.
+    """By how many vectors of the box the second ends of links are to be shifted against the first."""
 
-    Attributes
-    ----------
-    shifts : (m, 3) array
-    doubtful : (m,) array of bool
-        Where no image has the length, and what is given does not either.
-    undecided : (m,) array of bool
-        Where several images have the length within 0.02 nm.
-    """
-
-    shifts: Array
-    doubtful: NDArray[np.bool_]
-    undecided: NDArray[np.bool_]
+    shifts: Array  #: (m, 3)
+    doubtful: NDArray[np.bool_]  #: where no image has the length, and what is given does not either (m,)
+    undecided: NDArray[np.bool_]  #: where several images have the length within 0.02 nm (m,)
 
 
 def decided(x: Array, links: Links, box: Array) -> Decided:

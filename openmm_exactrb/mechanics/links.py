@@ -13,17 +13,10 @@ Indices = NDArray[np.intp]
 
 
 class Links:
-    """Pairs of particles that a constraint, a bond or a known shape holds at a distance.
+    """Pairs (m, 2) of particles that a constraint, a bond or a known shape holds at a distance.
 
-    Parameters
-    ----------
-    pairs : (m, 2) array of int
-        Of those that are named twice, the first counts.
-    lengths : (m,) array
-        In nm; nan where it is not known.
-    n_particles : int
-    last : (m,) array of bool, optional
-        Those that the tree takes only where no others lead. It prefers short ones.
+    Of pairs that are named twice, the first counts. Lengths (m,) are in nm, nan where one is not known. The tree
+    prefers short links, and takes the `last` ones (m,) only where no others lead.
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:

@@ -25,15 +25,7 @@ class Overheating:
     """Watches the temperatures of a run with a thermostat, and warns once.
 
     Translation and rotation of rigid bodies, and all other particles, are watched individually: a solute may be hot
-    in water that is not.
-
-    Parameters
-    ----------
-    bodies : RigidBodies
-    kT : float
-        Of the thermostat, in kJ/mol.
-    relaxation : float
-        Time in ps in which the thermostat takes heat away: 1/friction.
+    in water that is not. kT (kJ/mol) is that of the thermostat, relaxation (ps) the time in which it takes heat away.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:

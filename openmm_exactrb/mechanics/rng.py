@@ -56,67 +56,55 @@ class Instant(NamedTuple):
     step: int
     substep: int
 
-    def stream(self, purpose: Purpose) -> int:
-        """Return the stream of random numbers for a purpose."""
-        return self.substep * PURPOSES + purpose
-
     def generator(self, purpose: Purpose) -> Generator:
-        """Return the generator of random numbers for a purpose."""
-        return generator(self.seed, self.step, self.stream(purpose))
-
-    def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
-        """Return standard normal numbers for a purpose."""
-        return normals(self.seed, self.step, self.stream(purpose), shape)
-
-    def gamma(self, purpose: Purpose, shape: float) -> float:
-        """Return one gamma variate for a purpose, independent of its first four normals of a body."""
-        return gamma(self.seed, self.step, self.stream(purpose), shape)
+        """Return the generator that starts at the first random number for a purpose."""
+        return Generator(Philox(**self._address(purpose)))
 
     def uniform(self, purpose: Purpose) -> float:
         """Return one number uniform on [0, 1) for a purpose."""
         return float(self.generator(purpose).random())
 
+    def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
+        """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""
+        *rows, n = shape
+        count = math.prod(rows)
+        blocks = [_normals_of(self._words(purpose, block, n)) for block in range(-(-count // _BLOCK))]
+        return np.ascontiguousarray(np.concatenate([np.zeros((0, n)), *blocks])[:count].reshape(shape))
 
-def generator(seed: int, step: int, stream: int) -> Generator:
-    """Return the generator that starts at the first number of a stream; all are of 64 bits, seed and step signed."""
-    return Generator(Philox(**_address(seed, step, stream)))
+    def gamma(self, purpose: Purpose, shape: float) -> float:
+        """Return one gamma variate for a purpose, independent of its first four normals of a body.
 
+        G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414. Attempts are the bodies of the second block.
+        """
+        if shape <= 0.0:
+            return 0.0
+        d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
+        for n in itertools.count(_ATTEMPTS, _ATTEMPTS):
+            words = self._words(purpose, 1, n)
+            x, u = _normals_of(words)[0], _open_uniforms(words)
+            root = 1.0 + x / math.sqrt(9.0 * d)
+            v = np.where(root > 0.0, root, 1.0) ** 3
+            (good,) = np.nonzero((root > 0.0) & (np.log(u[2]) < 0.5 * x * x + d * (1.0 - v + np.log(v))))
+            if len(good):
+                first = good[0]
+                return float(d * v[first] * (u[3, first] ** (1.0 / shape) if shape < 1.0 else 1.0))
+        raise AssertionError
 
-def normals(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
-    """Return standard normal numbers of bodies, the last axis of the shape; other arguments as of `generator`."""
-    *rows, n = shape
-    count = math.prod(rows)
-    blocks = [_normals_of(_raw(seed, step, stream, block, n)) for block in range(-(-count // _BLOCK))]
-    return np.ascontiguousarray(np.concatenate([np.zeros((0, n)), *blocks])[:count].reshape(shape))
+    def _words(self, purpose: Purpose, block: int, n: int) -> NDArray[np.uint64]:
+        """Return words of a block of n bodies, (4, n)."""
+        shared = _local.generator.bit_generator
+        address = self._address(purpose)
+        address["counter"][1] = block
+        shared.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
+        return np.ascontiguousarray(shared.random_raw(_BLOCK * n).reshape(n, _BLOCK).T)
 
-
-def gamma(seed: int, step: int, stream: int, shape: float) -> float:
-    """Return a variate of the gamma distribution: G. Marsaglia and W. W. Tsang (2000), doi:10.1145/358407.358414.
-
-    Attempts are the bodies of the second block. Other arguments are as of `generator`.
-    """
-    if shape <= 0.0:
-        return 0.0
-    d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
-    for n in itertools.count(_ATTEMPTS, _ATTEMPTS):
-        words = _raw(seed, step, stream, 1, n)
-        x, u = _normals_of(words)[0], _open_uniforms(words)
-        root = 1.0 + x / math.sqrt(9.0 * d)
-        v = np.where(root > 0.0, root, 1.0) ** 3
-        (good,) = np.nonzero((root > 0.0) & (np.log(u[2]) < 0.5 * x * x + d * (1.0 - v + np.log(v))))
-        if len(good):
-            first = good[0]
-            return float(d * v[first] * (u[3, first] ** (1.0 / shape) if shape < 1.0 else 1.0))
-    raise AssertionError
-
-
-def _raw(seed: int, step: int, stream: int, block: int, n: int) -> NDArray[np.uint64]:
-    """Return words of a block of n bodies, (4, n)."""
-    shared = _local.generator.bit_generator
-    address = _address(seed, step, stream)
-    address["counter"][1] = block
-    shared.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
-    return np.ascontiguousarray(shared.random_raw(_BLOCK * n).reshape(n, _BLOCK).T)
+    def _address(self, purpose: Purpose) -> dict[str, NDArray[np.uint64]]:
+        """Return key and counter in front of the first number."""
+        stream = self.substep * PURPOSES + purpose
+        return {
+            "key": np.array([self.seed & _WORD, 0], dtype=np.uint64),
+            "counter": np.array([0, 0, stream, self.step & _WORD], dtype=np.uint64),
+        }
 
 
 def _open_uniforms(words: NDArray[np.uint64]) -> Array:
@@ -131,14 +119,6 @@ def _normals_of(words: NDArray[np.uint64]) -> Array:
     out = np.empty(u.shape)
     out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)
     return out
-
-
-def _address(seed: int, step: int, stream: int) -> dict[str, NDArray[np.uint64]]:
-    """Return key and counter in front of the first number."""
-    return {
-        "key": np.array([seed & _WORD, 0], dtype=np.uint64),
-        "counter": np.array([0, 0, stream, step & _WORD], dtype=np.uint64),
-    }
 
 
 class _Local(threading.local):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.graph import Graph
 from openmm_exactrb.kernels.records import Bodies
-from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.clusters import Clusters
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.state import State
@@ -36,8 +35,8 @@ class CompiledInnerSteps:
         self._forces, self._sequence, self._repetitions, self._divergence = forces, sequence, repetitions, divergence
         bodies = forces.positions.bodies
         moments = np.ascontiguousarray(bodies.inertia.T)
-        own = Bodies(bodies.mass, moments, constants(moments), *_particles(bodies))
-        self._constants = own, *_packed(bodies.clusters, bodies.n_turning), forces.terms
+        own = Bodies(bodies.mass, moments, constants(moments))
+        self._constants = own, bodies.particles, *_packed(bodies.clusters, bodies.n_turning), forces.terms
         self._sequences: dict[int, tuple[Indices, Array]] = {}
         self._advance = kernels.load("inner_steps").advance
 
@@ -73,14 +72,6 @@ def _as_arrays(sequence: Sequence) -> tuple[Indices, Array]:
     """Return which substeps are kicks, and their parts."""
     kicks = np.array([substep == KICK for substep, _ in sequence], dtype=np.int64)
     return kicks, np.array([part for _, part in sequence])
-
-
-def _particles(bodies: RigidBodies) -> tuple[Indices, Indices, Array]:
-    """Return the particles (n,) of bodies, which one each belongs to (n,), and its place in it (n, 3)."""
-    kinds = bodies.kinds
-    sites = [np.broadcast_to(kind.sites, (*kind.particles.shape, 3)).reshape(-1, 3) for kind in kinds]
-    particles = np.concatenate([kind.particles.ravel() for kind in kinds]).astype(np.int64)
-    return particles, bodies.owner[particles].astype(np.int64), np.ascontiguousarray(np.concatenate(sites))
 
 
 def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:

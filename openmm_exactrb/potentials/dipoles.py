@@ -15,7 +15,7 @@ from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, check_cutoff, checked, edges_of
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
-from openmm_exactrb.potentials.spheres import SphereCutoff, check_minimum, cutoff_in
+from openmm_exactrb.potentials.spheres import SphereCutoff, cutoff_in
 from openmm_exactrb.support import checks
 
 Array = NDArray[np.float64]
@@ -135,7 +135,12 @@ def spheres_of(
     if wca and attraction > 0.0:
         if shifted:
             raise ValueError("wca shifts the energy of the spheres to zero at its minimum already: omit shifted")
-        check_minimum(found, sigma, attraction)
+        end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
+        if found is not None and found.switch < end:
+            raise ValueError(
+                f"the switch of the spheres, at {found.switch:g} nm, begins before the spheres end, at {end:g} nm: "
+                "use a larger box, or a larger sphere_cutoff"
+            )
     return found
 
 
@@ -143,14 +148,12 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
     """Return which of "openmm", "bonds" and "compiled" computes the force; an Ewald sum needs the last."""
     if kernel not in ("auto", "openmm", "bonds", "compiled"):
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
-    if kernel == "auto":
-        kernel = "compiled"
-    if needs_compiled and kernel != "compiled":
+    if needs_compiled and kernel not in ("auto", "compiled"):
         raise ValueError(
             "only the compiled kernel has an Ewald sum in one force: use kernel='compiled', or "
             "dipole_rod_forces for two forces, or boundary=ReactionField()"
         )
-    return kernel
+    return "compiled" if kernel == "auto" else kernel
 
 
 def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:

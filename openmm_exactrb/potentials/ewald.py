@@ -27,38 +27,6 @@ LEAST_TOLERANCE = 2e-7
 LANES = 4
 
 
-def splitting(
-    n: int, box: tuple[float, float, float], cutoff: float, switch: float, tolerance: float
-) -> tuple[float, float]:
-    """Return the inverse width of the Gaussians, alpha, and the largest wave number (1/nm) for n dipoles.
-
-    The truncation error of either sum is exp(-x²), x = alpha switch or y = k_max/(2 alpha), times powers of x or y and
-    of a, alpha times the distance between dipoles, as sums over random dipoles have them. Their factors are the largest
-    that were measured in liquids and gases of 8 to 256 dipoles. Lengths are in nm; the tolerance is relative to the
-    root mean square of forces and fields.
-
-    Raises
-    ------
-    ValueError
-        If more than `MOST_WAVES` are needed.
-    """
-    switch = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
-    x = y = 3.0
-    distance = mean_distance(n, box)
-    for _ in range(60):
-        a = x * distance / switch
-        x = math.log(max(a**2.5 * x**1.5 / tolerance, math.e)) ** 0.5
-        y = math.log(max(0.7 * a**2.5 * y**1.5 / tolerance, 0.9 * a**3 * y / tolerance, math.e)) ** 0.5
-    alpha = x / switch
-    waves = kernels.load("pairs").number_of_waves(box, 2.0 * alpha * y)
-    if waves > MOST_WAVES:
-        raise ValueError(
-            f"an Ewald sum with a switch at {switch:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "
-            f"more than {MOST_WAVES}: start the switch at a larger distance, or use a larger tolerance"
-        )
-    return alpha, 2.0 * alpha * y
-
-
 class EwaldParameters(NamedTuple):
     """How an Ewald sum of dipoles is computed; lengths in nm, their inverses in 1/nm."""
 
@@ -73,8 +41,28 @@ class EwaldParameters(NamedTuple):
 
 
 def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float) -> EwaldParameters:
-    """Return the parameters of the sum over all waves."""
-    alpha, k_max = splitting(n, edges, cutoff, switch, tolerance)
+    """Return the parameters of the sum over all waves; ValueError if it needs more than `MOST_WAVES`.
+
+    The truncation error of either sum is exp(-x²), x = alpha switch or y = k_max/(2 alpha), times powers of x or y and
+    of a, alpha times the distance between dipoles, as sums over random dipoles have them. Their factors are the largest
+    that were measured in liquids and gases of 8 to 256 dipoles. The tolerance is relative to the root mean square of
+    forces and fields.
+    """
+    begin = max(switch, 1e-3 * cutoff)  # an error below, and not a division by zero
+    x = y = 3.0
+    distance = mean_distance(n, edges)
+    for _ in range(60):
+        a = x * distance / begin
+        x = math.log(max(a**2.5 * x**1.5 / tolerance, math.e)) ** 0.5
+        y = math.log(max(0.7 * a**2.5 * y**1.5 / tolerance, 0.9 * a**3 * y / tolerance, math.e)) ** 0.5
+    alpha = x / begin
+    k_max = 2.0 * alpha * y
+    waves = kernels.load("pairs").number_of_waves(edges, k_max)
+    if waves > MOST_WAVES:
+        raise ValueError(
+            f"an Ewald sum with a switch at {begin:g} nm and a tolerance of {tolerance:g} needs {waves:.2g} waves, "
+            f"more than {MOST_WAVES}: start the switch at a larger distance, or use a larger tolerance"
+        )
     return EwaldParameters("direct", cutoff, switch, alpha, k_max, 0, (), tolerance)
 
 

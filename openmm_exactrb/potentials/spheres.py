@@ -52,16 +52,6 @@ def cutoff_in(
     return SphereCutoff(float(end), float(begin), bool(shifted))
 
 
-def check_minimum(spheres: SphereCutoff | None, sigma: float, attraction: float) -> None:
-    """Raise ValueError if spheres that only repel would be cut off before they end, at the minimum of the potential."""
-    end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
-    if spheres is not None and spheres.switch < end:
-        raise ValueError(
-            f"the switch of the spheres, at {spheres.switch:g} nm, begins before the spheres end, at {end:g} nm: use a "
-            "larger box, or a larger sphere_cutoff"
-        )
-
-
 def long_range_correction(
     n: int,
     edges: Sequence[float] | None,

@@ -20,24 +20,12 @@ from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
 class SecondOrder(NamedTuple):
-    """Coefficients of the second-order error of a splitting, in squares of the step.
+    """Coefficients of the second-order error of a splitting, in squares of the step."""
 
-    Attributes
-    ----------
-    alpha : float
-        Of v·V''v in the conserved energy.
-    beta : float
-        Of f·M⁻¹f in the conserved energy.
-    late : float
-        y, the drifts between the heat exchange and the end of a step.
-    pushed : float
-        The displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f.
-    """
-
-    alpha: float
-    beta: float
-    late: float
-    pushed: float
+    alpha: float  #: of v·V''v in the conserved energy
+    beta: float  #: of f·M⁻¹f in the conserved energy
+    late: float  #: y, the drifts between the heat exchange and the end of a step
+    pushed: float  #: the displacement by kicks between the heat exchange and the end of a step, in h² M⁻¹f
 
     @property
     def slope(self) -> float:

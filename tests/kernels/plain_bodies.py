@@ -5,50 +5,45 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mathematics.compensated import add
-from openmm_exactrb.mathematics.quaternions import matrix, turned
+from openmm_exactrb.mathematics.quaternions import matrix
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
-def place(R: Array, q: Array, particles: Indices, sites: Array, first: int, x: Array) -> None:
-    """Write the positions R + Q b of the particles (n, k) of bodies `first` to `first` + n into rows of x (., 3).
-
-    R is (3, N) and q (4, K); sites (1, k, 3) or (n, k, 3) are the positions b in the bodies, of all or of each.
-    """
-    bodies = slice(first, first + len(particles))
-    x[particles] = R.T[bodies, None] + turned(matrix(q[:, bodies]).transpose(2, 0, 1), sites)
+def place(R: Array, q: Array, particles: Particles, x: Array) -> None:
+    """Write the positions R + Q b of particles into rows of x (., 3); bodies that do not turn have no q."""
+    owner, Q = _attitudes(q, particles)
+    x[particles.rows] = R.T[owner] + np.einsum("nij,nj->ni", Q, particles.sites)
 
 
-def move(V: Array, omega: Array, q: Array, particles: Indices, sites: Array, first: int, v: Array) -> None:
-    """Write the velocities V + Q (omega x b) of the particles of bodies `first` to `first` + n into rows of v (., 3).
-
-    V is (3, N) in space, omega (3, K) in the bodies; other arguments are those of `place`.
-    """
-    bodies = slice(first, first + len(particles))
-    relative = np.cross(omega.T[bodies, None], sites)
-    v[particles] = V.T[bodies, None] + np.einsum("ijn,nsj->nsi", matrix(q[:, bodies]), relative)
+def move(V: Array, omega: Array, q: Array, particles: Particles, v: Array) -> None:
+    """Write the velocities V + Q (omega x b); V is (3, N) in space, omega (3, K) in the bodies."""
+    owner, Q = _attitudes(q, particles)
+    spin = np.zeros(V.shape)
+    spin[:, : omega.shape[1]] = omega
+    v[particles.rows] = V.T[owner] + np.einsum("nij,nj->ni", Q, np.cross(spin.T[owner], particles.sites))
 
 
-def collect(q: Array, particles: Indices, sites: Array, first: int, forces: Array, total: Array, torque: Array) -> None:
-    """Sum the forces (., 3) on the particles to the forces (3, N) and body-frame torques (3, K) of some bodies."""
-    bodies = slice(first, first + len(particles))
-    F = forces[particles]
-    n, k, _ = F.shape
-    by_site = np.ascontiguousarray(F.transpose(1, 2, 0))
-    total[:, bodies] = by_site.sum(axis=0)
-    # Moment D = sum over sites of b F^T, space components second; the torque is sum_c D_c x (Q^T e_c).
-    if len(sites) == 1:
-        D = (sites[0].T @ by_site.reshape(k, 3 * n)).reshape(3, 3, n)
-    else:
-        D = np.einsum("nsa,sin->ain", sites, by_site)
-    E = matrix(q[:, bodies]).swapaxes(0, 1)
-    torque[0, bodies] = (D[1] * E[2] - D[2] * E[1]).sum(axis=0)
-    torque[1, bodies] = (D[2] * E[0] - D[0] * E[2]).sum(axis=0)
-    torque[2, bodies] = (D[0] * E[1] - D[1] * E[0]).sum(axis=0)
+def collect(q: Array, particles: Particles, forces: Array, total: Array, torque: Array) -> None:
+    """Sum the forces (., 3) on the particles to the forces (3, N) and body-frame torques (3, K)."""
+    owner, Q = _attitudes(q, particles)
+    F, turning = forces[particles.rows], owner < q.shape[1]
+    about = np.cross(particles.sites, np.einsum("nji,nj->ni", Q, F))
+    total[:], torque[:] = 0.0, 0.0
+    np.add.at(total.T, owner, F)
+    np.add.at(torque.T, owner[turning], about[turning])
 
 
 def advance(x: Array, rate: Array, t: float, total: Array) -> None:
     """Write x + t rate of double-doubles x (2, k, N) and rates (k, N) into `total`."""
     total[...] = add(x, t * rate)
+
+
+def _attitudes(q: Array, particles: Particles) -> tuple[NDArray[np.intp], Array]:
+    """Return the body of each particle, and its rotation matrix (n, 3, 3), which is zero where it does not turn."""
+    owner = np.repeat(np.arange(len(particles.starts) - 1), np.diff(particles.starts))
+    Q = np.zeros((len(particles.starts) - 1, 3, 3))
+    Q[: q.shape[1]] = matrix(q).transpose(2, 0, 1)
+    return owner, Q[owner]

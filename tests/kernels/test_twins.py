@@ -6,6 +6,7 @@ import pytest
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.plain import exact
+from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors.exact import constants
@@ -26,14 +27,13 @@ def sums_of(rng, k, n):
 def of_bodies(rng):
     sums = [(sums_of(rng, k, n), columns(rng, k, n), 0.3, np.zeros((2, k, n))) for k, n in ((3, N), (4, 0))]
     cases = {"place": [], "move": [], "collect": [], "advance": sums}
-    R, q = columns(rng, 3, N), np.ascontiguousarray(quaternions.random(rng, N).T)
-    for first, n, k, own in ((0, N, 3, False), (7, 40, 5, True), (N - 1, 1, 2, False), (3, 0, 3, True)):
-        particles = rng.permutation(n * k + 4)[: n * k].reshape(n, k).astype(np.int64)
-        sites, forces = columns(rng, n if own and n else 1, k, 3), columns(rng, n * k + 4, 3)
-        cases["place"].append((R, q, particles, sites, first, np.zeros((n * k + 4, 3))))
-        v = np.zeros((n * k + 4, 3))
-        cases["move"].append((R, columns(rng, 3, N), q, particles, sites, first, v))
-        cases["collect"].append((q, particles, sites, first, forces, np.zeros((3, N)), np.zeros((3, N))))
+    for turning, sizes in ((N, N * [3]), (40, [*range(1, 41), *90 * [1], 3, 2]), (0, [1, 1]), (2, [5, 5])):
+        starts, n, bodies = np.cumsum([0, *sizes]), sum(sizes), len(sizes)
+        particles = Particles(starts, rng.permutation(n + 4)[:n], columns(rng, n, 3))
+        R, q = columns(rng, 3, bodies), np.ascontiguousarray(quaternions.random(rng, turning).T)
+        cases["place"].append((R, q, particles, np.zeros((n + 4, 3))))
+        cases["move"].append((R, columns(rng, 3, turning), q, particles, np.zeros((n + 4, 3))))
+        cases["collect"].append((q, particles, columns(rng, n + 4, 3), np.ones((3, bodies)), np.ones((3, turning))))
     return cases
 
 
@@ -61,12 +61,11 @@ def test_numpy_and_compiled_kernels_write_the_same_results(name, rng):
         for case in cases:
             one, other = (written(getattr(module, function), case) for module in (IN_NUMPY[name], compiled))
             for a, b in zip(one, other, strict=True):
-                size = np.abs(a).max(initial=0.0) if np.ndim(a) else 0.0
-                np.testing.assert_allclose(b, a, rtol=0.0, atol=tolerance * size)
+                np.testing.assert_allclose(b, a, rtol=0.0, atol=tolerance * np.abs(a).max(initial=0.0))
 
 
 def written(function, arguments):
-    """Return the arguments after a call, which writes its results into the last ones."""
+    """Return the arrays among the arguments after a call, which writes its results into the last ones."""
     own = [a.copy() if isinstance(a, np.ndarray) else a for a in arguments]
     function(*own)
-    return own
+    return [a for a in own if isinstance(a, np.ndarray)]

@@ -5,13 +5,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose, gamma, generator, normals
+from openmm_exactrb.mechanics.rng import PURPOSES, Instant, Purpose
 
 _WORD = 2**64 - 1
 
 
+def drawn(kind, seed, step, stream, *shape):
+    """Return what an instant draws from the stream of a substep and a purpose."""
+    substep, purpose = divmod(stream, PURPOSES)
+    return getattr(Instant(seed, step, substep), kind)(purpose, *shape)
+
+
+def normals(*address_and_shape):
+    return drawn("normals", *address_and_shape)
+
+
 def uniforms(seed, step, stream, shape):
-    return generator(seed, step, stream).random(shape)
+    return drawn("generator", seed, step, stream).random(shape)
 
 
 def philox(counter, key):
@@ -38,7 +48,7 @@ def test_the_reference_gives_the_published_numbers():
 @pytest.mark.parametrize(("seed", "step"), [(1, 0), (-3, 2**40 + 5), (2**53 - 1, -1)])
 def test_key_and_counter_have_the_documented_layout(seed, step):
     """NumPy increments the counter before each block, so that the first one has the lowest word 1."""
-    raw = generator(seed, step, 77).bit_generator.random_raw(8)
+    raw = drawn("generator", seed, step, 77).bit_generator.random_raw(8)
     blocks = [philox([block, 0, 77, step & _WORD], [seed & _WORD, 0]) for block in (1, 2)]
     assert raw.tolist() == [word for block in blocks for word in block]
 
@@ -74,12 +84,12 @@ def test_numbers_depend_on_neither_the_number_nor_the_order_of_draws():
 
 @pytest.mark.parametrize("shape", [0.2, 0.5, 1.0, 7.5, 3e5])
 def test_gamma_variates_have_their_distribution(shape):
-    x = [gamma(30, step, 4, shape) for step in range(4000)]
+    x = [drawn("gamma", 30, step, 4, shape) for step in range(4000)]
     assert stats.kstest(x, "gamma", args=(shape,)).pvalue > 1e-3
 
 
 def test_gamma_variates_are_independent_of_the_normals_of_their_stream():
-    x = np.array([(gamma(31, step, 4, 2.0), *normals(31, step, 4, (4, 1))[:, 0]) for step in range(4000)])
+    x = np.array([(drawn("gamma", 31, step, 4, 2.0), *normals(31, step, 4, (4, 1))[:, 0]) for step in range(4000)])
     assert np.abs(np.corrcoef(x.T)[0, 1:]).max() < 4.0 / np.sqrt(len(x))
 
 
@@ -111,12 +121,6 @@ def test_normals_and_uniforms_have_their_distributions():
 
 
 def test_substeps_and_purposes_have_streams_of_their_own():
-    streams = {Instant(1, 2, substep).stream(purpose) for substep in range(50) for purpose in Purpose}
-    assert len(streams) == 50 * len(Purpose)
-    assert max(Purpose) < PURPOSES
-
-
-def test_an_instant_draws_from_its_stream():
-    at = Instant(seed=5, step=7, substep=2)
-    np.testing.assert_array_equal(at.normals(Purpose.ROTATION, (3, 4)), normals(5, 7, 2 * PURPOSES + 1, (3, 4)))
-    assert at.uniform(Purpose.METROPOLIS) == uniforms(5, 7, 2 * PURPOSES + 2, (1,))[0]
+    first = {Instant(1, 2, substep).uniform(purpose) for substep in range(50) for purpose in Purpose}
+    assert len(first) == 50 * len(Purpose)
+    assert 0 <= min(Purpose) < max(Purpose) < PURPOSES

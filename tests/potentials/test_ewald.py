@@ -8,7 +8,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 import starts
-from force_laws import assert_gradient, context_of, evaluated, positions_of
+from force_laws import context_of, evaluated, positions_of
 from openmm_exactrb.potentials import SoftDipoles
 from plain_ewald import dipole_ewald
 from soft_dipoles import PARAMETERS, arrows, assert_same, dipoles_alone, fluid, liquid, sites_of
@@ -185,16 +185,6 @@ def test_the_error_is_below_the_tolerance_and_not_much_smaller(kind, n, cutoff, 
             for found, right in zip(forces_and_fields(forces), forces_and_fields(exact), strict=True)
         ]
         assert tolerance / 6.0 < max(errors) < tolerance
-
-
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-5])
-@pytest.mark.parametrize("dielectric", [np.inf, 3.0])
-def test_forces_are_the_exact_gradient_whatever_the_tolerance(rng, tolerance, dielectric):
-    x, box = arrows(27, rng)
-    edges = box * np.array([1.0, 1.1, 1.3])
-    options = {"tolerance": tolerance, "dielectric": dielectric, "coupling": 2.0}
-    _, forces = dipoles_alone(x, edges, **options)
-    assert_gradient(lambda y: dipoles_alone(y, edges, **options)[0], x, forces, (4, 21), 1e-8)
 
 
 def test_moved_by_whole_boxes_a_liquid_is_the_same(rng):

@@ -15,6 +15,7 @@ BOUNDARIES = {
     "reaction field": truncated,
     "ewald": lambda box: rb.Ewald(tolerance=1e-4),
     "rough ewald": lambda box: rb.Ewald(tolerance=1e-2, dielectric=3.0),
+    "mesh": lambda box: rb.Ewald(method="mesh", cutoff=1.5, tolerance=1e-3),
 }
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from openmm_exactrb.kernels.build import compiled, inlined
+from openmm_exactrb.kernels.build import compiled, inlined, inner
 from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
+from openmm_exactrb.kernels.compiled.vectors import cross
+from openmm_exactrb.kernels.records import Particles
 
 
 @inlined
@@ -28,56 +30,61 @@ def torque_of(Q, b, F):
     f0 = Q[0] * F[0] + Q[3] * F[1] + Q[6] * F[2]
     f1 = Q[1] * F[0] + Q[4] * F[1] + Q[7] * F[2]
     f2 = Q[2] * F[0] + Q[5] * F[1] + Q[8] * F[2]
-    return b[1] * f2 - b[2] * f1, b[2] * f0 - b[0] * f2, b[0] * f1 - b[1] * f0
+    return cross(b, (f0, f1, f2))
 
 
-@compiled("f2 f2 i2 f3 i F2")
-def place(R, q, particles, sites, first, x):
-    """Write R + Q b of the sites b (1, k, 3) or (n, k, 3) of bodies `first` and on into the rows `particles` of x."""
-    n, k = particles.shape
-    own = sites.shape[0] > 1
-    for i in range(n):
-        body = first + i
-        Q = orientation(q, body)
-        for s in range(k):
-            u = turned(Q, sites[i if own else 0, s])
+@inner
+def _put_points(R, turning, particles, x):
+    """Write R of the bodies behind those that turn into the rows of their particles."""
+    for body in range(turning, R.shape[1]):
+        for p in range(particles.starts[body], particles.starts[body + 1]):
             for e in range(3):
-                x[particles[i, s], e] = R[e, body] + u[e]
+                x[particles.rows[p], e] = R[e, body]
 
 
-@compiled("f2 f2 f2 i2 f3 i F2")
-def move(V, omega, q, particles, sites, first, v):
-    """Write V + Q (omega x b) of bodies `first` and on into the rows `particles` of v."""
-    n, k = particles.shape
-    own = sites.shape[0] > 1
-    for i in range(n):
-        body = first + i
+@compiled("f2 f2", Particles, "F2")
+def place(R, q, particles, x):
+    """Write the positions R + Q b of all particles into rows of x (., 3)."""
+    for body in range(q.shape[1]):
         Q = orientation(q, body)
-        w0, w1, w2 = omega[0, body], omega[1, body], omega[2, body]
-        for s in range(k):
-            b = sites[i if own else 0, s]
-            u = turned(Q, (w1 * b[2] - w2 * b[1], w2 * b[0] - w0 * b[2], w0 * b[1] - w1 * b[0]))
+        for p in range(particles.starts[body], particles.starts[body + 1]):
+            u = turned(Q, particles.sites[p])
             for e in range(3):
-                v[particles[i, s], e] = V[e, body] + u[e]
+                x[particles.rows[p], e] = R[e, body] + u[e]
+    _put_points(R, q.shape[1], particles, x)
 
 
-@compiled("f2 i2 f3 i f2 F2 F2")
-def collect(q, particles, sites, first, forces, total, torque):
-    """Sum the forces on the particles to those (3, N) and the torques (3, K) of bodies `first` and on."""
-    n, k = particles.shape
-    own = sites.shape[0] > 1
-    for i in range(n):
-        body = first + i
+@compiled("f2 f2 f2", Particles, "F2")
+def move(V, omega, q, particles, v):
+    """Write the velocities V + Q (omega x b) of all particles into rows of v (., 3)."""
+    for body in range(q.shape[1]):
         Q = orientation(q, body)
-        T0 = T1 = T2 = 0.0
-        N0 = N1 = N2 = 0.0
-        for s in range(k):
-            F = forces[particles[i, s]]
+        w = omega[0, body], omega[1, body], omega[2, body]
+        for p in range(particles.starts[body], particles.starts[body + 1]):
+            u = turned(Q, cross(w, particles.sites[p]))
+            for e in range(3):
+                v[particles.rows[p], e] = V[e, body] + u[e]
+    _put_points(V, q.shape[1], particles, v)
+
+
+@compiled("f2", Particles, "f2 F2 F2")
+def collect(q, particles, forces, total, torque):
+    """Sum the forces on the particles to those (3, N) and the torques (3, K) of their bodies."""
+    for body in range(q.shape[1]):
+        Q = orientation(q, body)
+        T0 = T1 = T2 = N0 = N1 = N2 = 0.0
+        for p in range(particles.starts[body], particles.starts[body + 1]):
+            F = forces[particles.rows[p]]
             T0, T1, T2 = T0 + F[0], T1 + F[1], T2 + F[2]
-            t0, t1, t2 = torque_of(Q, sites[i if own else 0, s], F)
+            t0, t1, t2 = torque_of(Q, particles.sites[p], F)
             N0, N1, N2 = N0 + t0, N1 + t1, N2 + t2
         total[0, body], total[1, body], total[2, body] = T0, T1, T2
         torque[0, body], torque[1, body], torque[2, body] = N0, N1, N2
+    for body in range(q.shape[1], total.shape[1]):
+        total[:, body] = 0.0
+        for p in range(particles.starts[body], particles.starts[body + 1]):
+            for e in range(3):
+                total[e, body] += forces[particles.rows[p], e]
 
 
 @compiled("f3 f2 f F3")

@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner, inner_reordered
+from openmm_exactrb.kernels.compiled.vectors import cross, difference, dot, scaled, total
 from openmm_exactrb.kernels.records import Terms
 
 _CIRCLE = 2.0 * math.pi
@@ -22,31 +23,6 @@ _CIRCLE = 2.0 * math.pi
 #: and what it follows from: the cosine and sine of an angle and of its multiples.
 _BLOCK, _ROWS = 64, 17
 _FACTOR, _COS, _SIN, _COS_N, _SIN_N = 12, 13, 14, 15, 16
-
-
-@inlined
-def _dot(u, v):
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-@inlined
-def _cross(u, v):
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
-@inlined
-def _sum(u, v):
-    return u[0] + v[0], u[1] + v[1], u[2] + v[2]
-
-
-@inlined
-def _scaled(f, u):
-    return f * u[0], f * u[1], f * u[2]
-
-
-@inlined
-def _difference(x, i, j):
-    return x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
 
 
 @inlined
@@ -94,13 +70,13 @@ def _angles(x, angles, begin, lanes):
     count = _gather(x, angles, begin, 0, 3, lanes)
     for l in range(count):
         u, v = _between(lanes, l, 0, 1), _between(lanes, l, 2, 1)
-        normal = _cross(u, v)
-        sine = max(math.sqrt(_dot(normal, normal)), 1e-12)
-        lanes[_COS, l], lanes[_SIN, l] = _dot(u, v), sine
-        of_u = _scaled(1.0 / (sine * _dot(u, u)), _cross(u, normal))
-        of_v = _scaled(1.0 / (sine * _dot(v, v)), _cross(normal, v))
+        normal = cross(u, v)
+        sine = max(math.sqrt(dot(normal, normal)), 1e-12)
+        lanes[_COS, l], lanes[_SIN, l] = dot(u, v), sine
+        of_u = scaled(1.0 / (sine * dot(u, u)), cross(u, normal))
+        of_v = scaled(1.0 / (sine * dot(v, v)), cross(normal, v))
         _put(lanes, l, 0, of_u)
-        _put(lanes, l, 1, _scaled(-1.0, _sum(of_u, of_v)))
+        _put(lanes, l, 1, scaled(-1.0, total(of_u, of_v)))
         _put(lanes, l, 2, of_v)
     return count
 
@@ -111,15 +87,15 @@ def _torsions(x, torsions, begin, column, lanes):
     count = _gather(x, torsions, begin, column, 4, lanes)
     for l in range(count):
         first, axis, last = _between(lanes, l, 0, 1), _between(lanes, l, 1, 2), _between(lanes, l, 3, 2)
-        a, b, g = _cross(first, axis), _cross(last, axis), math.sqrt(_dot(axis, axis))
-        aa, bb = _dot(a, a), _dot(b, b)
+        a, b, g = cross(first, axis), cross(last, axis), math.sqrt(dot(axis, axis))
+        aa, bb = dot(a, a), dot(b, b)
         scale = 1.0 / math.sqrt(aa * bb)
-        lanes[_COS, l], lanes[_SIN, l] = scale * _dot(a, b), scale / g * _dot(_cross(b, a), axis)
-        of_first, of_last = _scaled(-g / aa, a), _scaled(g / bb, b)
-        of_axis = _sum(_scaled(_dot(first, axis) / (aa * g), a), _scaled(-_dot(last, axis) / (bb * g), b))
+        lanes[_COS, l], lanes[_SIN, l] = scale * dot(a, b), scale / g * dot(cross(b, a), axis)
+        of_first, of_last = scaled(-g / aa, a), scaled(g / bb, b)
+        of_axis = total(scaled(dot(first, axis) / (aa * g), a), scaled(-dot(last, axis) / (bb * g), b))
         _put(lanes, l, 0, of_first)
-        _put(lanes, l, 1, _sum(of_axis, _scaled(-1.0, of_first)))
-        _put(lanes, l, 2, _scaled(-1.0, _sum(of_axis, of_last)))
+        _put(lanes, l, 1, total(of_axis, scaled(-1.0, of_first)))
+        _put(lanes, l, 2, scaled(-1.0, total(of_axis, of_last)))
         _put(lanes, l, 3, of_last)
     return count
 
@@ -143,10 +119,10 @@ def _turn(c, s):
     t = s / max(math.sqrt(c * c + s * s) + c, 1e-300)
     for _ in range(3):
         t = t / (1.0 + math.sqrt(1.0 + t * t))
-    tt, total = t * t, 0.0
+    tt, series = t * t, 0.0
     for k in range(10, -1, -1):
-        total = (1.0 if k % 2 == 0 else -1.0) / (2 * k + 1) + tt * total
-    return 16.0 * t * total
+        series = (1.0 if k % 2 == 0 else -1.0) / (2 * k + 1) + tt * series
+    return 16.0 * t * series
 
 
 @inlined
@@ -185,8 +161,8 @@ def _act(out, i, j, f, u):
 def _add_bonds(x, bonds, of_bonds, out):
     for n in range(len(bonds)):
         i, j = bonds[n]
-        u = _difference(x, i, j)
-        r = math.sqrt(_dot(u, u))
+        u = difference(x, i, j)
+        r = math.sqrt(dot(u, u))
         if r != 0.0:  # a bond of no length has no direction: OpenMM has no force there either
             _act(out, i, j, of_bonds[1, n] * (of_bonds[0, n] - r) / r, u)
 
@@ -195,8 +171,8 @@ def _add_bonds(x, bonds, of_bonds, out):
 def _add_pairs(x, pairs, of_pairs, out):
     for n in range(len(pairs)):
         i, j = pairs[n]
-        u = _difference(x, i, j)
-        square = _dot(u, u)
+        u = difference(x, i, j)
+        square = dot(u, u)
         s = of_pairs[1, n] * of_pairs[1, n] / square
         s *= s * s
         f = of_pairs[0, n] / math.sqrt(square) + of_pairs[2, n] * (48.0 * s - 24.0) * s

@@ -9,11 +9,12 @@ kept apart and added up in this order: any number of threads gives the same bits
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import inner_reordered, reordered
+from openmm_exactrb.kernels.build import at_first_call, inner_reordered
 from openmm_exactrb.kernels.compiled.pair import pair
 from openmm_exactrb.kernels.compiled.rows import add_columns
 from openmm_exactrb.kernels.threads import in_threads
@@ -37,33 +38,21 @@ def cells(edges: tuple[float, float, float], end: float) -> Cells | None:
     return m if min(m) > 2 * _REACH else None
 
 
-def near_pairs(
-    arrows: Array,
-    n: int,
-    m: Cells,
-    repulsion: float,
-    coupling: float,
-    attraction: float,
-    minimum: tuple[float, float] | None,
-    alpha: float | None,
-    truncation: tuple[float, float, float, float, float, float, float, float, float, float],
-    threads: int,
-) -> tuple[float, Array, Array]:
-    """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation."""
-    heads, dipoles, placed = _sorted(arrows, n, m, truncation)
+def near_pairs(arrows: Array, n: int, m: Cells, law: tuple[Any, ...], threads: int) -> tuple[float, Array, Array]:
+    """Return energy, forces and fields (3, n) of the pairs of the first n `arrows` (6, n) within a truncation.
+
+    The law is what `pair` takes behind the products of the vectors, the truncation the last.
+    """
+    heads, dipoles, placed = _sorted(arrows, n, m, law[-1])
     energies, partial = np.empty(n), np.zeros((int(_ROWS) * n, _LANES))
     slabs = np.diff(heads[:: m[1] * m[2]])
-
-    def sum_slabs(*part: int) -> None:
-        _slabs(*part, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial)
-
-    in_threads(sum_slabs, slabs, threads)
+    in_threads(lambda *part: _slabs(*part, heads, placed, m, *law, energies, partial), slabs, threads)
     forces, fields = np.zeros((2, 3, n))
     _add_up(dipoles, partial, forces, fields)
     return float(energies.sum()), forces, fields
 
 
-@reordered
+@at_first_call
 def _sorted(arrows, n, m, truncation):
     """Return where each cell begins in the dipoles sorted by cells, these dipoles, and their arrows within the box."""
     places, cell = np.empty((3, n)), np.zeros(n, np.int64)
@@ -74,19 +63,27 @@ def _sorted(arrows, n, m, truncation):
             c = x * (m[d] / edge)
             places[d, i] = x
             cell[i] = cell[i] * m[d] + (min(int(c), m[d] - 1) if c > 0.0 else 0)
-    heads, dipoles, placed = np.zeros(m[0] * m[1] * m[2] + 1, np.int64), np.empty(n, np.int64), np.empty((6, n))
-    for i in range(n):
+    heads, dipoles = by_cell(cell, m[0] * m[1] * m[2])
+    placed = np.empty((6, n))
+    for q in range(n):
+        for d in range(3):
+            placed[d, q], placed[3 + d, q] = places[d, dipoles[q]], arrows[3 + d, dipoles[q]]
+    return heads, dipoles, placed
+
+
+@at_first_call
+def by_cell(cell, cells):
+    """Return where each of the cells begins in the dipoles sorted by their cell (n,), and these dipoles."""
+    heads, dipoles = np.zeros(cells + 1, np.int64), np.empty(len(cell), np.int64)
+    for i in range(len(cell)):
         heads[cell[i] + 1] += 1
-    for c in range(len(heads) - 1):
+    for c in range(cells):
         heads[c + 1] += heads[c]
     free = heads.copy()
-    for i in range(n):
-        q = free[cell[i]]
+    for i in range(len(cell)):
+        dipoles[free[cell[i]]] = i
         free[cell[i]] += 1
-        dipoles[q] = i
-        for d in range(3):
-            placed[d, q], placed[3 + d, q] = places[d, i], arrows[3 + d, i]
-    return heads, dipoles, placed
+    return heads, dipoles
 
 
 @inner_reordered
@@ -126,7 +123,7 @@ def _partners(cell, block, heads, placed, m, truncation, found, who):
 
 @inner_reordered
 def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
-    """Return energy, force and field of a dipole u from k others, and leave what these get in `work`.
+    """Return the energy of a dipole u with k others, and its force and field; leave what these get in `work`.
 
     The rows of `work` are r² and the vector r to the other, the other's u, then force and field.
     """
@@ -146,10 +143,10 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
         work[10 * _CHUNK + q] = s * x - b * ux
         work[11 * _CHUNK + q] = s * y - b * uy
         work[12 * _CHUNK + q] = s * z - b * uz
-    return energy, fx, fy, fz, gx, gy, gz
+    return energy, (fx, fy, fz, gx, gy, gz)
 
 
-@reordered
+@at_first_call
 def _slabs(
     first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
 ):
@@ -191,23 +188,16 @@ def _slabs(
                     work[h], to[h] = np.inf, _ROWS * np.uint64(i)
                     for d in range(1, 7):
                         work[d * _CHUNK + h] = 0.0
-                e, fx, fy, fz, gx, gy, gz = _arithmetic(
-                    full, u, work, repulsion, coupling, attraction, minimum, alpha, truncation
-                )
+                e, gained = _arithmetic(full, u, work, repulsion, coupling, attraction, minimum, alpha, truncation)
                 energy += e
-                own = partial[_ROWS * np.uint64(i)]
-                own[0] += fx
-                own[1] += fy
-                own[2] += fz
-                own[3] += gx
-                own[4] += gy
-                own[5] += gz
+                for d in range(6):
+                    partial[_ROWS * np.uint64(i), d] += gained[d]
                 for h in range(0, full, _LANES):
                     add_columns(work, 7 * _CHUNK + h, _CHUNK, partial, to, h)
             energies[i] = energy
 
 
-@reordered
+@at_first_call
 def _add_up(dipoles, partial, forces, fields):
     """Add up what each dipole got from the planes of cells, and put it into its place."""
     for q in range(len(dipoles)):

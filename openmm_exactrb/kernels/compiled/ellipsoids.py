@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from openmm_exactrb.kernels.build import compiled, inner
+from openmm_exactrb.kernels.build import compiled, inlined, inner
 from openmm_exactrb.kernels.compiled.pair import switched
+from openmm_exactrb.kernels.compiled.vectors import difference, dot
 
 
 @inner
@@ -38,67 +39,54 @@ def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
     return U, slope, by_H * Ha + by_K * Ka, by_H * Hb + by_K * Kb, by_H * Hc + by_K * Kc + U * chi * chi * c / D
 
 
+@inlined
+def _nearest(x, i, j, box):
+    """Return the vector from particle j to the nearest image of particle i."""
+    a, b, c = difference(x, i, j)
+    return a - box[0] * np.rint(a / box[0]), b - box[1] * np.rint(b / box[1]), c - box[2] * np.rint(c / box[2])
+
+
 @compiled("f2 f1 f1 F2 F1")
 def gay_berne(x, box, law, forces, energy):
-    """Write the forces (2 n, 3) (kJ/mol/nm) and the energy (1,) (kJ/mol).
+    """Write forces (kJ/mol/nm) and energy (1,) (kJ/mol) of ellipsoids with centres and axes x in a box, in nm.
 
-    Parameters
-    ----------
-    x : (2 n, 3) array
-        Positions (nm): centre and a point of the axis of the first ellipsoid, of the second, ...
-    box : (3,) array
-        Edges (nm) of a rectangular periodic box.
-    law : (7,) array
-        chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and begin of the switch (nm).
+    The law (7,) is chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and begin of the switch (nm).
     """
     n = len(x) // 2
     chi, chi_prime, sigma, shift, scale, cutoff, begin = law
     end, rate = cutoff * cutoff, 1.0 / (cutoff * cutoff - begin * begin)
     axes, lengths, pulls = np.empty((n, 3)), np.empty(n), np.zeros((n, 3))
     for i in range(n):
-        dx, dy, dz = x[2 * i + 1, 0] - x[2 * i, 0], x[2 * i + 1, 1] - x[2 * i, 1], x[2 * i + 1, 2] - x[2 * i, 2]
-        lengths[i] = np.sqrt(dx * dx + dy * dy + dz * dz)
-        axes[i, 0], axes[i, 1], axes[i, 2] = dx / lengths[i], dy / lengths[i], dz / lengths[i]
+        u = difference(x, 2 * i + 1, 2 * i)
+        lengths[i] = np.sqrt(dot(u, u))
+        for k in range(3):
+            axes[i, k] = u[k] / lengths[i]
     forces[:] = 0.0
     total = 0.0
     for i in range(n):
-        ux, uy, uz = axes[i]
+        u = axes[i]
         for j in range(i):
-            rx, ry, rz = x[2 * i, 0] - x[2 * j, 0], x[2 * i, 1] - x[2 * j, 1], x[2 * i, 2] - x[2 * j, 2]
-            rx -= box[0] * np.rint(rx / box[0])
-            ry -= box[1] * np.rint(ry / box[1])
-            rz -= box[2] * np.rint(rz / box[2])
-            r2 = rx * rx + ry * ry + rz * rz
+            v, e = axes[j], _nearest(x, 2 * i, 2 * j, box)
+            r2 = dot(e, e)
             if r2 >= end:
                 continue
-            vx, vy, vz = axes[j]
             r = np.sqrt(r2)
-            rx, ry, rz = rx / r, ry / r, rz / r
-            a, b, c = ux * rx + uy * ry + uz * rz, vx * rx + vy * ry + vz * rz, ux * vx + uy * vy + uz * vz
+            e = e[0] / r, e[1] / r, e[2] / r
+            a, b, c = dot(u, e), dot(v, e), dot(u, v)
             U, slope, Ua, Ub, Uc = _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale)
             if r2 > begin * begin:
                 S, dS = switched(r2, end, rate)
                 U, slope, Ua, Ub, Uc = S * U, S * slope + 2.0 * r * dS * U, S * Ua, S * Ub, S * Uc
             total += U
             along = slope - (a * Ua + b * Ub) / r
-            fx = along * rx + (Ua * ux + Ub * vx) / r
-            fy = along * ry + (Ua * uy + Ub * vy) / r
-            fz = along * rz + (Ua * uz + Ub * vz) / r
-            forces[2 * i, 0] -= fx
-            forces[2 * i, 1] -= fy
-            forces[2 * i, 2] -= fz
-            forces[2 * j, 0] += fx
-            forces[2 * j, 1] += fy
-            forces[2 * j, 2] += fz
-            pulls[i, 0] -= Ua * rx + Uc * vx
-            pulls[i, 1] -= Ua * ry + Uc * vy
-            pulls[i, 2] -= Ua * rz + Uc * vz
-            pulls[j, 0] -= Ub * rx + Uc * ux
-            pulls[j, 1] -= Ub * ry + Uc * uy
-            pulls[j, 2] -= Ub * rz + Uc * uz
+            for k in range(3):
+                push = along * e[k] + (Ua * u[k] + Ub * v[k]) / r
+                forces[2 * i, k] -= push
+                forces[2 * j, k] += push
+                pulls[i, k] -= Ua * e[k] + Uc * v[k]
+                pulls[j, k] -= Ub * e[k] + Uc * u[k]
     for i in range(n):  # what turns the axis, without what would stretch it
-        u = axes[i]
-        stretch = pulls[i, 0] * u[0] + pulls[i, 1] * u[1] + pulls[i, 2] * u[2]
+        u, stretch = axes[i], dot(pulls[i], axes[i])
         for k in range(3):
             forces[2 * i + 1, k] = (pulls[i, k] - stretch * u[k]) / lengths[i]
             forces[2 * i, k] -= forces[2 * i + 1, k]

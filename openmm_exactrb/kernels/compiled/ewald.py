@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import reordered
+from openmm_exactrb.kernels.build import at_first_call
 from openmm_exactrb.kernels.threads import in_threads
 
 Array = NDArray[np.float64]
@@ -38,20 +38,19 @@ def reciprocal_space(
     x, y = _differentiated(_standing_waves(r[0], kx), kx), _differentiated(_standing_waves(r[1], ky), ky)
     z = _standing_waves(r[2], kz)
     amplitudes, forces, fields = np.zeros_like(weights), np.zeros_like(u), np.zeros_like(u)
-
-    def sum_dipoles(*planes: int) -> None:
-        _amplitudes(*planes, u, x, y, z, kz, counts, amplitudes)
-
-    def sum_waves(*dipoles: int) -> None:
-        _derivatives(*dipoles, u, x, y, z, kz, counts, factors, forces, fields)
-
-    in_threads(sum_dipoles, counts.sum(axis=1), threads)
-    factors = weights * amplitudes
-    in_threads(sum_waves, np.ones(len(u[0]), dtype=np.int64), threads)
-    # A dipole is no partner of its own cloud, and all are partners of the surface of the sample.
-    uniform = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
-    uniform -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
+    waves = u, x, y, z, kz, counts
+    in_threads(lambda *planes: _amplitudes(*planes, *waves, amplitudes), counts.sum(axis=1), threads)
+    factors, each = weights * amplitudes, np.ones(len(u[0]), dtype=np.int64)
+    in_threads(lambda *dipoles: _derivatives(*dipoles, *waves, factors, forces, fields), each, threads)
+    uniform = uniform_field(u, edges, alpha, dielectric)
     return 0.5 * float((factors * amplitudes).sum() - (uniform * u).sum()), forces, fields + uniform
+
+
+def uniform_field(u: Array, edges: Edges, alpha: float, dielectric: float) -> Array:
+    """Return the fields (3, n) of the surface of the sample, and what takes a dipole out of its own cloud."""
+    own = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
+    own -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
+    return own
 
 
 def _wave_numbers(edge: float, k_max: float) -> Array:
@@ -75,7 +74,7 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
     return weights, counts
 
 
-@reordered
+@at_first_call
 def _standing_waves(x, k):
     """Return cos k x and sin k x in turns, (2 k, n)."""
     waves = np.empty((2 * len(k), len(x)))
@@ -91,7 +90,7 @@ def _standing_waves(x, k):
     return waves
 
 
-@reordered
+@at_first_call
 def _differentiated(waves, k):
     """Return standing waves and their first and second derivatives, (3, 2 k, n)."""
     all_three = np.empty((3, waves.shape[0], waves.shape[1]))
@@ -104,7 +103,7 @@ def _differentiated(waves, k):
     return all_three
 
 
-@reordered
+@at_first_call
 def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
     """Sum u.grad over all dipoles, for the waves of some rows of x."""
     n = u.shape[1]
@@ -128,7 +127,7 @@ def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
                 amplitudes[a, b, 2 * m + 1] = across_s + kz[m] * along_c
 
 
-@reordered
+@at_first_call
 def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
     """Sum factors times u.grad over all waves, and take minus its derivatives, for some dipoles.
 

@@ -10,39 +10,10 @@ import numpy as np
 from openmm_exactrb.kernels.build import compiled, inner
 from openmm_exactrb.kernels.compiled import bonded, clusters, exact
 from openmm_exactrb.kernels.compiled.bodies import advance as add_scaled
-from openmm_exactrb.kernels.compiled.bodies import orientation, torque_of, turned
+from openmm_exactrb.kernels.compiled.bodies import collect, place
 from openmm_exactrb.kernels.compiled.formulas import two_sum
 from openmm_exactrb.kernels.graph import Graph
-from openmm_exactrb.kernels.records import Bodies, Terms
-
-
-@inner
-def _place(R, q, bodies, x):
-    """Write R + Q b of the sites b of all particles, of which single ones do not turn."""
-    for p in range(len(bodies.particles)):
-        row, body = bodies.particles[p], bodies.owners[p]
-        if body < q.shape[2]:
-            u = turned(orientation(q[0], body), bodies.sites[p])
-            for e in range(3):
-                x[row, e] = R[0, e, body] + u[e]
-        else:
-            for e in range(3):
-                x[row, e] = R[0, e, body]
-
-
-@inner
-def _collect(q, bodies, forces, total, torque):
-    """Sum the forces on particles to those (3, N) and the torques (3, K) of their owners."""
-    total[:] = 0.0
-    torque[:] = 0.0
-    for p in range(len(bodies.particles)):
-        F, body = forces[bodies.particles[p]], bodies.owners[p]
-        for e in range(3):
-            total[e, body] += F[e]
-        if body < q.shape[2]:
-            t = torque_of(orientation(q[0], body), bodies.sites[p], F)
-            for e in range(3):
-                torque[e, body] += t[e]
+from openmm_exactrb.kernels.records import Bodies, Particles, Terms
 
 
 @inner
@@ -66,11 +37,11 @@ def _mean_energy(P, m, mass, moments):
 
 
 @inner
-def _move_clusters(R, P, t, places, graphs):
+def _move_clusters(R, P, t, kinds, graphs):
     """Let the clusters of all kinds move freely."""
-    for k in range(len(places) - 1):
-        first, count, n, m, e, r, s, p = places[k]
-        _, _, n1, m1, e1, r1, s1, p1 = places[k + 1]
+    for k in range(len(kinds) - 1):
+        first, count, n, m, e, r, s, p = kinds[k]
+        _, _, n1, m1, e1, r1, s1, p1 = kinds[k + 1]
         graph = Graph(
             graphs.inverse[n:n1],
             graphs.pairs[m:m1],
@@ -85,27 +56,29 @@ def _move_clusters(R, P, t, places, graphs):
         clusters.advance(R, P, t, 1, first, count, graph, R, P)
 
 
-@compiled("i1 f1 f f i", Bodies, "i2", Graph, Terms, "F3 F3 F3 F3 F2 F2 F2 F2 F1")
-def advance(kicks, parts, t, hottest, known, bodies, places, graph, terms, R, P, q, m, x, forces, total, torque, found):
+@compiled("i1 f1 f f i", Bodies, Particles, "i2", Graph, Terms, "F3 F3 F3 F3 F2 F2 F2 F2 F1")
+def advance(
+    kicks, parts, t, hottest, known, bodies, particles, kinds, graph, terms, R, P, q, m, x, forces, total, torque, found
+):
     """Make a sequence of kicks and drifts, of which `kicks` (k,) says which is which, over parts (k,) of the time t.
 
-    R to m are changed in place. `places` (kinds + 1, 8) are the first column and the number of clusters of each kind,
+    R to m are changed in place. `kinds` (n + 1, 8) are the first column and the number of clusters of each kind,
     and where its part of the fields of `graph`, those of all kinds behind each other, begins: of atoms, constraints,
     entries, rows, starts and products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and
     `torque` (3, K) are those at the start. A kick that leaves more kinetic energy per body (kJ/mol) than the hottest
     bodies have is the last one. `found` (2,) is how often forces were evaluated, and this energy.
     """
-    first = places[0, 0]  # of the clusters, behind which there are none
-    last = places[len(places) - 1, 0]
+    first = kinds[0, 0]  # of the clusters, behind which there are none
+    last = kinds[len(kinds) - 1, 0]
     time = np.empty(1)
     found[:] = 0.0
     for k in range(len(kicks)):
         part = parts[k] * t
         if kicks[k]:
             if not known:
-                _place(R, q, bodies, x)
+                place(R[0], q[0], particles, x)
                 bonded.forces(x, terms, forces)
-                _collect(q, bodies, forces, total, torque)
+                collect(q[0], particles, forces, total, torque)
                 found[0] += 1.0
                 known = 1
             add_scaled(P, total, part, P)
@@ -119,5 +92,5 @@ def advance(kicks, parts, t, hottest, known, bodies, places, graph, terms, R, P,
                 exact.advance(bodies.constants, q, m, time, q, m)
             _move_single(R, P, bodies.mass, 0, first, part)
             _move_single(R, P, bodies.mass, last, len(bodies.mass), part)
-            _move_clusters(R, P, part, places, graph)
+            _move_clusters(R, P, part, kinds, graph)
             known = 0

@@ -15,7 +15,9 @@ import scipy.fft
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import inner_reordered, reordered
+from openmm_exactrb.kernels.build import at_first_call, inner_reordered
+from openmm_exactrb.kernels.compiled.cells import by_cell
+from openmm_exactrb.kernels.compiled.ewald import uniform_field
 from openmm_exactrb.kernels.compiled.rows import LANES, add_plane, spline_rows, sum_plane
 from openmm_exactrb.kernels.threads import in_threads
 
@@ -35,7 +37,7 @@ def reciprocal_space(
     """
     C, steps, (nx, ny, nz) = spline(order), tuple(range(order)), points
     base, rest = _places(r, r.mean(axis=1), edges, points)
-    heads, dipoles = _sorted(base, nx, ny)
+    heads, dipoles = by_cell(base[:, 0] * ny + base[:, 1], nx * ny)
     scale = np.array([n / edge for n, edge in zip(points, edges, strict=True)])
     mesh = np.empty((nx, ny + order, nz + C.shape[2]))
     each, planes = np.ones(len(dipoles), dtype=np.int64), np.ones(nx, dtype=np.int64)
@@ -52,8 +54,7 @@ def reciprocal_space(
         lambda *part: _gather(*part, u, base, rest, scale, dipoles, C, steps, mesh, forces, fields), each, threads
     )
     forces -= forces.mean(axis=1, keepdims=True)
-    uniform = 4.0 * alpha**3 / (3.0 * math.sqrt(math.pi)) * u
-    uniform -= 4.0 * math.pi / ((2.0 * dielectric + 1.0) * math.prod(edges)) * u.sum(axis=1, keepdims=True)
+    uniform = uniform_field(u, edges, alpha, dielectric)
     return float(energies.sum()) - 0.5 * float((uniform * u).sum()), forces, fields + uniform
 
 
@@ -118,7 +119,7 @@ def alias_sums(k, steps, order):
     return ones[0] * ones[1] * ones[2], second, fourth
 
 
-@reordered
+@at_first_call
 def _places(r, origin, edges, points):
     """Return the first mesh point (n, 3) of each dipole, and how far it is from it, in steps of the mesh."""
     base, rest = np.empty((r.shape[1], 3), np.int64), np.empty((r.shape[1], 3))
@@ -133,22 +134,6 @@ def _places(r, origin, edges, points):
     return base, rest
 
 
-@reordered
-def _sorted(base, nx, ny):
-    """Return where each column of the mesh begins in the dipoles sorted by columns, and these dipoles."""
-    heads, dipoles = np.zeros(nx * ny + 1, np.int64), np.empty(len(base), np.int64)
-    for i in range(len(base)):
-        heads[base[i, 0] * ny + base[i, 1] + 1] += 1
-    for c in range(nx * ny):
-        heads[c + 1] += heads[c]
-    free = heads.copy()
-    for i in range(len(base)):
-        c = base[i, 0] * ny + base[i, 1]
-        dipoles[free[c]] = i
-        free[c] += 1
-    return heads, dipoles
-
-
 @inner_reordered
 def _weigh(i, rest, scale, C, steps, w):
     """Evaluate the spline and its derivatives along each axis (3, 3, order) for one dipole."""
@@ -156,7 +141,7 @@ def _weigh(i, rest, scale, C, steps, w):
         spline_rows(C, rest[i, d], scale[d], w, 3 * C.shape[2] * d, steps)
 
 
-@reordered
+@at_first_call
 def _spread(first, last, u, base, rest, scale, heads, dipoles, C, steps, points, mesh):
     """Sum the mesh charge in some planes, whose margins belong to the other side."""
     nx, ny, nz = points
@@ -181,7 +166,7 @@ def _spread(first, last, u, base, rest, scale, heads, dipoles, C, steps, points,
                 mesh[x, y, z - nz] += mesh[x, y, z]
 
 
-@reordered
+@at_first_call
 def _multiply(first, last, influence, Q, nz, energies):
     """Multiply some planes of the half spectrum by the influence function, and sum the energy of the whole."""
     for x in range(first, last):
@@ -195,7 +180,7 @@ def _multiply(first, last, influence, Q, nz, energies):
         energies[x] = energy
 
 
-@reordered
+@at_first_call
 def _pad(first, last, phi, mesh):
     """Copy some planes into those with margins."""
     ny, nz = phi.shape[1:]
@@ -208,7 +193,7 @@ def _pad(first, last, phi, mesh):
                 row[z] = source[z % nz]
 
 
-@reordered
+@at_first_call
 def _gather(first, last, u, base, rest, scale, dipoles, C, steps, phi, forces, fields):
     """Take minus the derivatives of the energy of some dipoles in the potential on the mesh."""
     nx, height, stride = phi.shape

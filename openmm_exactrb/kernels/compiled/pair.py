@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
-from openmm_exactrb.kernels.build import inlined, reordered
+from openmm_exactrb.kernels.build import at_first_call, inlined
 
 # Distance in widths of the Gaussian at which a screened dipole ends: exp(-6.5²) is 4e-19.
 _FAR = 6.5
@@ -88,7 +88,7 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, trunca
     return truncated(r2, uv, core, i * slope, b * uv - c * ur * vr, c * uv - d * ur * vr, b, c, coupling, truncation)
 
 
-@reordered
+@at_first_call
 def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
     """Add the reaction field to the dipoles' part, and multiply both parts by their switches.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.kernels.build import reordered
+from openmm_exactrb.kernels.build import at_first_call
 from openmm_exactrb.kernels.compiled import mesh
 from openmm_exactrb.kernels.compiled.cells import cells, near_pairs
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
@@ -35,41 +35,27 @@ def soft_dipoles(
     minimum: tuple[float, float] | None = None,
     ewald: Ewald | None = None,
 ) -> tuple[float, Array]:
-    """Return the energy (kJ/mol) and the forces (kJ/mol/nm) of `potentials.soft_dipole_force`.
+    """Return the energy and the forces of `potentials.SoftDipoles`, whose `energy_and_forces` explains x and threads.
 
-    Parameters
-    ----------
-    x : (2 n, 3) array
-        Positions (nm): centre and tip of the first arrow, of the second, ...
-    repulsion, coupling : float
-        4 epsilon sigma^12 and (strength/length)².
-    truncation : tuple of ten floats, optional
-        For periodic boundaries: edges of the box, square of the longer cutoff; squared cutoff of the dipoles, 1/(width
-        of their switch in r²), strength of the reaction field; squared cutoff of the spheres, 1/(width of their switch
-        in r²), and the energy that is subtracted from theirs.
-    threads : int, optional
-        By default all cores, where the pairs are worth it. Any number gives the same bits.
-    attraction : float, optional
-        4 epsilon sigma^6.
-    minimum : (squared distance, depth), optional
-        Where the energy of the spheres ends, raised by the depth (Weeks, Chandler and Andersen).
-    ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
-        Inverse width of the Gaussians of an Ewald sum; its largest wave number, or the steps of its mesh along the
-        edges and the order of its splines; and relative permittivity outside.
+    repulsion, coupling and attraction are 4 epsilon sigma^12, (strength/length)² and 4 epsilon sigma^6; minimum is
+    the squared distance where the energy of the spheres ends, and by how much it is raised. A truncation has the edges
+    of the box and the square of the longer cutoff; the squared cutoff of the dipoles, 1/(width of their switch in r²)
+    and the strength of the reaction field; the squared cutoff of the spheres, 1/(width of their switch in r²), and
+    the energy that is subtracted from theirs.
     """
     if ewald and truncation is None:
         raise ValueError("an Ewald sum needs a box")
     n = len(x) // 2
     threads = threads or (cores() if _work(n, truncation, ewald) > _SHARED else 1)
     alpha, arrows = ewald and ewald[0], _split(x)
-    laws = repulsion, coupling, attraction, minimum, alpha
+    law = repulsion, coupling, attraction, minimum, alpha, truncation
     room = cells(truncation[:3], truncation[3]) if truncation else None
     if truncation and room:
-        energy, force, field = near_pairs(arrows, n, room, *laws, truncation, threads)
+        energy, force, field = near_pairs(arrows, n, room, law, threads)
     else:
         energies, force, field = np.empty(n), *np.empty((2, 3, n))
         rows = np.ones(n, dtype=np.int64)
-        in_threads(lambda *part: _rows(*part, arrows, *laws, truncation, energies, force, field), rows, threads)
+        in_threads(lambda *part: _rows(*part, arrows, *law, energies, force, field), rows, threads)
         energy = 0.5 * float(energies.sum())
     if ewald and truncation:
         far, push, pull = _images(arrows, n, truncation[:3], ewald, threads)
@@ -103,7 +89,7 @@ def _images(arrows: Array, n: int, edges: mesh.Edges, ewald: Ewald, threads: int
     return mesh.reciprocal_space(r, u, edges, alpha, (x, y, z), order, dielectric, threads)
 
 
-@reordered
+@at_first_call
 def _split(x):
     """Return centres and arrows (tip minus centre), component-first, padded to full vector registers."""
     n = len(x) // 2
@@ -115,7 +101,7 @@ def _split(x):
     return arrows
 
 
-@reordered
+@at_first_call
 def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces, fields):
     """Sum twice the energy, and the forces, of some spheres with all others."""
     n = len(energies)
