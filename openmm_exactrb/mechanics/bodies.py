@@ -102,8 +102,7 @@ class RigidBodies:
     def owner(self) -> Indices:
         """The body of each particle (n_particles,): -1 of those that belong to none."""
         owner = np.full(self.n_particles, -1)
-        for kind in self.kinds:
-            owner[kind.particles] = np.arange(kind.bodies.start, kind.bodies.stop)[:, None]
+        owner[self.particles.rows] = np.repeat(np.arange(len(self)), np.diff(self.particles.starts))
         return owner
 
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:

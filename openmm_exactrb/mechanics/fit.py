@@ -36,17 +36,10 @@ class ShapeWarning(UserWarning):
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     """Find the state of bodies from positions (nm) and velocities (nm/ps) of all particles (n_particles, 3).
 
-    Raises
-    ------
-    ValueError
-        If numbers are not finite, positions are further than `REFUSED` from a rigid body, or a constraint of a cluster
-        follows from others there, or cannot be reached from there.
-
-    Warns
-    -----
-    ShapeWarning
-        If they are further than `RIGIDITY` from one; the best fit keeps centre and orientation. Constraints of clusters
-        that are no rigid bodies may be missed by as much; their atoms are moved along the constraints.
+    ValueError if numbers are not finite, positions are further than `REFUSED` from a rigid body, or a constraint of a
+    cluster follows from others there, or cannot be reached from there. ShapeWarning if they are further than `RIGIDITY`
+    from one; the best fit keeps centre and orientation. Constraints of clusters that are no rigid bodies may be missed
+    by as much; their atoms are moved along the constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))

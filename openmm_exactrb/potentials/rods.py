@@ -49,22 +49,16 @@ def dipole_rod_forces(
         Particles or virtual sites of each body: the ends of its rod, `length` apart and centred about its dipole.
     particles : int
         Number of particles of the System.
-    strength : float
-        Dipole moment in sqrt(kJ/mol nm³).
+    strength, sigma, epsilon, attraction, wca, box, sphere_cutoff, sphere_switch, shifted
+        As of `soft_dipole_force`.
     length : float
         Distance between the ends in nm; `rod_length` has a good one.
-    sigma, epsilon, attraction, wca
-        Of the spheres; see `soft_dipole_force`.
-    box : sequence of three float
-        Edges in nm of the rectangular periodic box of the System.
     boundary : Ewald
         With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision;
         in single precision errors are 2e-4 at best.
         The default cutoff is three times the mean distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
-    sphere_cutoff, sphere_switch, shifted
-        Of the spheres; see `soft_dipole_force`.
 
     Returns
     -------

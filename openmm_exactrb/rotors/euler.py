@@ -23,7 +23,7 @@ from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
-from openmm_exactrb.rotors.flow import Array, Flow, in_any_order
+from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14
@@ -79,28 +79,29 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
 
     Bodies for which that solution is singular take the exact flow: see `is_regular`.
     """
-    return in_any_order(inertia, lambda moments: _flow_of(moments, attitude))
+    order, back, handedness = ascending(inertia)
+    scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
+    moments = np.take_along_axis(inertia, order, axis=0) / scale
+    shared = inertia.shape[1] == 1
 
-
-def _flow_of(inertia: Array, attitude: Attitude) -> Flow:
-    """Return the flow for ascending moments."""
-    scale = np.ldexp(1.0, np.frexp(inertia[2])[1])
-    unit = inertia / scale
-
-    def of(values: Array, chosen: NDArray[np.bool_]) -> Array:
-        return values if inertia.shape[1] == 1 else values[..., chosen]
+    def regular_flow(q: Array, m: Array, t: Array, chosen: NDArray[np.bool_]) -> tuple[Array, Array]:
+        places, replaces = (np.broadcast_to(p if shared else p[:, chosen], m.shape) for p in (order, back))
+        hand, unit, body = (a if shared else a[..., chosen] for a in (handedness, scale, moments))
+        turn, m1 = _step(body, np.take_along_axis(m, places, axis=0) * hand, t / unit, attitude)
+        turn[1:] = np.take_along_axis(turn[1:], replaces, axis=0) * hand
+        return renormalise(multiply(q, turn)), np.take_along_axis(m1, replaces, axis=0) * hand
 
     def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         t = np.broadcast_to(t, m.shape[1:])
-        regular = is_regular(unit, m)
+        sorted_m = np.take_along_axis(m, np.broadcast_to(order, m.shape), axis=0)
+        regular = is_regular(moments, sorted_m)
         if regular.all():
-            return _step(unit, q, m, t / scale, attitude)
-        q1, m1, other = np.empty_like(q), np.empty_like(m), ~regular
-        q1[:, regular], m1[:, regular] = _step(
-            of(unit, regular), q[:, regular], m[:, regular], t[regular] / of(scale, regular), attitude
-        )
-        singular = exact.in_numpy(of(inertia, other))
-        q1[:, other], m1[:, other] = singular(q[:, other], m[:, other], t[other])
+            return regular_flow(q, m, t, regular)
+        q1, m1 = np.empty_like(q), np.empty_like(m)
+        q1[:, regular], m1[:, regular] = regular_flow(q[:, regular], m[:, regular], t[regular], regular)
+        other = ~regular
+        rest = inertia if shared else inertia[:, other]
+        q1[:, other], m1[:, other] = exact.in_numpy(rest)(q[:, other], m[:, other], t[other])
         return q1, m1
 
     return flow
@@ -154,15 +155,15 @@ def gauss(points: int) -> ThirdKind:
     return third_kind
 
 
-def _step(inertia: Array, q: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array, Array]:
-    """Return orientations and momenta after a step, for ascending moments."""
+def _step(inertia: Array, m: Array, t: Array, attitude: Attitude) -> tuple[Array, Array]:
+    """Return the rotation of the step as a quaternion (4, N) and the new momentum, in sorted principal axes."""
     G = np.sqrt(np.einsum("in,in->n", m, m))
     half_turn = np.copysign(1.0, m)
     half_turn[1] = half_turn[0] * half_turn[2]
     orbit = solve(inertia, half_turn * m / G, G * t)
     turn = attitude(orbit)
     turn[1:] *= half_turn
-    return renormalise(multiply(q, turn)), keep_norm(G * half_turn * orbit.end, m, G * G)
+    return turn, keep_norm(G * half_turn * orbit.end, m, G * G)
 
 
 def solve(inertia: Array, x: Array, time: Array) -> Orbit:

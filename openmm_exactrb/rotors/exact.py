@@ -5,34 +5,51 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.plain import exact as plain
-from openmm_exactrb.rotors.flow import Array, Flow, in_any_order
+from openmm_exactrb.rotors.flow import Array, Flow, ascending
 
 
 def compiled(inertia: Array) -> Flow:
     """Return the exact flow for moments (3, 1) or (3, N), compiled; see `in_numpy`."""
-    return in_any_order(inertia, lambda moments: _flow(moments, kernels.load("exact").advance))
+    return _in_any_order(inertia, kernels.load("exact").advance)
 
 
 def in_numpy(inertia: Array) -> Flow:
     """Return the exact flow for moments (3, 1) or (3, N) in numpy; it takes sums of two, (2, ., N), too."""
-    return in_any_order(inertia, lambda moments: _flow(moments, plain.advance))
+    return _in_any_order(inertia, plain.advance)
 
 
-def _flow(inertia: Array, advance: Callable[..., None]) -> Flow:
-    """Return the flow of a kernel for ascending moments."""
-    body = constants(inertia)
+def _in_any_order(inertia: Array, advance: Callable[..., None]) -> Flow:
+    """Return the flow for moments in any order, by a kernel for ascending ones."""
+    order, back, handedness = ascending(inertia)
+    body = constants(np.take_along_axis(inertia, order, axis=0))
+    ordered = bool((order == np.arange(3)[:, None]).all())
 
-    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-        if q.ndim == 2:
-            q1, m1 = flow(q[None], m[None], t)
-            return q1[0], m1[0]
+    def arrange(v: Array, places: NDArray[np.intp]) -> Array:
+        arranged = v[..., places[:, 0], :] if places.shape[1] == 1 else np.take_along_axis(v, places[None], axis=1)
+        return arranged * handedness
+
+    def in_order(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
         q, m, times = np.ascontiguousarray(q), np.ascontiguousarray(m), np.ascontiguousarray(t, dtype=np.float64)
         q1, m1 = np.empty_like(q), np.empty_like(m)
         advance(body, q, m, times, q1, m1)
         return q1, m1
+
+    def arranged(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        q1, m1 = in_order(np.concatenate([q[:, :1], arrange(q[:, 1:], order)], axis=1), arrange(m, order), t)
+        q1[:, 1:] = arrange(q1[:, 1:], back)
+        return q1, arrange(m1, back)
+
+    of_sums = in_order if ordered else arranged
+
+    def flow(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
+        if q.ndim == 3:
+            return of_sums(q, m, t)
+        q1, m1 = of_sums(q[None], m[None], t)
+        return q1[0], m1[0]
 
     return flow
 

@@ -52,24 +52,10 @@ def _check_one_number(
         )
 
 
-def in_any_order(inertia: Array, factory: Callable[[Array], Flow]) -> Flow:
-    """Return the flow for moments (3, 1) or (3, N) in any order, by the factory of flows for ascending ones.
+def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Return the permutation that sorts moments (3, 1) or (3, N), its inverse, and its sign (1,) or (N,).
 
     An odd permutation is a reflection: momenta and vector parts of quaternions, as pseudovectors, take its sign.
     """
     order = np.argsort(inertia, axis=0, kind="stable")
-    flow = factory(np.take_along_axis(inertia, order, axis=0))
-    if (order == np.arange(3)[:, None]).all():
-        return flow
-    back, handedness = np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)
-
-    def arranged(v: Array, places: NDArray[np.intp]) -> Array:
-        return np.take_along_axis(v, np.broadcast_to(places, v.shape), axis=-2) * handedness
-
-    def in_order(q: Array, m: Array, t: Array | float) -> tuple[Array, Array]:
-        turned = np.concatenate([q[..., :1, :], arranged(q[..., 1:, :], order)], axis=-2)
-        q1, m1 = flow(turned, arranged(m, order), t)
-        q1[..., 1:, :] = arranged(q1[..., 1:, :], back)
-        return q1, arranged(m1, back)
-
-    return in_order
+    return order, np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)

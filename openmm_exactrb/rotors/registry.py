@@ -98,13 +98,7 @@ COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 
 def look_up(rotor: str | Rotor) -> Rotor:
-    """Return the rotor of a name; a `Rotor` is passed through.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown.
-    """
+    """Return the rotor of a name; a `Rotor` is passed through. ValueError if the name is unknown."""
     if isinstance(rotor, Rotor):
         return rotor
     if not isinstance(rotor, str) or rotor not in ROTORS:
@@ -113,30 +107,11 @@ def look_up(rotor: str | Rotor) -> Rotor:
 
 
 def rotor(method: str | Rotor, inertia: ArrayLike) -> Flow:
-    """Prepare the flow of free bodies.
+    """Prepare the flow of free bodies with principal moments (3,) of all or (N, 3), by a key of `ROTORS` or a `Rotor`.
 
-    Parameters
-    ----------
-    method : str or Rotor
-        A key of `ROTORS`, or an entry of your own.
-    inertia : (3,) or (N, 3) array_like
-        Principal moments of inertia in any order: the same for all bodies, or one row per body.
-
-    Returns
-    -------
-    flow : callable
-        flow(q, m, t) -> (q, m), with component-first q (4, N), m (3, N), and t a scalar or (N,).
-
-    Raises
-    ------
-    ValueError
-        If there is no such rotor, or moments are not real, positive and finite numbers of this shape, are below
-        ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``.
-
-    Notes
-    -----
-    I1 + I2 >= I3, which the moments of all mass distributions satisfy, is not required, because the equations do not
-    need it.
+    ValueError if there is no such rotor, or moments are not real, positive and finite numbers of this shape, are below
+    ``SMALLEST_MOMENT`` or above ``LARGEST_MOMENT``, or have a ratio above ``WIDEST``. I1 + I2 >= I3, which the moments
+    of all mass distributions satisfy, is not required, because the equations do not need it.
     """
     entry, columns = look_up(method), _columns(inertia)
     return fitting(columns, entry.factory(columns), entry.sums)

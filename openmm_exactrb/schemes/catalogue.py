@@ -319,10 +319,7 @@ def scheme_for_thermostat(name: str | Scheme) -> Scheme:
 def splitting(name: str | Scheme) -> Scheme:
     """Look a splitting up that a thermostat can be joined to: one of the catalogue, or one with a thermostat within it.
 
-    Raises
-    ------
-    ValueError
-        If the name is unknown, or the scheme is processed: a thermostat acts on the true state, at every step.
+    ValueError if the name is unknown, or the scheme is processed: a thermostat acts on the true state, at every step.
     """
     found = scheme_for_thermostat(name)
     if found.processor:

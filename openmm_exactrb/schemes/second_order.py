@@ -10,12 +10,11 @@ any average of these numbers.
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import NamedTuple
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic
+from openmm_exactrb.schemes.sequence import Sequence, merged, palindromic, second_moments
 from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
@@ -37,13 +36,9 @@ def second_order(scheme: Scheme) -> SecondOrder:
     """Return the coefficients of a scheme with its heat exchange, as the steps of an integrator have it.
 
     Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
-    alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j), and
-    a force-gradient kick of strength s adds -s b³/2 to beta.
-
-    Raises
-    ------
-    ValueError
-        If a step has not one place of heat exchange between drifts and kicks of all forces that mirror each other.
+    alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of
+    strength s adds -s b³/2 to beta. ValueError if a step has not one place of heat exchange between drifts and kicks of
+    all forces that mirror each other.
     """
     behind, before = _around_exchange(scheme)
     cycle = behind + before
@@ -56,8 +51,7 @@ def second_order(scheme: Scheme) -> SecondOrder:
         if isinstance(substep, GradientKick):
             gradients -= 0.5 * substep.strength * part**3
     late = math.fsum(part for substep, part in behind if isinstance(substep, Drift))
-    single = math.fsum(b * c * (1.0 - c) for b, c in kicks)
-    double = math.fsum(b * d * (e - c) for (b, c), (d, e) in itertools.combinations(kicks, 2))
+    single, double = second_moments(kicks)
     pushed = math.fsum(b * (late - c) for b, c in kicks[: sum(not isinstance(s, Drift) for s, _ in behind)])
     return SecondOrder(1.0 / 12.0 - 0.5 * single, 1.0 / 12.0 - 0.5 * double + gradients, late, pushed)
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
 from openmm_exactrb.schemes.scheme import Scheme
-from openmm_exactrb.schemes.sequence import Sequence, palindromic, repeated, spelled
+from openmm_exactrb.schemes.sequence import Sequence, palindromic, repeated, second_moments, spelled
 from openmm_exactrb.substeps import DRIFT, HEAT_EXCHANGE, KICK, Drift, HeatExchange, Substep
 
 _PARTICLES = "B. Leimkuhler and C. Matthews, J. Chem. Phys. 138, 174102 (2013), doi:10.1063/1.4802990, for particles"
@@ -22,19 +21,12 @@ def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
     """Return how far behind the thermostat positions are to be read, as a part of the step.
 
     A step from one heat exchange to the next takes (q, p) of an oscillator of the frequency w to
-    (.. + (1 - B h² w²) h p, .. - (1 - D h² w²) h w² q) up to h³, where B = sum_j b_j c_j (1 - c_j) and
-    D = sum_{j<k} b_j b_k (c_k - c_j). So next to the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over
-    y h, which leaves momenta alone, adds y² h² w²: with y² = B - D places are canonical up to h⁴, as momenta are.
-
-    Parameters
-    ----------
-    kicks : iterable of (float, float)
-        The part b_j of each kick and its place c_j, the time since the thermostat, in units of the step.
+    (.. + (1 - B h² w²) h p, .. - (1 - D h² w²) h w² q) up to h³, with B and D of `sequence.second_moments`. So next to
+    the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over y h, which leaves momenta alone, adds y² h² w²:
+    with y² = B - D places are canonical up to h⁴, as momenta are.
     """
-    kicks = sorted(kicks, key=operator.itemgetter(1))
-    late = math.fsum(b * c * (1.0 - c) for b, c in kicks)
-    apart = math.fsum(b * other * (there - c) for (b, c), (other, there) in itertools.combinations(kicks, 2))
-    return math.sqrt(late - apart)
+    single, double = second_moments(kicks)
+    return math.sqrt(single - double)
 
 
 def _three_kicks(outer: float) -> Sequence:
