@@ -18,22 +18,12 @@ Flow = Callable[[_S, float], _S]
 
 
 class BodyState(NamedTuple):
-    """Positions and momenta of N bodies, the first K of which turn.
+    """Positions and momenta of N bodies, the first K of which turn."""
 
-    Attributes
-    ----------
-    R, P : (3, N) arrays
-        Centres of mass (nm) and linear momenta (amu nm/ps).
-    q : (4, K) array
-        Orientations, scalar first, from the principal axes of the body into space.
-    m : (3, K) array
-        Angular momenta in the principal axes of the body (amu nm²/ps).
-    """
-
-    R: Array
-    P: Array
-    q: Array
-    m: Array
+    R: Array  #: centres of mass in nm (3, N)
+    P: Array  #: linear momenta in amu nm/ps (3, N)
+    q: Array  #: orientations, scalar first, from the principal axes of the body into space (4, K)
+    m: Array  #: angular momenta in the principal axes of the body, in amu nm²/ps (3, K)
 
 
 class State(NamedTuple):

@@ -48,11 +48,11 @@ def repeated(sequence: Sequence, n: int) -> Sequence:
 
 
 def second_moments(kicks: Iterable[tuple[float, float]]) -> tuple[float, float]:
-    """Return B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j) of kicks (b_j, c_j).
+    """Return B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j) of kicks (b_j, c_j), in their order.
 
     b_j is the part of a kick and c_j its place, the time since the thermostat, in units of the step.
     """
-    kicks = sorted(kicks, key=lambda kick: kick[1])
+    kicks = tuple(kicks)
     single = math.fsum(b * c * (1.0 - c) for b, c in kicks)
     double = math.fsum(b * other * (there - c) for (b, c), (other, there) in itertools.combinations(kicks, 2))
     return single, double

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import MappingProxyType
@@ -25,7 +26,7 @@ def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
     the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over y h, which leaves momenta alone, adds y² h² w²:
     with y² = B - D places are canonical up to h⁴, as momenta are.
     """
-    single, double = second_moments(kicks)
+    single, double = second_moments(sorted(kicks, key=operator.itemgetter(1)))
     return math.sqrt(single - double)
 
 

@@ -53,7 +53,7 @@ def test_dipoles_may_change_places_and_images(rng, around):
     energy, forces = summed(x, boundary, edges)
     order = rng.permutation(64)
     y = x.reshape(64, 2, 3)[order]
-    if edges is not None:
+    if edges is not None and boundary != BOUNDARIES["mesh"](box):  # whose points move with the mean of the places
         y = y + edges * rng.integers(-2, 3, (64, 1, 3))
     permuted = summed(y.reshape(-1, 3), boundary, edges)
     assert_same((energy, forces.reshape(64, 2, 3)[order].reshape(-1, 3)), permuted, 1e-12)
