@@ -63,7 +63,7 @@ class Substep:
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return its matrix for q'' = -q and times in units of 1/omega."""
+        """Return the matrix of the substep for q'' = -q, with times in units of 1/omega."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
