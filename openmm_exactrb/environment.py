@@ -12,11 +12,11 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.support.types import Array
 
 if TYPE_CHECKING:
     from openmm_exactrb.substeps import Sequence
 
-Array = NDArray[np.float64]
 #: Force (3, N) and body-frame torque (3, K).
 Force = tuple[Array, Array]
 #: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.

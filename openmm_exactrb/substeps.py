@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.environment import Environment, Force, Forces
 from openmm_exactrb.mathematics.compensated import exactly
@@ -20,8 +19,8 @@ from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 

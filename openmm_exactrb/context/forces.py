@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
@@ -17,8 +16,7 @@ from openmm_exactrb.environment import Force, Remembered
 from openmm_exactrb.mechanics.bodies import Part
 from openmm_exactrb.mechanics.state import BodyState, State
 from openmm_exactrb.openmm_access import arrays
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 class ForceMemory:

@@ -7,8 +7,8 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.detection.whole import constraints
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 # A constraint that is missed by this part of its length is one that the box has split.
 _SPLIT = 0.5
 # The least pivot of independent constraints, whose directions are unit vectors.

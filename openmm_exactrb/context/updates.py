@@ -7,17 +7,14 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: Forces that change positions between steps.
 BAROSTATS = (

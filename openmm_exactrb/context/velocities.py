@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.solver import solvable
 from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.detection.shapes import (
     RESIDUAL,
@@ -21,10 +20,8 @@ from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def find_bodies(

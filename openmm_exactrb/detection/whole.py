@@ -25,10 +25,8 @@ from openmm_exactrb.mechanics.images import (
 )
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Gaps differ if one is shorter than this part of the other.
 _SHORTER = 1.0 - 1e-6

@@ -10,9 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates
@@ -21,9 +19,8 @@ from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Thermostat
-
-Array = NDArray[np.float64]
 
 #: What an engine says that does not add up the heat of its thermostat.
 NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.graph import Graph
@@ -18,9 +17,7 @@ from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces
 from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.schemes.sequence import Sequence, repeated
 from openmm_exactrb.substeps import KICK
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 
 class CompiledInnerSteps:

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
 from openmm_exactrb.openmm_access import parameters
-
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Indices
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays, parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 # Lengths (nm) among which the minimum of a bond is looked for.
 _LENGTHS = np.linspace(0.05, 0.3, 251)

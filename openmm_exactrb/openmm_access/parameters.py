@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
+
 #: Whole numbers of terms, particles among them (n, k), and other numbers (n, m), as OpenMM has them, in its units.
 Rows = tuple[Indices, Array]
 

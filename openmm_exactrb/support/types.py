@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 #: Real numbers.
 Array = NDArray[np.float64]
 #: Numbers of particles or bodies, or places in other arrays.
-Indices = NDArray[np.integer[Any]]
+Indices = NDArray[np.intp]

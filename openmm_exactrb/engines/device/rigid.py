@@ -19,9 +19,8 @@ from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import MOVE, Move, Op
 from openmm_exactrb.rotors.exact import constants
+from openmm_exactrb.support.types import Array, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Values = Mapping[str, NDArray[Any]]
 
 #: Bodies of more particles get a group of so many threads each.

@@ -23,8 +23,8 @@ from openmm_exactrb.engines.device import program
 from openmm_exactrb.engines.device.program import Operation, Program
 from openmm_exactrb.moves import Exchange, Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Rows = Iterable[tuple[object, float]]
 
 #: The groups of all forces that act, as bits.

@@ -22,8 +22,8 @@ from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.openmm_access.molecules import Named, in_flexible_molecules
 from openmm_exactrb.schemes.sequence import Sequence, bound, through
 from openmm_exactrb.substeps import Drift, Substep
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: Flows of substeps with their times (ps).
 Bound = list[tuple[Flow[State], float]]
 

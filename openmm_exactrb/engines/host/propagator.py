@@ -15,7 +15,6 @@ from typing import Any, cast
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
@@ -37,8 +36,6 @@ from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import inverse, through
 from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
-
-Array = NDArray[np.float64]
 
 
 class Clock:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
@@ -24,10 +23,7 @@ from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_o
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
 from openmm_exactrb.openmm_access import arrays, parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
+from openmm_exactrb.support.types import Array, Indices
 
 #: The most bonded terms of a particle, for whose partners a block has room in local memory.
 MOST_TERMS = 400

@@ -18,9 +18,7 @@ from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 #: Threads of a block of atoms.
 THREADS = 64
