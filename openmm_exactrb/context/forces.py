@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -12,58 +11,10 @@ import numpy as np
 
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.environment import Force, Remembered
 from openmm_exactrb.mechanics.bodies import Part
-from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.mechanics.state import BodyState, Force, ForceMemory, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array
-
-
-class ForceMemory:
-    """The forces of the last kicks, the most recent ones first: what the output of a processed scheme is made of.
-
-    Attributes
-    ----------
-    forces, differences : deque of (force, torque)
-        At the last positions, and what the forces of the last force-gradient kicks differed by.
-    closed : bool
-        Whether nothing is added: while output is made.
-    """
-
-    def __init__(self, forces: int = 0, differences: int = 0) -> None:
-        self.forces: deque[Force] = deque(maxlen=forces)
-        self.differences: deque[Force] = deque(maxlen=differences)
-        self.closed = False
-
-    def add_force(self, force: Force) -> None:
-        """Remember a force."""
-        if not self.closed:
-            self.forces.appendleft(force)
-
-    def add_difference(self, difference: Force) -> None:
-        """Remember what a displaced force differed by."""
-        if not self.closed:
-            self.differences.appendleft(difference)
-
-    @property
-    def full(self) -> bool:
-        """Whether there are as many as can be remembered."""
-        return all(len(some) == some.maxlen for some in (self.forces, self.differences))
-
-    def clear(self) -> None:
-        """Forget all."""
-        self.forces.clear()
-        self.differences.clear()
-
-    def copy(self) -> Remembered:
-        """Return the forces and the differences, however many there are."""
-        return list(self.forces), list(self.differences)
-
-    def restore(self, copy: Remembered) -> None:
-        """Remember what `copy` returned."""
-        self.clear()
-        self.forces.extend(copy[0][: self.forces.maxlen])
-        self.differences.extend(copy[1][: self.differences.maxlen])
 
 
 class EvaluatedForces(ABC):

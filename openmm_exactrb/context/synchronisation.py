@@ -12,12 +12,11 @@ import openmm
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.environment import Remembered
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import Shapes
-from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.mechanics.state import BodyState, Remembered, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array
 

@@ -15,9 +15,8 @@ from openmm_exactrb import kernels
 from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.environment import Force
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array, Indices
