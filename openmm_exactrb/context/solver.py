@@ -6,7 +6,7 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.detection.whole import constraints
+from openmm_exactrb.openmm_access import parameters
 from openmm_exactrb.support.types import Array
 
 # A constraint that is missed by this part of its length is one that the box has split.
@@ -21,7 +21,7 @@ def solvable(system: openmm.System, x: Array) -> bool:
     It does not where the box has split molecules, since it takes distances without images. Where constraints follow
     from others it may diverge, or leave motions across all of them that a rigid body does not have.
     """
-    pairs, lengths = constraints(system)
+    pairs, lengths = parameters.constraints(system)
     if not len(pairs):
         return True
     apart = x[pairs[:, 0]] - x[pairs[:, 1]]

@@ -1,4 +1,4 @@
-"""The state of rigid bodies: as it moves (sums high + low), as it is shown (float64), its flows, and its last forces."""
+"""The state of rigid bodies: as it moves (sums high + low) and is shown (float64), its flows, and its last forces."""
 
 from __future__ import annotations
 

@@ -88,12 +88,10 @@ def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
     places[:, 0] = first + clusters.first
     places[:-1, 1] = [len(kind.particles) for kind in clusters.kinds]
     places[1:, 2:] = np.cumsum(np.array(begins, dtype=np.int64).reshape(-1, 6), axis=0)
-    if not graphs:
-        return places, _NONE
-    return places, Graph(*map(np.concatenate, zip(*graphs, strict=True)))
+    return places, Graph(*map(np.concatenate, zip(_NONE, *graphs, strict=True)))
 
 
-# The fields of `Graph` without clusters.
+# A graph without constraints.
 _NONE = Graph(
     np.zeros(0),
     np.zeros((0, 2), dtype=np.int64),

@@ -45,8 +45,9 @@ def exceptions(force: openmm.NonbondedForce) -> Rows:
 
 
 def constraints(system: openmm.System) -> Rows:
-    """Return the particles (n, 2) of constraints, and their lengths (n, 1) in nm."""
-    return _divided(_rows(system, "getConstraintParameters", system.getNumConstraints()), 2, 1)
+    """Return the particles (n, 2) of constraints, and their lengths (n,) in nm."""
+    particles, lengths = _divided(_rows(system, "getConstraintParameters", system.getNumConstraints()), 2, 1)
+    return particles, lengths[:, 0]
 
 
 def masses(system: openmm.System) -> Array:

@@ -13,8 +13,8 @@ from averages.test_corrections import COUNT, KT, cosine, made, reporting, rotors
 from openmm_exactrb.averages.chord import Chords
 from openmm_exactrb.averages.record import read
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.mechanics.clusters import ClusterState
+from openmm_exactrb.openmm_access.parameters import constraints
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
