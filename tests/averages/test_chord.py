@@ -233,6 +233,11 @@ def atomic():
         (300.0, [openmm.AndersenThermostat(300.0, 1.0)], "AndersenThermostat, but this integrator"),
         (300.0, [openmm.MonteCarloBarostat(1.0, 310.0, 1)], "at 310 K, the integrator at 300 K: set both"),
         (300.0, [atomic()], "would scale the bodies themselves"),
+        (
+            300.0,
+            [openmm.MonteCarloAnisotropicBarostat([1.0] * 3, 300.0)],
+            "AnisotropicBarostat: use a MonteCarloBarostat",
+        ),
         (0.0, [], "only at a temperature above 0 K"),
     ],
 )
