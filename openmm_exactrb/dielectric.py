@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from openmm_exactrb.support import checks
-
-Array = NDArray[np.float64]
 
 _ASKED = (
     "rows of three numbers in sqrt(kJ/mol nm³), without a unit: moments in e nm times "

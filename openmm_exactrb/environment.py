@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +10,11 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import Flow, Force, ForceMemory, State
+from openmm_exactrb.support.types import Array
 
 if TYPE_CHECKING:
     from openmm_exactrb.substeps import Sequence
-
-Array = NDArray[np.float64]
-#: Force (3, N) and body-frame torque (3, K).
-Force = tuple[Array, Array]
-#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
-Remembered = tuple[list[Force], list[Force]]
 
 
 class Clock(Protocol):
@@ -36,27 +30,10 @@ class Numbers(Protocol):
     present: dict[str, float]
 
 
-class Memory(Protocol):
-    """Forces and torques of the last kicks, and differences of displaced forces, most recent first."""
-
-    @property
-    def forces(self) -> Iterable[Force]:
-        """Forces at the last positions."""
-
-    @property
-    def differences(self) -> Iterable[Force]:
-        """Differences between displaced and undisplaced forces of the last force-gradient kicks."""
-
-    def add_difference(self, difference: Force) -> None:
-        """Store the difference between a displaced and an undisplaced force."""
-
-
 class Forces(Protocol):
     """Forces and torques on bodies, evaluated once for each version of the positions."""
 
-    @property
-    def memory(self) -> Memory:
-        """Storage for the forces of the last kicks."""
+    memory: ForceMemory
 
     def __call__(self, state: State) -> Force:
         """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
@@ -99,10 +76,6 @@ class Environment(Protocol):
         """Free motion, including fast forces."""
 
     @property
-    def memory(self) -> Memory:
-        """The forces of the last kicks."""
-
-    @property
     def numbers(self) -> Numbers:
         """Persistent numbers that substeps change."""
 
@@ -112,7 +85,7 @@ class Environment(Protocol):
 
     @property
     def divergence(self) -> DivergenceCheck:
-        """The check for divergence."""
+        """What raises for states that have diverged: ``finite(state)`` and ``finite_momenta(state)``."""
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:
@@ -120,14 +93,6 @@ class Environment(Protocol):
 
     def forces(self, group: int | None = None) -> Forces:
         """Return the forces of a group, or of all kicks."""
-
-    @property
-    def check(self) -> Callable[[State], Any]:
-        """check(state) raises NonFiniteError if a state is not finite."""
-
-    @property
-    def check_momenta(self) -> Callable[[State], Any]:
-        """check_momenta(state) raises NonFiniteError if its momenta are not finite."""
 
     def exchange_of(self, number: int) -> Flow[State]:
         """Return the flow of the n-th heat exchange in a step."""

@@ -9,9 +9,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context.body_access import BodyAccess
@@ -31,8 +29,6 @@ from openmm_exactrb.schemes import Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
 from openmm_exactrb.support import checks, copies
 from openmm_exactrb.thermostat import Noise, Thermostat, valid_seed
-
-Array = NDArray[np.float64]
 
 
 class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):

@@ -19,8 +19,8 @@ from openmm_exactrb.mechanics.links import Links
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 # Largest net charge of a molecule that force fields leave by rounding charges.
 _NEUTRAL = 1e-3
 _COLUMNS = ("translational (kJ/mol)", "rotational (kJ/mol)", "translational (K)", "rotational (K)")

@@ -10,7 +10,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context import variables
 from openmm_exactrb.environment import Environment
@@ -18,8 +17,7 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.schemes import Scheme, thermostatted
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: exchange(P, m, tau, at) -> (P, m): momenta as sums (2, 3, N) and (2, 3, K), new arrays or the same ones.
 Exchange = Callable[[Array, Array, float, Instant], tuple[Array, Array]]

@@ -183,7 +183,12 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     Raises
     ------
     ValueError
-        If the file has no pressure, or the run had a barostat other than MonteCarloBarostat.
+        If the file has no pressure.
+
+    Warns
+    -----
+    UserWarning
+        If the limits of weak and strong friction differ by more than three statistical errors.
     """
     settings, columns = _checked(file)
     if "pressure" not in columns:
@@ -194,6 +199,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
         return value, *_at_fixed_volume(settings, some, of, False, some["volume"] if settings.barostat else None)
 
     found = _jackknife(columns, result)
+    _warn_of_friction(found)
     weak, strong = (-found.correction + found.bracket[0] - mean for mean in found.bracket)
     return PressureOffset(
         -found.correction, found.correction_error, (weak, strong), settings.scheme, settings.step, settings.temperature
@@ -371,11 +377,9 @@ _READY = {
 
 
 def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
-    """Return settings and columns of a file; raise ValueError for too few frames or an unsupported barostat."""
+    """Return the settings and columns of a file; raise ValueError if there are too few frames."""
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:
         raise ValueError(f"{file} has {frames} frames, but error estimates need at least {_FEWEST}: run longer")
-    if settings.barostat not in ("", "MonteCarloBarostat"):
-        raise ValueError(f"averages cannot be corrected with a {settings.barostat}: use a MonteCarloBarostat")
     return settings, columns

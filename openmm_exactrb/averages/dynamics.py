@@ -14,13 +14,12 @@ from openmm import unit
 from openmm_exactrb.averages.chord import Chords
 from openmm_exactrb.context.updates import ContextUpdates, warn_of_removed_motion
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.second_order import SecondOrder, second_order
@@ -157,7 +156,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
         state=lambda positions: fit(bodies, positions, np.zeros_like(positions)),
         damping=(np.ones(len(bodies)), np.ones(bodies.n_turning)),
         fast=None,
-        chords=Chords(bodies, constraints(system)[0], x),
+        chords=Chords(bodies, parameters.constraints(system)[0], x),
         changing=lambda: (integrator.getStepSize(), integrator.getTemperature(), integrator.getFriction()),
     )
 

@@ -124,8 +124,10 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
     barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
     if len(barostats) > 1:
         raise ValueError("averages cannot be corrected with several barostats: keep one of them")
-    isotropic = bool(barostats) and type(barostats[0]).__name__ == "MonteCarloBarostat"
-    pressure = simulation.context.getParameter(barostats[0].Pressure()) if isotropic else 0.0
+    barostat = type(barostats[0]).__name__ if barostats else ""
+    if barostat not in ("", "MonteCarloBarostat"):
+        raise ValueError(f"averages cannot be corrected with a {barostat}: use a MonteCarloBarostat")
+    pressure = simulation.context.getParameter(barostats[0].Pressure()) if barostats else 0.0
     masses = (system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles()))
     return Settings(
         scheme=dynamics.scheme,
@@ -139,7 +141,7 @@ def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, A
         frictions=dynamics.frictions,
         freedom=dynamics.freedom,
         mass=sum(masses),
-        barostat=type(barostats[0]).__name__ if barostats else "",
+        barostat=barostat,
         pressure=pressure,
         observables=tuple(observables),
         chords=dynamics.chords is not None,

@@ -221,8 +221,8 @@ class BodyAccess:
 
 def freedom_of(propagator: Any) -> tuple[int, int]:
     """Return the degrees of freedom of translation and of rotation."""
-    bodies = propagator.sync.bodies
-    return bodies.translational_freedom - 3 * propagator.updates.removes_motion, bodies.rotational_freedom
+    freedom: tuple[int, int] = propagator.updates.freedom(propagator.sync.bodies)
+    return freedom
 
 
 def thermal_energies(propagator: Any, state: State) -> tuple[float, float]:

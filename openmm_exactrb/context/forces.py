@@ -4,68 +4,17 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.environment import Force, Remembered
 from openmm_exactrb.mechanics.bodies import Part
-from openmm_exactrb.mechanics.state import BodyState, State
+from openmm_exactrb.mechanics.state import BodyState, Force, ForceMemory, State
 from openmm_exactrb.openmm_access import arrays
-
-Array = NDArray[np.float64]
-
-
-class ForceMemory:
-    """The forces of the last kicks, most recent first, from which a processed scheme computes its output.
-
-    Attributes
-    ----------
-    forces, differences : deque of (force, torque)
-        Forces at the last positions, and differences of the displaced forces of the last force-gradient kicks.
-    closed : bool
-        Whether additions are ignored, as they are while output is computed.
-    """
-
-    def __init__(self, forces: int = 0, differences: int = 0) -> None:
-        self.forces: deque[Force] = deque(maxlen=forces)
-        self.differences: deque[Force] = deque(maxlen=differences)
-        self.closed = False
-
-    def add_force(self, force: Force) -> None:
-        """Store a force."""
-        if not self.closed:
-            self.forces.appendleft(force)
-
-    def add_difference(self, difference: Force) -> None:
-        """Store the difference between a displaced and an undisplaced force."""
-        if not self.closed:
-            self.differences.appendleft(difference)
-
-    @property
-    def full(self) -> bool:
-        """Whether the memory is full."""
-        return all(len(some) == some.maxlen for some in (self.forces, self.differences))
-
-    def clear(self) -> None:
-        """Delete all forces."""
-        self.forces.clear()
-        self.differences.clear()
-
-    def copy(self) -> Remembered:
-        """Return copies of the stored forces and differences."""
-        return list(self.forces), list(self.differences)
-
-    def restore(self, copy: Remembered) -> None:
-        """Store what `copy` returned."""
-        self.clear()
-        self.forces.extend(copy[0][: self.forces.maxlen])
-        self.differences.extend(copy[1][: self.differences.maxlen])
+from openmm_exactrb.support.types import Array
 
 
 class EvaluatedForces(ABC):

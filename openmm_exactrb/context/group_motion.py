@@ -48,24 +48,12 @@ def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.
         raise ValueError(
             f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles"
         )
-    within = np.zeros(bodies.n_particles, dtype=bool)
-    within[particles] = True
-    chosen = np.zeros(len(bodies), dtype=bool)
-    for kind in bodies.kinds:
-        some = within[kind.particles].any(axis=1)
-        _check_parts(bodies, name, np.asarray(some & ~within[kind.particles].all(axis=1)), kind.bodies.start)
-        chosen[kind.bodies] = some
-    for _, columns in bodies.clusters.columns():
-        atoms = columns + bodies.n_turning
-        torn = chosen[atoms].any(axis=1) & ~chosen[atoms].all(axis=1)
-        if torn.any():
-            _check_parts(bodies, name, np.array([True]), int(atoms[np.argmax(torn), 0]))
-    return chosen
-
-
-def _check_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
-    if torn.any():
+    chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
+    left_out = np.append(chosen, False)[owner]  # the last is that of no body
+    left_out[particles] = False
+    if left_out.any():
         raise ValueError(
-            f"group {name!r} contains only some particles of {bodies.name(first + int(np.argmax(torn)))}: name all or "
-            "none, since they move together"
+            f"group {name!r} contains only some particles of {bodies.name(int(owner[np.argmax(left_out)]))}: name all "
+            "or none, since they move together"
         )
+    return chosen

@@ -6,9 +6,9 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
-from openmm_exactrb.detection.whole import constraints
+from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 # A constraint that is missed by this part of its length is one that the box has split.
 _SPLIT = 0.5
 # The least pivot of independent constraints, whose directions are unit vectors.
@@ -21,7 +21,7 @@ def solvable(system: openmm.System, x: Array) -> bool:
     It does not if the box has split molecules, because it computes distances without images. With redundant constraints
     it may diverge, or leave motions that satisfy the constraints at first order but deform a rigid body.
     """
-    pairs, lengths = constraints(system)
+    pairs, lengths = parameters.constraints(system)
     if not len(pairs):
         return True
     apart = x[pairs[:, 0]] - x[pairs[:, 1]]

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import Synchronisation
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.free_motion import advancing
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.units import gas_constant_times
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
+from openmm_exactrb.support.warn import warn
 
 #: Forces that change positions between steps.
 BAROSTATS = (
@@ -93,6 +91,10 @@ class ContextUpdates:
         """Whether the centre of mass is kept at rest."""
         return bool(self._removals)
 
+    def freedom(self, bodies: RigidBodies) -> tuple[int, int]:
+        """Return the degrees of freedom of translation and of rotation."""
+        return bodies.translational_freedom - 3 * self.removes_motion, bodies.rotational_freedom
+
     @property
     def period(self) -> int:
         """Number of steps between two actions of barostats or thermostats; 0 is never."""
@@ -161,11 +163,10 @@ def warn_of_removed_motion(system: openmm.System) -> None:
     massless = (i for i in range(system.getNumParticles()) if not system.getParticleMass(i)._value)
     removes = any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces())
     if removes and not all(map(system.isVirtualSite, massless)):
-        warnings.warn(
+        warn(
             "the CMMotionRemover removes the momentum that frozen particles (mass 0) transfer to the others, which "
             "causes energy errors of order 1 in the step size: create the System with removeCMMotion=False",
             RemovedMotionWarning,
-            stacklevel=2,
         )
 
 

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 import openmm
 
-from openmm_exactrb.environment import Force, Remembered
 from openmm_exactrb.mechanics.bodies import RigidBodies
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import Force, Remembered, State
 
 _PREFIX = "exactrb_"
 # Per-DOF variables, on the first particle of each body: high parts, then low parts of the sums.

@@ -14,14 +14,11 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.solver import solvable
-from openmm_exactrb.detection.whole import constraints
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.units import gas_constant_times
 
-Array = NDArray[np.float64]
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
 
@@ -51,17 +48,13 @@ def draw_by_integrators(kind: type[Any]) -> None:
     openmm.Context.setVelocitiesToTemperature = draw
 
 
-def _masses(system: openmm.System) -> Array:
-    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-
-
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:
     """Return whether OpenMM's solver handles the constraints, and its velocities have no components along them."""
     system, state = context.getSystem(), context.getState(positions=True, velocities=True)
-    x, v, masses = arrays.positions(state), arrays.velocities(state), _masses(system)
+    x, v, masses = arrays.positions(state), arrays.velocities(state), parameters.masses(system)
     if not np.isfinite(v).all() or not solvable(system, x):
         return False
-    i, j = constraints(system)[0].T
+    i, j = parameters.constraints(system)[0].T
     apart = x[i] - x[j]
     slow = _LEFT * math.sqrt(gas_constant_times(temperature) / np.min(masses, where=masses > 0.0, initial=math.inf))
     along = np.abs(np.einsum("ij,ij->i", v[i] - v[j], apart)) / np.linalg.norm(apart, axis=1)
@@ -72,5 +65,5 @@ def _stop(context: Any) -> None:
     """Bring the centre of mass to rest if the System has a CMMotionRemover, which does so at the first step."""
     system = context.getSystem()
     if any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
-        v, masses = arrays.velocities(context.getState(velocities=True)), _masses(system)
+        v, masses = arrays.velocities(context.getState(velocities=True)), parameters.masses(system)
         context.setVelocities(v - np.where(masses[:, None] > 0.0, masses @ v / masses.sum(), 0.0))

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.detection.shapes import (
     RESIDUAL,
@@ -16,15 +15,15 @@ from openmm_exactrb.detection.shapes import (
     kinds_from_positions,
     on_constraints,
 )
-from openmm_exactrb.detection.whole import Constraints, constraints, whole_positions
+from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
+from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def find_bodies(
@@ -59,7 +58,7 @@ def find_bodies(
     masses = parameters.masses(system)
     _check_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
-    held = constraints(system)
+    held = parameters.constraints(system)
     whole = whole_positions(system, positions, masses, given, box, held)
     shapes: list[Kind] = []
     flexible: list[ClusterKind] = []
@@ -90,7 +89,7 @@ def find_bodies(
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
     """Return clusters from those of their distances that are constrained; the others are nan.
 
-    Constraints that follow from others are implied: all lengths then are those of the best fit to all of them.
+    Rows that follow from others are implied: all lengths then are those of the best fit to all of them.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -132,18 +131,13 @@ def _check_drude_particles(system: openmm.System) -> None:
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
     """Return the particles with mass of the bodies that a user named."""
-    seen: dict[int, int] = {}
+    owner = checks.owners(bodies, len(masses))
+    for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
+        if not system.isVirtualSite(particle):
+            raise ValueError(f"particle {particle} of body {owner[particle]} has no mass: a rigid body needs masses")
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)
-        for particle in map(int, particles):
-            if not 0 <= particle < len(masses):
-                raise ValueError(f"body {number} names particle {particle}, but the System has {len(masses)} particles")
-            if particle in seen:
-                raise ValueError(f"particle {particle} is named twice, in bodies {seen[particle]} and {number}")
-            if masses[particle] == 0.0 and not system.isVirtualSite(particle):
-                raise ValueError(f"particle {particle} of body {number} has no mass: a rigid body needs masses")
-            seen[particle] = number
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
             raise ValueError(f"body {number} has no particle with mass: name at least one")
@@ -158,15 +152,12 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     return named
 
 
-def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
     """Return the particles (N, n) of bodies of one kind, and their distances (n, n) that constraints give, or nan."""
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
-    n, (pairs, _) = len(masses), held
-    owner = np.full(n, -1)
-    for number, particles in enumerate(given):
-        owner[particles] = number
+    n, (pairs, _), owner = len(masses), held, checks.owners(given, len(masses))
     leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
@@ -179,7 +170,7 @@ def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterabl
     return [(particles, distances) for _, particles, distances in sorted(found, key=lambda group: group[0])]
 
 
-def _of_one_size(held: Constraints, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
+def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
     """Yield the particles (N, n) of clusters of n particles, by their labels, and their distances (N, n, n)."""
     pairs, lengths = held
     order = np.argsort(label, kind="stable")

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.quaternions import matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind
 from openmm_exactrb.mechanics.fit import RIGIDITY, best_attitudes
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 # A body whose extent along an axis, squared, is less than this part of the largest is flat or linear.
 _FLAT = 1e-10

@@ -25,10 +25,10 @@ from openmm_exactrb.mechanics.images import (
 )
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.openmm_access import parameters
+from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 # Gaps differ if one is shorter than this part of the other.
 _SHORTER = 1.0 - 1e-6
@@ -42,22 +42,12 @@ _COMMON, _ROUNDED = 1e-6, 2e-3
 _COMPARED = 4
 
 
-#: Pairs of particles (m, 2) and their distances (m,) in nm.
-Constraints = tuple[Indices, Array]
-
-
-def constraints(system: openmm.System) -> Constraints:
-    """Return the particles (m, 2) of the constraints of a System, and their lengths (m,) in nm."""
-    pairs, lengths = parameters.constraints(system)
-    return pairs, lengths[:, 0]
-
-
 def molecular_links(system: openmm.System, molecule: Indices) -> Links:
     """Return the constraints and bonds of a System, and what else joins particles (n_particles,) of one molecule.
 
     That is nearest images to a particle that a virtual site depends on, or to the first of the molecule.
     """
-    pairs, lengths = _with_bonds(system, constraints(system))
+    pairs, lengths = _with_bonds(system, parameters.constraints(system))
     n = len(molecule)
     sites = [(system.getVirtualSite(i).getParticle(0), i) for i in range(n) if system.isVirtualSite(i)]
     pairs = np.concatenate([pairs, np.array(sites, dtype=np.intp).reshape(-1, 2)])
@@ -68,13 +58,13 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
     return Links(np.concatenate([pairs, rest]), np.concatenate([lengths, np.full(len(rest), np.nan)]), n)
 
 
-def _with_bonds(system: openmm.System, held: Constraints) -> Constraints:
+def _with_bonds(system: openmm.System, held: Rows) -> Rows:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
     pairs, lengths = zip(held, *_bonds(system), strict=True)
     return np.concatenate(pairs), np.concatenate(lengths)
 
 
-def _bonds(system: openmm.System) -> Iterator[Constraints]:
+def _bonds(system: openmm.System) -> Iterator[Rows]:
     """Yield the particles of the bonds of forces, and their lengths at rest in nm: nan of those by a formula."""
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce):
@@ -86,7 +76,7 @@ def _bonds(system: openmm.System) -> Iterator[Constraints]:
 
 
 def whole_positions(
-    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: Constraints
+    system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: Rows
 ) -> Array:
     """Return positions (n_particles, 3) with clusters of constraints whole, and the bodies that a user named.
 
@@ -106,10 +96,7 @@ def whole_positions(
         return x
     if not named:
         return joined(x, Links(*held, len(x)), box)
-    pairs, lengths = _with_bonds(system, held)
-    owner = np.full(len(x), -1)
-    for number, particles in enumerate(named):
-        owner[particles] = number
+    (pairs, lengths), owner = _with_bonds(system, held), checks.owners(named, len(x))
     within = (owner[pairs] >= 0).all(axis=1) & (owner[pairs[:, 0]] == owner[pairs[:, 1]])
     links = Links(pairs, lengths, len(x), last=~within)
     found = decided(x, links, box)

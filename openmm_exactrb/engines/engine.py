@@ -10,20 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates
-from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
-
-Array = NDArray[np.float64]
 
 #: What an engine says that does not add up the heat of its thermostat.
 NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
@@ -76,46 +72,11 @@ class Settings:
         return () if self.thermostat is None else self.thermostat.own_numbers
 
 
-class Synchronised(Protocol):
-    """The state of the bodies of a Context, kept up to date with it.
-
-    Attributes
-    ----------
-    state : State
-        As the Context shows it.
-    particles : (n_particles, 3) array
-        Positions in nm of all particles, to be overwritten with those of the bodies.
-    new_trajectory : callable
-        Called when a user has set a State or a step count, or began again without a seed.
-    """
-
-    bodies: RigidBodies
-    state: State
-    particles: Array
-    new_trajectory: Callable[[], None]
-
-    @property
-    def context(self) -> Any:
-        """The Context."""
-
-    def box(self) -> Array | None:
-        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
-
-    def pull(self) -> bool:
-        """Bring the state up to date with what was set in the Context; return whether it changed."""
-
-    def push(self) -> None:
-        """Write the state into the Context."""
-
-    def replace(self, state: State) -> None:
-        """Give the bodies another state, and write it into the Context."""
-
-
 class Propagator(Protocol):
     """Makes the steps of an integrator in a Context; it owns the state between them."""
 
     @property
-    def sync(self) -> Synchronised:
+    def sync(self) -> Synchronisation:
         """The state of the bodies."""
 
     @property

@@ -13,8 +13,7 @@ import openmm
 from numpy.typing import NDArray
 from openmm import unit
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 
 def positions(state: openmm.State) -> Array:

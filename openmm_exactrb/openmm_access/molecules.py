@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
+from openmm_exactrb.support.types import Indices
 
-Indices = NDArray[np.intp]
 #: Bodies that a user named, in addition to those of constraints.
 Named = Sequence[Sequence[int]] | None
 

@@ -6,10 +6,12 @@ import contextlib
 import math
 import reprlib
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from openmm_exactrb.support.types import Array, Indices
 
 
 def number(value: Any, name: str, of: str = "") -> float:
@@ -51,9 +53,7 @@ def switch(value: Any, name: str) -> bool:
     return value
 
 
-def array(
-    value: Any, name: str, asked: str = "real numbers in rows of equal length, without a unit"
-) -> NDArray[np.float64]:
+def array(value: Any, name: str, asked: str = "real numbers in rows of equal length, without a unit") -> Array:
     """Return real numbers, also nan or infinite, as an array of floats.
 
     Raises
@@ -78,6 +78,22 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
         given = reprlib.repr(value)
         raise ValueError(f"{name} must be lists of particle indices, such as [[0, 1, 2], [3, 4, 5]], not {given}")
     return [list(map(int, row)) for row in fits]
+
+
+def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indices:
+    """Return the number of the body that names each particle (n_particles,), -1 for none.
+
+    ValueError if there is no such particle, or two bodies name one.
+    """
+    owner = np.full(n_particles, -1)
+    for number, body in enumerate(bodies):
+        for particle in body:
+            if not 0 <= particle < n_particles:
+                raise ValueError(f"body {number} names particle {particle}, but the System has {n_particles} particles")
+            if owner[particle] >= 0:
+                raise ValueError(f"particle {particle} is named twice, in bodies {owner[particle]} and {number}")
+            owner[particle] = number
+    return owner
 
 
 def _has_unit(value: Any) -> bool:

@@ -6,15 +6,13 @@ import itertools
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import app, unit
 
 from openmm_exactrb.openmm_access.units import stripped
 from openmm_exactrb.potentials import GayBerne, gay_berne_force
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.systems.fluids import add_molecule, rigid_sites
-
-Array = NDArray[np.float64]
 
 # Of the distance at which neighbours on the lattice touch: closer ones start with the energy of an overlap.
 _CLOSEST = 0.9

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import openmm
 
 from openmm_exactrb.support import checks
@@ -83,23 +84,14 @@ def _sorted(pair: Iterable[int]) -> Pair:
 
 def _members(system: openmm.System, bodies: list[list[int]]) -> list[list[int]]:
     """Return the particles of each body in ascending order, with the virtual sites that depend on it alone."""
-    owner: dict[int, int] = {}
-    for number, body in enumerate(bodies):
-        for particle in body:
-            if not 0 <= particle < system.getNumParticles():
-                raise ValueError(
-                    f"body {number} names particle {particle}, but the System has {system.getNumParticles()} particles"
-                )
-            if particle in owner:
-                raise ValueError(f"particle {particle} is named twice, in bodies {owner[particle]} and {number}")
-            owner[particle] = number
-    for particle in range(system.getNumParticles()):
-        if particle not in owner and system.isVirtualSite(particle):
+    owner = checks.owners(bodies, system.getNumParticles())
+    for particle in map(int, np.flatnonzero(owner < 0)):
+        if system.isVirtualSite(particle):
             site = system.getVirtualSite(particle)
-            owners = {owner.get(site.getParticle(k), -1) for k in range(site.getNumParticles())}
-            if len(owners) == 1 and owners != {-1}:
+            owners = {owner[site.getParticle(k)] for k in range(site.getNumParticles())}
+            if len(owners) == 1:
                 owner[particle] = owners.pop()
     members: list[list[int]] = [[] for _ in bodies]
-    for particle in sorted(owner):
+    for particle in map(int, np.flatnonzero(owner >= 0)):
         members[owner[particle]].append(particle)
     return members

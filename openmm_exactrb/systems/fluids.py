@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from openmm import app, unit
 
 from openmm_exactrb.mathematics import quaternions
@@ -17,9 +17,8 @@ from openmm_exactrb.potentials import Ewald, dipole_rod_forces, dipole_strength,
 from openmm_exactrb.potentials.boundaries import OPEN, Boundary, checked
 from openmm_exactrb.potentials.spheres import long_range_correction as correction_of
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.systems.lattices import cubic_lattice, filling, places_a_side
-
-Array = NDArray[np.float64]
 
 _MOMENT = unit.dalton * unit.nanometer**2
 _STIFFNESS = unit.kilojoule_per_mole / unit.nanometer**2

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 # Number of places from which on a lattice is looked for among fewer vectors.
 _MANY = 100

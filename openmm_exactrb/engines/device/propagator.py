@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
@@ -18,13 +19,15 @@ from openmm_exactrb.engines.device.flexible.molecules import found, served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
-from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
+from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.schemes.sequence import inverse
+from openmm_exactrb.schemes.thermostatted import behind_exchange
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
@@ -59,9 +62,7 @@ class DevicePropagator:
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._surroundings: object = (
-            None  # box and parameters at the end of the last call: inner coordinates are theirs
-        )
+        self._surroundings: object = None  # box and parameters at the end of the last call, of the inner coordinates
         self._kept = 0.0  # the mark of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
         self._load()
@@ -79,9 +80,17 @@ class DevicePropagator:
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange."""
+        """Return the total energy (kJ/mol) at the last heat exchange of a step that moves all bodies freely."""
         self.sync.pull()
-        return energy_at_exchange(self.sync, settings(), self._timings)
+        bodies, state, of = self.sync.bodies, self.sync.state, settings()
+        drift = free_motion(bodies, of.rotor).drift
+        for _, part in inverse(behind_exchange(of.scheme.sequence)):
+            state = drift(state, part * of.h)
+        try:
+            potential = ContextForces(self.sync.positions, of.groups, self._timings).energy_at(state)
+        finally:
+            self.sync.push()
+        return float(sum(bodies.kinetic_energies(state.rounded)) + potential)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
@@ -142,9 +151,7 @@ class DevicePropagator:
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
         """Return the numbers of a heat exchange, as many as the table has room for."""
-        bodies = self.sync.bodies
-        translational = bodies.translational_freedom - 3 * self.updates.removes_motion
-        numbers = self._settings.thermostat.kernel_exchange(tau, (translational, bodies.rotational_freedom))
+        numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
     def _send_numbers(self) -> None:

@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source
-from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.engines.device.segments import Segment, Table, merged
 from openmm_exactrb.mathematics.elliptic import RULES
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.moves import MOVE, Move, Op
+from openmm_exactrb.moves import MOVE, Op
 from openmm_exactrb.rotors.exact import constants
+from openmm_exactrb.support.types import Array, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Values = Mapping[str, NDArray[Any]]
 
 #: Bodies of more particles get a group of so many threads each.
@@ -130,7 +129,8 @@ class RigidPart:
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)
 
-    def _state(self, copied: bool) -> tuple[str, ...]:
+    def state(self, copied: bool) -> tuple[str, ...]:
+        """Return the names of the arrays of a state."""
         inner = self._demands.copied and not copied
         return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
 
@@ -140,7 +140,7 @@ class RigidPart:
         for name, values in tables.items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
-            for name, of in zip(self._state(copied), _STATE, strict=True):
+            for name, of in zip(self.state(copied), _STATE, strict=True):
                 to.array(name, _ROWS[of] * self.n, saved=True)
         memory, differences, here = self._named("last", "differences", "here")
         to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
@@ -150,7 +150,7 @@ class RigidPart:
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launch of a segment."""
-        moves = _merged(tuple(move for move in segment.moves if move.bodies != "inner"))
+        moves = merged(move for move in segment.moves if move.bodies != "inner")
         displaced = segment.has(Op.DISPLACED_KICK)
         what = _HAS_FORCES * any(move.groups for move in moves)
         what |= _HAS_FORCES * segment.has(Op.REMEMBER)
@@ -160,7 +160,7 @@ class RigidPart:
             *_CONTEXT,
             "force",
             *self._named(*_TABLES),
-            *self._state(segment.copied),
+            *self.state(segment.copied),
             *self._named("index", "last", "differences", "here"),
             *(Table.MOVES, Table.NUMBERS, "factors"),
             *table.rows(moves),
@@ -172,29 +172,21 @@ class RigidPart:
         lanes = self._lanes
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
-    def copies(self) -> list[Operation]:
-        """Return what makes the shown bodies copies of those of the inner coordinates."""
-        return [f"copy {one} {other}" for one, other in zip(self._state(False), self._state(True), strict=True)]
-
-    def returns(self) -> list[Operation]:
-        """Return what makes the bodies in inner coordinates copies of those that are shown."""
-        return [f"copy {one} {other}" for one, other in zip(self._state(True), self._state(False), strict=True)]
-
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return what writes the kinetic energies to "totals", or adds them."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
-        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self._state(copied), sums), BLOCK)
+        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
-        _, P, _, L = self._state(to_copy)
-        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied), P, L))]
+        _, P, _, L = self.state(to_copy)
+        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return what reads positions that were changed."""
-        return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied)))]
+        return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied)))]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
@@ -237,14 +229,14 @@ class RigidPart:
         q[0] = 1.0
         q[:, turning], L[:, turning] = state.q[:, columns[turning]], state.m[:, columns[turning]]
         values = (state.R[:, columns], state.P[:, columns], q, L)
-        for name, array in zip(self._state(copied), values, strict=True):
+        for name, array in zip(self.state(copied), values, strict=True):
             device.upload(name, array)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
         """Read the state of these bodies into that of all."""
         R, P, q, L = (
             device.download(name, np.empty((_ROWS[of], self.n)))
-            for name, of in zip(self._state(copied), _STATE, strict=True)
+            for name, of in zip(self.state(copied), _STATE, strict=True)
         )
         turning, columns = self._turning, self.columns
         out.R[:, columns], out.P[:, columns] = R, P
@@ -278,16 +270,3 @@ def _own(number: int, text: str) -> tuple[str, str]:
     move = MOVE.findall(text)[-1]
     renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]
     return "\n".join((*renamed[0], text, *renamed[1])), f"case {Op.OWN + number}: {move}_{number}(&body, tau); break;"
-
-
-def _merged(moves: tuple[Move, ...]) -> tuple[Move, ...]:
-    """Return moves where neighbours that add up are one."""
-    merged: list[Move] = []
-    for move in moves:
-        last = merged[-1] if merged else None
-        same = last is not None and (last.op, last.groups) == (move.op, move.groups)
-        if last is not None and same and move.op in (Op.DRIFT, Op.KICK):
-            merged[-1] = replace(last, part=last.part + move.part)
-        else:
-            merged.append(move)
-    return tuple(merged)

@@ -23,8 +23,8 @@ from openmm_exactrb.engines.device import program
 from openmm_exactrb.engines.device.program import Operation, Program
 from openmm_exactrb.moves import Exchange, Move, Op, of_substep
 from openmm_exactrb.schemes.scheme import Scheme
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Rows = Iterable[tuple[object, float]]
 
 #: The groups of all forces that act, as bits.
@@ -120,6 +120,17 @@ def divided(
             known = None
     segments[-1] = replace(segments[-1], moves=tuple(moves))
     return segments
+
+
+def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
+    """Return moves of a segment where neighbours that add up are one."""
+    rows: list[Move] = []
+    for move in moves:
+        if rows and rows[-1].op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
+            rows[-1] = replace(rows[-1], part=rows[-1].part + move.part)
+        else:
+            rows.append(move)
+    return tuple(rows)
 
 
 def known_after(segments: Sequence[Segment], known: int | None = None) -> int | None:
@@ -241,11 +252,8 @@ class Part(Protocol):
     def launches(self, segment: Segment, table: Table) -> Sequence[Operation]:
         """Return what carries a segment out: forces are in "force", and positions are placed in "posq" behind it."""
 
-    def copies(self) -> Sequence[Operation]:
-        """Return what makes the shown state one of the state in inner coordinates."""
-
-    def returns(self) -> Sequence[Operation]:
-        """Return what makes the state in inner coordinates one of the shown state."""
+    def state(self, copied: bool) -> Sequence[str]:
+        """Return the names of the arrays of a state."""
 
     def reductions(self, copied: bool, adds: bool) -> Sequence[Operation]:
         """Return what writes kinetic energies and the number of lost bodies to "totals", or adds them."""
@@ -322,10 +330,15 @@ class Sequences:
 
     def write_processor(self, to: Program, scheme: Scheme) -> None:
         """Write "enter", the way to inner coordinates, and the ways back: "output" and the exact "postprocess"."""
-        to.sequence("enter", [*self._each("returns"), *self._way(scheme.processor, copied=False)])
+        to.sequence("enter", [*self._copies(shown=False), *self._way(scheme.processor, copied=False)])
         placed = self.moved(Segment(places=True, copied=True))  # for its forces, where a copy was shown before
-        to.sequence("postprocess", [*self._each("copies"), *placed, *self._way(scheme.postprocessor, copied=True)])
-        to.sequence("output", [*self._each("copies"), *self._way(scheme.output, copied=True)])
+        to.sequence("postprocess", [*self._copies(shown=True), *placed, *self._way(scheme.postprocessor, copied=True)])
+        to.sequence("output", [*self._copies(shown=True), *self._way(scheme.output, copied=True)])
+
+    def _copies(self, shown: bool) -> list[Operation]:
+        """Return what makes the shown state one of that in inner coordinates, or the other way round."""
+        pairs = [zip(part.state(not shown), part.state(shown), strict=True) for part in self.parts]
+        return [program.copy(*names) for names in itertools.chain(*pairs)]
 
     def _way(self, rows: Rows, copied: bool) -> list[Operation]:
         """Return the operations of substeps that are no part of a step; behind them the state is shown."""

@@ -14,8 +14,7 @@ from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState, State
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 # Bits of what others changed, see `Device.changes`.
 SET, LOADED = 3, 8

@@ -15,11 +15,10 @@ from typing import Any, cast
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
-from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, ForceMemory
+from openmm_exactrb.context.forces import ContextForces, EvaluatedForces
 from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
@@ -29,7 +28,7 @@ from openmm_exactrb.engines.host.environment import Bound, HostEnvironment
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion
 from openmm_exactrb.mechanics.overheating import Overheating
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import Flow, ForceMemory, State
 from openmm_exactrb.multiple_time_steps.fast_forces import fast_forces
 from openmm_exactrb.multiple_time_steps.inner_drift import InnerDrift
 from openmm_exactrb.openmm_access import arrays
@@ -37,8 +36,6 @@ from openmm_exactrb.openmm_access.units import gas_constant_times
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.schemes.sequence import inverse, through
 from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_momenta
-
-Array = NDArray[np.float64]
 
 
 class Clock:
@@ -95,12 +92,12 @@ class HostPropagator:
     def __init__(
         self, context: openmm.Context, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
     ) -> None:
-        named, rotor = settings.named, settings.rotor
-        self.sync = Synchronisation(context, integrator, named)
-        self.updates = ContextUpdates(context, named or [])
+        rotor = settings.rotor
+        self.sync = Synchronisation(context, integrator, settings.named)
+        self.updates = ContextUpdates(context, settings.named or [])
         self._updates_act = self.updates.act
         self._conserves = conserve_energy(context.getSystem())
-        self._timings, self._integrator, self._named = timings, weakref.ref(integrator), named
+        self._timings, self._integrator = timings, weakref.ref(integrator)
         self._positions = self.sync.positions
         self._kinetic = free_motion(self.sync.bodies, rotor)
         found = fast_forces(context.getSystem(), self.sync.bodies, settings.fast)
@@ -304,8 +301,6 @@ class HostPropagator:
             Numbers(settings.numbers),
             settings,
             self._positions,
-            self._memory,
-            self._named,
         )
         step = canonical_momenta(scheme.sequence) if kinetic.split else scheme.sequence
         self._step, self._output = environment.bound(step, h), environment.bound(scheme.output, h)

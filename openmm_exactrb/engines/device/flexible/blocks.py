@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 #: Costs of a block: places of terms, and of atoms so many. A protein has about 30 places of terms an atom.
 COST_OF_ATOM = 8

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from openmm_exactrb.engines.device.segments import Segment
+from openmm_exactrb.engines.device.segments import Segment, merged
 from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.schemes.sequence import Sequence, repeated
 from openmm_exactrb.substeps import KICK
@@ -40,14 +40,14 @@ def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:
-        return _merged(moves)
+        return merged(moves)
     due = inner.within(Move(Op.DRIFT, segment.behind))[-1:] if segment.behind else ()
     found = [move for move in due if move.op == Op.FAST_KICK]
     for move in moves:
         found += inner.within(move) if move.op == Op.DRIFT else (move,)
     if segment.leaves and found[-1].op == Op.FAST_KICK:
         found.pop()
-    return _merged(found)
+    return merged(found)
 
 
 def up_to_drifts(moves: Moves) -> list[Moves]:
@@ -55,15 +55,3 @@ def up_to_drifts(moves: Moves) -> list[Moves]:
     ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
     parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
     return [part for part in parts if part]
-
-
-def _merged(moves: list[Move]) -> Moves:
-    """Return moves where neighbours that add up are one."""
-    merged: list[Move] = []
-    for move in moves:
-        last = merged[-1] if merged else None
-        if last is not None and last.op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
-            merged[-1] = replace(last, part=last.part + move.part)
-        else:
-            merged.append(move)
-    return tuple(merged)

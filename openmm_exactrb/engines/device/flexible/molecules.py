@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
@@ -18,16 +17,13 @@ from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
 from openmm_exactrb.engines.device.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
 from openmm_exactrb.openmm_access import arrays, parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
+from openmm_exactrb.support.types import Array, Indices
 
 #: The most bonded terms of a particle, for whose partners a block has room in local memory.
 MOST_TERMS = 400
@@ -100,18 +96,8 @@ def found(context: Any, settings: Any) -> Found:
         return Found(whole, whole, None)
     bodies = find_bodies(system, x, settings.named, box, pairs=True)
     if fast is not None and fast.excerpt is not None:
-        fast = replace(fast, excerpt=_of_bodies(fast.excerpt, bodies))
+        fast = replace(fast, excerpt=replace(fast.excerpt, bodies=bodies))
     return Found(bodies, whole, fast)
-
-
-def _of_bodies(excerpt: Excerpt, bodies: RigidBodies) -> Excerpt:
-    """Return an excerpt with other bodies of the same particles."""
-    number = np.full(len(bodies.owner), -1)
-    number[excerpt.particles] = np.arange(len(excerpt.particles))
-    chosen = np.zeros(len(bodies) + 1, dtype=bool)  # the last one is no body
-    chosen[bodies.owner[excerpt.particles]] = True
-    chosen = chosen[:-1]
-    return replace(excerpt, part=Part(bodies.chosen(chosen, number, len(excerpt.particles)), chosen))
 
 
 def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
@@ -139,7 +125,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
         return Served(without_terms)
     repetitions = fast.repetitions(scheme, h)
     inner = InnerSteps(fast.inner(scheme).sequence, lambda part: repetitions(part * h))
-    excerpt = _excerpt(system, bodies, fast)
+    excerpt = fast.excerpt or bonded_excerpt(system, bodies, fast.named)
     if what := _without_kernel(system, bodies, fast, excerpt):
         if not fast.groups:
             raise NotServedError(
@@ -176,22 +162,12 @@ def _require_room(terms: Terms) -> None:
         )
 
 
-def _named(fast: FastForces) -> list[int]:
-    """Return the force groups that are named."""
-    return [group for group in range(32) if fast.groups >> group & 1]
-
-
-def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Excerpt | None:
-    """Return the fast bonded forces on the atoms of molecules."""
-    return fast.excerpt or bonded_excerpt(system, bodies, _named(fast))
-
-
 def _without_kernel(
     system: openmm.System, bodies: RigidBodies, fast: FastForces, excerpt: Excerpt | None
 ) -> str | None:
     """Return for which fast forces there is no kernel, or None."""
-    for force in acting(system) if fast.groups else []:
-        if groups_of(force) & set(_named(fast)) and not isinstance(force, BONDED_FORCES):
+    for force in acting(system):
+        if groups_of(force) & set(fast.named) and not isinstance(force, BONDED_FORCES):
             return f"the fast force {force.getName()}"
     if excerpt is None:
         return None

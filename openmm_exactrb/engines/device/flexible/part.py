@@ -18,9 +18,7 @@ from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 #: Threads of a block of atoms.
 THREADS = 64
@@ -75,7 +73,8 @@ class FlexiblePart:
         files = ("random.cl", "context.cl", "layout.cl", *constraints.files(self.blocks), "bonded.cl", "inner.cl")
         return Source((*files, "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
 
-    def _state(self, copied: bool) -> tuple[str, str]:
+    def state(self, copied: bool) -> tuple[str, str]:
+        """Return the names of the arrays of a state: positions and velocities."""
         inner = "inner_" if self._demands.copied and not copied else ""
         return f"flexible_{inner}x", f"flexible_{inner}v"
 
@@ -86,7 +85,7 @@ class FlexiblePart:
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
-            for name in self._state(copied):
+            for name in self.state(copied):
                 to.array(name, 3 * self.n, saved=True)
         for name in ("y", "z"):
             to.array(f"flexible_{name}", 3 * self.n * self._open)
@@ -96,7 +95,7 @@ class FlexiblePart:
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launches of a segment: one, or one for each drift if blocks have terms in common."""
         moves = moves_of(segment, self._inner)
-        x, v = self._state(segment.copied)
+        x, v = self.state(segment.copied)
         parts = (self._open and up_to_drifts(moves)) or [moves]
         last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
         made: list[Operation] = []
@@ -128,17 +127,9 @@ class FlexiblePart:
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
-    def copies(self) -> list[Operation]:
-        """Return what makes the shown molecules copies of those of the inner coordinates."""
-        return [copy(*names) for names in zip(self._state(False), self._state(True), strict=True)]
-
-    def returns(self) -> list[Operation]:
-        """Return what makes the molecules in inner coordinates copies of those that are shown."""
-        return [copy(*names) for names in zip(self._state(True), self._state(False), strict=True)]
-
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
         """Return what writes the kinetic energy along the constraints to "totals", or adds it."""
-        x, v = self._state(copied)
+        x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
         total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
@@ -146,12 +137,12 @@ class FlexiblePart:
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
         """Return what adds the changes of velocities that show one state to those of it, or of the other one."""
-        states = self._state(copied)[1], self._state(to_copy)[1]
+        states = self.state(copied)[1], self.state(to_copy)[1]
         return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
 
     def moved(self, copied: bool) -> list[Operation]:
         """Return what reads positions that were changed."""
-        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self._state(copied)[0]
+        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self.state(copied)[0]
         return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
@@ -174,13 +165,13 @@ class FlexiblePart:
         x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
         v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
-        for name, values in zip(self._state(copied), (x, v), strict=True):
+        for name, values in zip(self.state(copied), (x, v), strict=True):
             device.upload(name, values)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
         """Read the state of these bodies into that of all."""
         massive = self._mass > 0.0
-        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self._state(copied))
+        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self.state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
 

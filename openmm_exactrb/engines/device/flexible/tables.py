@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.flexible.blocks import Blocks
 from openmm_exactrb.kernels.records import Terms
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 #: Kinds of terms in the order of the kernel's tables.
 KINDS = ("bonds", "angles", "torsions", "pairs", "impropers", "maps")
