@@ -119,7 +119,7 @@ class Synchronisation:
         self._coordinates = 0.0  # of the inner state
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
-        #: Called when a user has set a State or a step count, or began again without a seed.
+        #: Called when a user has set a State or a step count, or restarted without a seed.
         self.new_trajectory: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):

@@ -51,7 +51,7 @@ class InitialState:
     properties: Mapping[str, str] = field(default_factory=dict)
     #: Particles of bodies named by hand.
     bodies: list[list[int]] | None = None
-    #: Bits of the force groups that act.
+    #: Bits of the active force groups.
     groups: int = -1
     #: Steps between two moves of each barostat of the user's System, which `system` lacks.
     periods: tuple[int, ...] = ()
