@@ -1,4 +1,4 @@
-"""Which particles and which bodies are of one molecule."""
+"""The molecules to which particles and bodies belong."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The parameters of a System and its forces as arrays.
 
-OpenMM's functions are called below the layer that makes Quantities, which costs several times as much: a membrane has a
-million bonds. What has parameters of its own names, a custom force, has those of a term in their order.
+OpenMM's functions are called below the layer that creates Quantities, which takes several times as long: a membrane has
+a million bonds. The parameters of a term of a custom force are in the order of their names.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def masses(system: openmm.System) -> Array:
 
 
 def _rows(source: Any, function: str, count: int) -> list[Any]:
-    """Return what a function of an object returns for each index, without units."""
+    """Return the results of a method for each index, without units."""
     get = getattr(openmm._openmm, f"{type(source).__name__}_{function}")  # noqa: SLF001
     return [get(source, i) for i in range(count)]
 

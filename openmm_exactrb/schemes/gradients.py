@@ -87,7 +87,7 @@ def force_gradient(
 
 
 def _kicks(kind: str, part: float, displacements: Iterator[float], k: float) -> list[tuple[Substep, float]]:
-    """Return the kicks of a place; b f(R + d) by displacements k times shorter is b (1 - k) f(R) + b k f(R + d/k)."""
+    """Return the kicks at one position: b f(R + d) becomes b (1 - k) f(R) + b k f(R + d/k)."""
     if kind == "B":
         return [(KICK, part)]
     strength = next(displacements) / part**2 / k**3

@@ -99,7 +99,7 @@ class Scheme:
 
     @property
     def c(self) -> tuple[float, ...]:
-        """Coefficients of force-gradient terms that go with the kicks, as f . M^-1 f over c_i h³; empty without any."""
+        """Coefficients c_i of force-gradient terms of the kicks, as f . M^-1 f over c_i h³; may be empty."""
         terms = tuple(math.fsum(map(_gradient_term, kicks)) for kicks in self._kicks())
         return terms if any(terms) else ()
 
@@ -123,7 +123,7 @@ class Scheme:
 
     @property
     def stages(self) -> int:
-        """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
+        """Positions per step at which forces are evaluated, with outer stages of neighbouring steps merged."""
         moves = self._moves()
         return len(self._kicks()) - (bool(moves) and moves[0][0].kicks and moves[-1][0].kicks)
 

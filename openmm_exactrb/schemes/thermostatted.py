@@ -114,7 +114,7 @@ def _between_halves(sequence: Sequence) -> Sequence:
 
 
 def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
-    """Return a scheme with this sequence, each heat exchange numbered: no two of a step get the same noise."""
+    """Return a scheme with this sequence and numbered heat exchanges, which receive different noise."""
     numbers = itertools.count()
     rows = ((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
     return replace(scheme, sequence=tuple(rows))
