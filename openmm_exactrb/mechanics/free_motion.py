@@ -1,4 +1,4 @@
-"""The flow of the kinetic energy, and what belongs to it."""
+"""The flow of the kinetic energy and related functions."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Kinetic:
-    """How bodies move without forces.
+    """The motion of bodies without forces.
 
     Attributes
     ----------
     drift : callable
         drift(state, tau) -> state: the flow of the kinetic energy.
     displaced : callable
-        displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
+        displaced(state, push) -> state, displaced without rotation by momenta `push` (3, N) from rest for the time 1.
     tangent : callable
-        tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
-        before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
+        tangent(state) -> state with momenta projected onto the constraints. A drift begins with this projection, so
+        that kicks and noise need it only where the energy is read. It is the identity for rigid bodies.
     split : mapping of str to callable
-        Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
+        If only some bodies have inner steps, their drift, "inner", and that of the "others"; otherwise empty.
     """
 
     drift: Flow[State]

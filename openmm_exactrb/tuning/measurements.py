@@ -182,7 +182,7 @@ class Measurements:
         return math.log(a.error / b.error) / math.log(a.step / b.step)
 
     def is_flat(self, name: str) -> bool:
-        """Return whether the survey's error stopped falling: by less than a third of the order, over two step sizes."""
+        """Return whether the survey's error stopped falling: its power over two steps is below a third of the order."""
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 3:
             return False

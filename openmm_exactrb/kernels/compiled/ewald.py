@@ -20,7 +20,7 @@ Edges = tuple[float, float, float]
 
 
 def number_of_waves(edges: Edges, k_max: float) -> float:
-    """Return about how many wave vectors the sum has, each of which represents its opposite too."""
+    """Return the approximate number of wave vectors, each of which also represents its opposite."""
     return math.prod(edges) * k_max**3 / (12.0 * math.pi**2)
 
 
@@ -30,8 +30,8 @@ def reciprocal_space(
     """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
 
     Each dipole is in the Gaussian clouds of inverse width `alpha` of all others, in all images of a rectangular box
-    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Any number of threads gives
-    the same bits.
+    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Results are bit-identical
+    for any number of threads.
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
