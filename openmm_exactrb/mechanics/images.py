@@ -1,7 +1,7 @@
-"""Particles that a periodic box has split brought into one image again, and the closest bodies.
+"""The reunion of molecules that a periodic box has split, and the closest bodies.
 
-Each link between two particles decides alone by how many vectors of the box they are apart: the image is taken at which
-the link has its length. The rest is to follow a tree of links.
+Each link between two particles independently determines the number of box vectors between them: that of the image at
+which it has its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
 
 
 def half_width(box: Array) -> float:
-    """Return half the smallest distance (nm) between opposite sides: shorter vectors have no shorter image."""
+    """Return half the smallest distance (nm) between opposite sides; shorter vectors have no shorter image."""
     return float(0.5 / np.linalg.norm(np.linalg.inv(box), axis=0).max())
 
 

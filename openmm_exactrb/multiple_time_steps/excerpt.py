@@ -78,7 +78,7 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
     """Return the bonded forces and the exceptions of NonbondedForces that move bodies relative to each other.
 
     With groups, only bonded forces in these groups are returned, and no exceptions. Terms on virtual sites are
-    excluded. None is returned if there are no bonded forces.
+    excluded. Without bonded forces the result is empty: None.
     """
     sites = np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]

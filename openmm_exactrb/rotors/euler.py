@@ -39,7 +39,7 @@ class Phase:
     half_turns: Array
 
     def continued(self, ratio: Array | float = 1.0) -> Array:
-        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; the amplitude am u for one."""
+        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; am u for a ratio of one."""
         folded = np.where(self.cn < 0.0, -self.sn, self.sn)
         return self.half_turns * np.pi + np.arctan2(ratio * folded, np.abs(self.cn))
 
