@@ -11,7 +11,7 @@ TIGHT = 1e-5
 
 
 def causes(system: openmm.System) -> Iterator[str]:
-    """Yield the settings of a System that put a floor under the energy error of every integrator, with the remedy."""
+    """Yield the settings of a System that limit the energy error of every integrator, with the remedy."""
     for force in system.getForces():
         if not isinstance(force, (openmm.NonbondedForce, openmm.CustomNonbondedForce)):
             continue
@@ -27,11 +27,6 @@ def causes(system: openmm.System) -> Iterator[str]:
                 yield f"{name} has an ewaldErrorTolerance of {tolerance:g}: use {TIGHT:g}"
             elif method in (force.CutoffPeriodic, force.CutoffNonPeriodic):
                 yield f"{name} truncates charges with a jump of the force: use PME"
-
-
-def limits(system: openmm.System) -> Iterator[str]:
-    """Yield what limits the energy error of every integrator, a sentence each."""
-    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
