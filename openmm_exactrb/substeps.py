@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from openmm_exactrb.environment import Environment, Force, Forces
+from openmm_exactrb.environment import Environment, Forces
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import Flow, Force, State
 from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 
@@ -63,7 +62,7 @@ class Substep:
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return its matrix for q'' = -q and times in units of 1/omega."""
+        """Return the matrix of the substep for q'' = -q, with times in units of 1/omega."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
@@ -125,7 +124,7 @@ class Kick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau F and m + tau N."""
-        return kick(environment.forces(self.group), environment.check_momenta)
+        return kick(environment.forces(self.group), environment.divergence.finite_momenta)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of p' = -q."""
@@ -169,7 +168,7 @@ class GradientKick(Substep):
     def bind(self, environment: Environment) -> Flow[State]:
         """Return the kick by displaced forces."""
         kinetic, inertia = environment.kinetic, environment.inertia
-        return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.check)
+        return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.divergence.finite)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of the exact gradient: f . M^-1 f is q²."""
@@ -201,10 +200,9 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance = advancing()
+        advance, memory = advancing(), environment.forces().memory
 
         def flow(state: State, tau: float) -> State:
-            memory = environment.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (np.asarray(sum(w * value[i] for w, value in terms)) for i in (0, 1))

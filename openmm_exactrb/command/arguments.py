@@ -14,7 +14,7 @@ _LARGEST = 2**31 - 1  # OpenMM stores a seed in 32 bits
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+    """A parser with one-line error messages."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2 and one line, without the usage."""
@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _option(convert: Callable[[str], Any], fits: Callable[[Any], bool], description: str) -> Callable[[str], Any]:
-    """Return an argparse type that accepts the converted values that fit."""
+    """Return an argparse type that accepts converted values within a range."""
 
     def checked(text: str) -> Any:
         try:

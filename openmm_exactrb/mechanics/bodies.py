@@ -135,6 +135,15 @@ class RigidBodies:
             owner[kind.particles] = np.arange(kind.bodies.start, kind.bodies.stop)[:, None]
         return owner
 
+    def touched(self, particles: Indices) -> NDArray[np.bool_]:
+        """Return which bodies (N,) have some of the particles, or are atoms of a cluster that has."""
+        chosen = np.zeros(len(self) + 1, dtype=bool)  # the last one is no body
+        chosen[self.owner[particles]] = True
+        for _, columns in self.clusters.columns():
+            atoms = columns + self.n_turning
+            chosen[atoms] |= chosen[atoms].any(axis=1, keepdims=True)
+        return chosen[:-1]
+
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
         """Return some of the bodies (N,), of a cluster all atoms or none, as a set of their own in the same order.
 

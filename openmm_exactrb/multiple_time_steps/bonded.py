@@ -11,9 +11,7 @@ import openmm
 from numpy.typing import NDArray
 
 from openmm_exactrb.openmm_access import parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 #: What the bonded forces of a System are.
 BONDED_FORCES = (

@@ -10,20 +10,16 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.environment import Force
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import Force, State
 from openmm_exactrb.multiple_time_steps.bonded import COULOMB, LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 # Harmonic torsions of OpenMM's CHARMM force fields, without blanks: on a circle, or on the line from -pi to pi.
 _HARMONIC = re.compile(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.graph import Graph
@@ -18,9 +17,7 @@ from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces
 from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.schemes.sequence import Sequence, repeated
 from openmm_exactrb.substeps import KICK
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 
 class CompiledInnerSteps:
@@ -91,12 +88,10 @@ def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
     places[:, 0] = first + clusters.first
     places[:-1, 1] = [len(kind.particles) for kind in clusters.kinds]
     places[1:, 2:] = np.cumsum(np.array(begins, dtype=np.int64).reshape(-1, 6), axis=0)
-    if not graphs:
-        return places, _NONE
-    return places, Graph(*map(np.concatenate, zip(*graphs, strict=True)))
+    return places, Graph(*map(np.concatenate, zip(_NONE, *graphs, strict=True)))
 
 
-# The fields of `Graph` without clusters.
+# A graph without constraints.
 _NONE = Graph(
     np.zeros(0),
     np.zeros((0, 2), dtype=np.int64),

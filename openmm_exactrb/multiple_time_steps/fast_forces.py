@@ -122,9 +122,14 @@ class FastForces:
     excerpt: Excerpt | None = None
 
     @property
+    def named(self) -> tuple[int, ...]:
+        """The force groups of the fast forces, where they are named."""
+        return () if isinstance(self.settings.fast, str) else self.settings.fast
+
+    @property
     def groups(self) -> int:
-        """The force groups of the fast forces (bits), where they are named."""
-        return 0 if isinstance(self.settings.fast, str) else sum(1 << group for group in self.settings.fast)
+        """The same as bits."""
+        return sum(1 << group for group in self.named)
 
     def inner(self, outer: Scheme) -> Scheme:
         """Return the inner scheme of an outer one."""
@@ -151,7 +156,7 @@ class FastForces:
                 f"scheme {outer.name} kicks single force groups ({', '.join(map(str, groups))}), which may contain "
                 f"bonded forces: put the fast forces into a group that no kick has, such as fast=(7,)"
             )
-        twice = [group for group in groups if self.groups >> group & 1]
+        twice = [group for group in groups if group in self.named]
         if twice:
             raise ValueError(
                 f"scheme {outer.name} kicks group {twice[0]} alone, which is fast too and would act twice: "

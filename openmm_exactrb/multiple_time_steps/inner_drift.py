@@ -44,10 +44,8 @@ class InnerDrift:
         self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync)
         self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
         self._rotor, self._free = rotor, free_motion(self._part, rotor)
-        groups = [group for group in range(32) if fast.groups >> group & 1]
-        system = sync.context.getSystem()
         forces = None if fast.excerpt is None else fast.excerpt.forces
-        self._resonances = Resonances(system, range(32) if forces else groups, forces)
+        self._resonances = Resonances(sync.context.getSystem(), fast.named or range(32), forces)
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def warn_of_resonances(self, scheme: Scheme, h: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import openmm
@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.multiple_time_steps.bonded import LENNARD_JONES, PAIR, Bonded
 from openmm_exactrb.openmm_access import arrays, parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 # Lengths (nm) among which the minimum of a bond is looked for.
 _LENGTHS = np.linspace(0.05, 0.3, 251)
@@ -42,11 +40,11 @@ def frequencies(
     if forces is None:
         forces = [Bonded.of(force) for force in system.getForces() if isinstance(force, _SPRINGS)]
     bonds = [(of.force.getForceGroup() in groups, *found) for of in forces if (found := _bonds(of)) is not None]
-    held, lengths = parameters.constraints(system)
-    known = _Lengths(held, lengths[:, 0])
-    constrained = known.has
-    for wanted in (False, True):  # those of the groups last, which count
-        known = known.with_others([(particles, r) for own, particles, r, _ in bonds if own is wanted])
+    held = parameters.constraints(system)
+    constrained = _Lengths(*held).has
+    by_group = sorted(bonds, key=lambda bond: bond[0])  # those of the groups last, which count
+    pairs, lengths = zip(held, *((particles, r) for _, particles, r, _ in by_group), strict=True)
+    known = _Lengths(np.concatenate(pairs), np.concatenate(lengths))
     inverse = _inverse(parameters.masses(system))
     for own, particles, _, strength in bonds:
         if own:
@@ -64,14 +62,9 @@ class _Lengths:
     """Distances of pairs of particles; the last one counts."""
 
     def __init__(self, pairs: Indices, lengths: Array) -> None:
-        self._pairs, self._lengths = pairs, lengths
         keys = self._keys(pairs)
         order = np.argsort(keys, kind="stable")
         self._sorted, self._values = keys[order], np.append(lengths[order], np.nan)
-
-    def with_others(self, some: Iterable[tuple[Indices, Array]]) -> _Lengths:
-        pairs, lengths = zip((self._pairs, self._lengths), *some, strict=True)
-        return _Lengths(np.concatenate(pairs), np.concatenate(lengths))
 
     @staticmethod
     def _keys(pairs: Indices) -> Indices:

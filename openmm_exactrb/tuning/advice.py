@@ -64,11 +64,11 @@ def tune(
     """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). What limits it whatever the scheme is reported first: the rest of the work is
-    saved if the target is clearly below that. Survey runs are as long as `duration`, and their errors are extrapolated
+    (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is clearly
+    below them, the remaining work is skipped. Survey runs are as long as `duration`, and their errors are extrapolated
     from the growth of the variance with the length of the run. The recommended setting is then run over the whole
-    horizon from three starts: the given one, and others of its temperature. What is promised is the largest of their
-    errors, raised where the error grows so steeply with the step that another start may differ more. Costs are those of
+    horizon from three starts: the given one, and others of its temperature. The promised error is the largest of the
+    three, increased if the error grows so steeply with the step that another start may differ more. Costs are those of
     `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
     constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
@@ -84,8 +84,8 @@ def tune(
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
         By default `CANDIDATES`, or the first of them if the budget allows no more. A scheme of your own needs a name
-        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; where it
-        fails, that is its result.
+        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it
+        fails, the result states the failure.
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
@@ -110,7 +110,7 @@ def tune(
     levels : int, optional
         Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
     seed : int, optional
-        Of the momenta.
+        Seed of the momenta.
     report : callable, optional
         Called with a line of text per run; by default it is written to stderr. None for no output.
 

@@ -1,4 +1,4 @@
-"""The methods that are compared, and their runs from some starts: energies, and the time that they take."""
+"""The methods that are compared, and their runs from several starts: energies and times."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
 
 
 class Energies(NamedTuple):
-    """The total energies of a run, and what it took."""
+    """The total energies of a run, and its cost."""
 
     #: In kJ/mol per body, at equal times.
     values: NDArray[np.float64]
@@ -135,7 +135,7 @@ class SchemeUnderTest:
         self.timings = self.integrator.timings
 
     def begin(self, h: float, start: InitialState) -> None:
-        """Go to a start, with a step in ps."""
+        """Set a start, and a step in ps."""
         self.integrator.setStepSize(h)
         loadState(self.context, start.state)
         self.timings.reset()
@@ -145,7 +145,7 @@ class SchemeUnderTest:
         return float(self.integrator.totalEnergy()._value)
 
     def step(self, steps: int) -> None:
-        """Make steps."""
+        """Perform steps."""
         self.integrator.step(steps)
 
 
@@ -163,7 +163,7 @@ class VerletUnderTest(SchemeUnderTest):
         return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
 
     def step(self, steps: int) -> None:
-        """Make steps, and wait for platforms that compute asynchronously."""
+        """Perform steps, and wait for platforms that compute asynchronously."""
         begun = time.perf_counter()
         self.integrator.step(steps)
         self.context.getState(positions=True)
@@ -172,7 +172,7 @@ class VerletUnderTest(SchemeUnderTest):
 
 
 class Benchmark:
-    """Runs methods of a System that conserves its energy, from some starts and within a budget."""
+    """Runs methods on a System that conserves its energy, from several starts and within a budget."""
 
     def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()
@@ -193,7 +193,7 @@ class Benchmark:
 
     @functools.cached_property
     def starts(self) -> list[InitialState]:
-        """The initial state, and others of its temperature."""
+        """The initial state, and others at its temperature."""
         self.budget.require()
         return others(self.state, STARTS, self._seed)
 
@@ -213,7 +213,7 @@ class Benchmark:
         return True
 
     def evaluations_left(self) -> float:
-        """Return the force evaluations that the budget allows, after a few to see how long they take."""
+        """Return the number of force evaluations that the budget allows, after timing a few."""
         step = _BRIEF * self.characteristics.time
         for _ in range(2):  # the first compiles kernels
             self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
@@ -229,8 +229,8 @@ class Benchmark:
     def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
         """Run a method for a duration, both in ps.
 
-        Return None if the run diverges or changes the energy by a tenth of the kinetic one, or OpenMM's integrator
-        fails. BudgetSpentError is raised before a run that the budget does not allow, or within it.
+        Return None if the run diverges or changes the energy by a tenth of the kinetic energy, or OpenMM's integrator
+        fails. BudgetSpentError is raised before or during a run that the budget does not allow.
         """
         self.budget.require(self.processor * method.stages * duration / step)
         tested, begun = self.under_test(method), time.process_time()

@@ -1,4 +1,4 @@
-"""What sets the energy error below which no integrator gets: forces that are not the gradient of the energy."""
+"""The lower bound of the energy error of all integrators: forces that are not the gradient of the energy."""
 
 from __future__ import annotations
 
@@ -30,6 +30,6 @@ def causes(system: openmm.System) -> Iterator[str]:
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
-    """Return the parameters of PME if a user set them himself, which the tolerance does not touch, or zeros."""
+    """Return the parameters of PME if the user set them, so that the tolerance has no effect, or zeros."""
     alpha, *grid = force.getPMEParameters()
     return (alpha._value if hasattr(alpha, "_value") else alpha, *grid)

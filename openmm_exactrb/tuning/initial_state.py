@@ -46,7 +46,7 @@ class InitialState:
     properties: Mapping[str, str] = field(default_factory=dict)
     #: Particles of bodies named by hand.
     bodies: list[list[int]] | None = None
-    #: Bits of the force groups that act.
+    #: Bits of the active force groups.
     groups: int = -1
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
@@ -135,7 +135,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
 
 
 def thermalised(state: InitialState, temperature: float, seed: int, minimised: bool, budget: Budget) -> InitialState:
-    """Bring a state to a temperature in K, within a third of the budget; ValueError if it does not get there."""
+    """Bring a state to a temperature in K, within a third of the budget; raise ValueError if it is not reached."""
     integrator, context = state.langevin(temperature, seed)
     if minimised:
         minimise(integrator)
@@ -152,9 +152,9 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
 
 
 def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
-    """Return a state and others of its temperature, apart from each other by a short run with friction.
+    """Return a state and others at its temperature, separated by short runs with friction.
 
-    ValueError if no part of such a run succeeds.
+    A ValueError is raised if no part of such a run succeeds.
     """
     probe, _context = state.probe()
     temperature = probe.computeSystemTemperature()._value

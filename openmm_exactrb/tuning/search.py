@@ -1,4 +1,4 @@
-"""The search: all methods at ever smaller step sizes, then runs of the production length near the target."""
+"""The search: all methods at decreasing step sizes, then runs of the production length near the target."""
 
 from __future__ import annotations
 
