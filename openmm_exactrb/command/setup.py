@@ -61,7 +61,7 @@ def correct_pressure(
 
 
 def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
-    """Return the integrator of the ensemble, given its own options, such as the scheme, and the step in ps."""
+    """Return the integrator of the ensemble for given options, such as the scheme, and a step in ps."""
     options = {"rotor": args.rotor, **own}
     if args.ensemble == "nve":
         return ExactRigidBodyIntegrator(step, **options)

@@ -31,7 +31,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
     """An `ExactRigidBodyIntegrator` with a thermostat of this package.
 
     Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are
-    settings, which a new process has to set again.
+    settings, which must be set again in a new process.
     """
 
     _thermostat: Any

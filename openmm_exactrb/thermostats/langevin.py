@@ -118,8 +118,8 @@ def ornstein_uhlenbeck(
     times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see B. Leimkuhler and C.
     Matthews (2013), doi:10.1063/1.4802990.
 
-    Masses are (N,) and principal moments (3, K): what has none gets no noise. A friction is that of all bodies, or an
-    array of one for each. If all are 0 the momenta are returned as they came; else time must not run back.
+    Masses (N,) and principal moments (3, K) that are zero receive no noise. A friction applies to all bodies, or is an
+    array of one for each. If all are 0, the momenta are returned unchanged; otherwise times must not be negative.
     """
     width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
     fade_P, fade_m = _fading(friction, width_P), _fading(rotational_friction, width_m)
@@ -147,10 +147,10 @@ _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
 def _fading(friction: float | Array, width: Array) -> _Fading:
-    """Return what gives exp(-g tau) - 1 and the standard deviation of the noise of a time tau; None if nothing changes.
+    """Return a function of tau for exp(-g tau) - 1 and the standard deviation of the noise; None if nothing changes.
 
-    The factor less 1, for as a change of momenta rounding fades together with the friction. It is computed by the same
-    function for one friction as for many: bits do not depend on it.
+    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction. One
+    friction and many are computed by the same function, so that they give the same bits.
     """
     rates, kinds = np.unique(friction, return_inverse=True)
     kinds = kinds.reshape(np.shape(friction))

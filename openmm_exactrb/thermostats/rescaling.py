@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 _BACKWARD = "stepSize must be positive with a thermostat"
 
-#: factor(part, kinetic, freedom, tau, at): what multiplies momenta; part 0 is translation, or all, and 1 rotation.
+#: factor(part, kinetic, freedom, tau, at) -> the factor of momenta; part 0 is translation, or all, and 1 rotation.
 Factor = Callable[[int, float, int, float, Instant], float]
 
 
@@ -81,7 +81,7 @@ def rescaling(
     """Prepare the exact flow of stochastic velocity rescaling; `time` is the paper's tau.
 
     The total energy less the heat is the paper's effective energy: it is as constant as the total energy of the
-    splitting without a thermostat. Momenta that are all zero have no direction and stay.
+    splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
 
     def factor(part: int, kinetic: float, f: int, tau: float, at: Instant) -> float:
@@ -97,7 +97,7 @@ def rescaling(
 
 
 def multiplication(mass: Array, moments: Array, freedom: tuple[int, int], together: bool, factor: Factor) -> Exchange:
-    """Return what multiplies all momenta by one factor, or those of translation and of rotation by one each.
+    """Return the multiplication of all momenta by one factor, or of those of translation and of rotation by one each.
 
     Masses are (N,) and principal moments (3, K): zero along the axis of a linear body.
     """

@@ -75,7 +75,7 @@ def tune(
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation also provides its state, box, parameters, platform, force groups that act and bodies named by hand.
+        A Simulation also provides its state, box, parameters, platform, active force groups and bodies named by hand.
         Errors and costs are measured without its thermostats, barostats and motion removers.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
@@ -155,7 +155,7 @@ def tune(
 def _in_motion(
     state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
 ) -> InitialState:
-    """Say what limits the error of a state, and bring it to the temperature if one is given."""
+    """Report the limits of the error of a state, and bring it to the temperature if one is given."""
     for cause in causes(state.system):
         tell(f"limits the energy error of any integrator: {cause}")
     at_rest = not state.state.getVelocities(asNumpy=True)._value.any()
@@ -177,7 +177,7 @@ def _in_motion(
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
 ) -> tuple[list[Method], float, float]:
-    """Return methods and lengths of survey and production runs that fit into the budget; what was named is kept."""
+    """Return methods and lengths of survey and production runs that fit into the budget; those that the user named are kept."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
     deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method a characteristic time

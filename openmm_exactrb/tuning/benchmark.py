@@ -220,7 +220,7 @@ class Benchmark:
         return self.budget.left / self.processor
 
     def under_test(self, method: Method) -> SchemeUnderTest:
-        """Return what runs a method."""
+        """Return the object that runs a method."""
         if method.name not in self._under_test:
             made = VerletUnderTest(self.state) if method.scheme is None else SchemeUnderTest(self.state, method)
             self._under_test[method.name] = made

@@ -57,7 +57,7 @@ class InitialState:
         return context
 
     def updated(self, context: openmm.Context) -> InitialState:
-        """Return this with the state of a Context."""
+        """Return a copy with the state of a Context."""
         return replace(self, state=context.getState(positions=True, velocities=True, parameters=True))
 
     def probe(self, fast: str | None = None) -> tuple[ExactRigidBodyIntegrator, openmm.Context]:
@@ -91,7 +91,7 @@ def initial_state(
     properties: Any = None,
     bodies: Any = None,
 ) -> tuple[InitialState, list[str]]:
-    """Return the initial state that arguments of `tune` describe, and notes; ValueError if something does not fit."""
+    """Return the initial state for the arguments of `tune`, and notes; raise ValueError if they are inconsistent."""
     states, groups = [], -1
     if isinstance(system, app.Simulation):
         context, integrator, system = system.context, system.integrator, system.system

@@ -75,7 +75,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
 
 
 def _free_time(bodies: RigidBodies, kT: float) -> float:
-    """Return the time of a turn by a radian or a flight over an extent: 1/rms of the inverse times."""
+    """Return the time in which bodies turn by a radian or cross their extent: 1/rms of the inverse times."""
     moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
     moments = moments[moments > 0.0]
     inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])

@@ -28,7 +28,7 @@ _TRIED, _RUNS, _RISE, _AIM = 3, 5, 1.05, 0.8
 
 
 def probed(measured: Measurements) -> float | None:
-    """Return the error that the noise of the forces makes; None if it is less than what two schemes leave.
+    """Return the error due to the noise of the forces, or None if two schemes with short steps show none.
 
     The steps are so short that the error of a scheme alone would fall to a quarter from the first to the second. If it
     does not because the scheme loses its order, as processed ones do with constraints that are not rigid, the other one
@@ -56,9 +56,9 @@ def _probed_by(method: Method, measured: Measurements) -> tuple[float, float, fl
 
 
 def search(measured: Measurements, target: float | None, levels: int, floor: float | None) -> Point | None:
-    """Measure all methods at so many step sizes; return the cheapest point that meets the target, if one does.
+    """Measure all methods at decreasing steps; return the cheapest point that meets the target, if one does.
 
-    The search ends once the target is met, all errors are close to the floor, or the budget is spent.
+    The search ends when the target is met, all errors are close to the floor, or the budget is spent.
     """
     scales, live = measured.benchmark.characteristics, dict(measured.methods)
     coarsest = {
