@@ -177,7 +177,7 @@ def _in_motion(
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
 ) -> tuple[list[Method], float, float]:
-    """Return methods and lengths of survey and production runs that fit into the budget; those that the user named are kept."""
+    """Return methods and lengths of runs that fit into the budget; those that the user named are kept."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
     deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method a characteristic time
