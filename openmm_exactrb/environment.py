@@ -1,9 +1,8 @@
-"""What substeps and thermostats are bound to, on whatever engine: forces, free motion, clock and noise."""
+"""The environment to which substeps and thermostats are bound: forces, free motion, clock and noise."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,73 +10,52 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import Flow, Force, ForceMemory, State
+from openmm_exactrb.support.types import Array
 
 if TYPE_CHECKING:
     from openmm_exactrb.substeps import Sequence
 
-Array = NDArray[np.float64]
-#: Force (3, N) and body-frame torque (3, K).
-Force = tuple[Array, Array]
-#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
-Remembered = tuple[list[Force], list[Force]]
-
 
 class Clock(Protocol):
-    """The number of the present step, and the time in ps at its begin."""
+    """The number of the present step, and the time in ps at its start."""
 
     number: int
     time: float
 
 
 class Numbers(Protocol):
-    """Numbers by name that checkpoints contain; what a step adds to `present` counts when the step is kept."""
+    """Named numbers that checkpoints contain; additions to `present` take effect when the step is kept."""
 
     present: dict[str, float]
-
-
-class Memory(Protocol):
-    """The forces and torques of the last kicks, and what displaced ones differed by, the most recent ones first."""
-
-    @property
-    def forces(self) -> Iterable[Force]:
-        """Forces at the last positions."""
-
-    @property
-    def differences(self) -> Iterable[Force]:
-        """What the forces of the last force-gradient kicks differed by."""
-
-    def add_difference(self, difference: Force) -> None:
-        """Remember what a displaced force differed by."""
 
 
 class Forces(Protocol):
     """Forces and torques on bodies, evaluated once for each version of the positions."""
 
-    @property
-    def memory(self) -> Memory:
-        """What remembers them."""
+    memory: ForceMemory
 
     def __call__(self, state: State) -> Force:
-        """Return the force (3, N) and body-frame torque (3, K) at the present positions, which are those of a state."""
+        """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
 
     def at(self, state: State) -> Force:
-        """Return the same at the positions of any state."""
+        """Return force and torque at the positions of any state."""
 
     def energy(self, state: State) -> float:
-        """Return the potential energy (kJ/mol) of all forces at the present positions, which are those of a state."""
+        """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy with each force, because it will be needed."""
+        """Evaluate the potential energy together with each force, because it will be needed."""
 
 
 class Environment(Protocol):
-    """What a substep or a thermostat can ask for when it is bound.
+    """What a substep or a thermostat can use when it is bound.
 
     Attributes
     ----------
     key : int
-        Of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` makes noise of it and the clock.
+        Key of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` generates noise from it and the
+        clock.
     last_exchange : (State, State) or None
         The states before and after the last heat exchange, which a thermostat sets.
     """
@@ -98,10 +76,6 @@ class Environment(Protocol):
         """Free motion, including fast forces."""
 
     @property
-    def memory(self) -> Memory:
-        """The forces of the last kicks."""
-
-    @property
     def numbers(self) -> Numbers:
         """Persistent numbers that substeps change."""
 
@@ -111,7 +85,7 @@ class Environment(Protocol):
 
     @property
     def divergence(self) -> DivergenceCheck:
-        """What is asked whether a state has diverged."""
+        """What raises for states that have diverged: ``finite(state)`` and ``finite_momenta(state)``."""
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:
@@ -120,22 +94,14 @@ class Environment(Protocol):
     def forces(self, group: int | None = None) -> Forces:
         """Return the forces of a group, or of all kicks."""
 
-    @property
-    def check(self) -> Callable[[State], Any]:
-        """check(state) raises NonFiniteError if a state is not finite."""
-
-    @property
-    def check_momenta(self) -> Callable[[State], Any]:
-        """check_momenta(state) raises NonFiniteError if its momenta are not finite."""
-
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the thermostat at its n-th place in a step."""
+        """Return the flow of the n-th heat exchange in a step."""
 
     def flow_of(self, sequence: Sequence) -> Flow[State]:
         """Return the flow of a sequence of substeps: flow(state, h) -> state."""
 
     def flexible(self) -> NDArray[np.bool_]:
-        """Return which bodies (N,) are in molecules of more than one body."""
+        """Return a mask (N,) of the bodies in molecules of more than one body."""
 
     def moved(self) -> None:
-        """Note that positions are others than those of the last substep: forces are evaluated again."""
+        """Mark the positions as changed, so that forces are evaluated again."""

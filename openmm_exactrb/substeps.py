@@ -12,16 +12,15 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from openmm_exactrb.environment import Environment, Force, Forces
+from openmm_exactrb.environment import Environment, Forces
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import exponential, matrix, multiply
 from openmm_exactrb.mechanics.free_motion import Kinetic, advancing
-from openmm_exactrb.mechanics.state import Flow, State
+from openmm_exactrb.mechanics.state import Flow, Force, State
 from openmm_exactrb.moves import Move, Op
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: Matrix of a linear map of (q, p): ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 Matrix = tuple[tuple[Any, Any], tuple[Any, Any]]
 
@@ -36,7 +35,7 @@ class Substep:
     Attributes
     ----------
     symbol : str
-        For display.
+        Symbol for display.
     moves : bool
         Whether it may change positions, the box or parameters, so that forces must be evaluated again.
     kicks : bool
@@ -63,11 +62,11 @@ class Substep:
         raise NotImplementedError(f"{type(self).__name__} must define bind(), which returns its flow")
 
     def oscillator(self, tau: Any) -> Matrix:
-        """Return its matrix for q'' = -q and times in units of 1/omega."""
+        """Return the matrix of the substep for q'' = -q, with times in units of 1/omega."""
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
-        """Return its moves over a part of the step, or None if a device does not support it."""
+        """Return the moves over a fraction of the step, or None if a device does not support the substep."""
         return None
 
     def __str__(self) -> str:
@@ -125,7 +124,7 @@ class Kick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau F and m + tau N."""
-        return kick(environment.forces(self.group), environment.check_momenta)
+        return kick(environment.forces(self.group), environment.divergence.finite_momenta)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of p' = -q."""
@@ -144,14 +143,14 @@ class Kick(Substep):
 class GradientKick(Substep):
     """A kick with a force-gradient term, by forces at displaced positions.
 
-    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at
-    R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is the one about R, that is d x F more
-    than the one about the displaced centre, and in the axes of q: both parts are of second order in e but for the
-    commutator of the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the
-    linear momentum, and the angular momentum where all particles belong to bodies that turn about three axes; single
-    particles and linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this
-    is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
-    109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
+    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at R
+    + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is about R, that is, larger by d x F than
+    about the displaced centre, and in the axes of q: both parts are of second order in e except for the commutator of
+    the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the linear momentum,
+    and the angular momentum if all particles belong to bodies that rotate about three axes; single particles and
+    linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this is the
+    Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478
+    (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
     constraints: to first order this gives the covariant derivative of F along itself.
 
     Parameters
@@ -169,7 +168,7 @@ class GradientKick(Substep):
     def bind(self, environment: Environment) -> Flow[State]:
         """Return the kick by displaced forces."""
         kinetic, inertia = environment.kinetic, environment.inertia
-        return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.check)
+        return gradient_kick(environment.forces(), kinetic, inertia, self.strength, environment.divergence.finite)
 
     def oscillator(self, tau: Any) -> Matrix:
         """Return the matrix of the exact gradient: f . M^-1 f is q²."""
@@ -188,9 +187,9 @@ class LastForcesKick(Substep):
     Parameters
     ----------
     weights : tuple of float
-        Weights of the last forces, the most recent one first.
+        Weights of the last forces, most recent first.
     differences : tuple of float, optional
-        Weights of the last force-gradient terms: displaced forces less the forces.
+        Weights of the last force-gradient terms: displaced forces minus undisplaced forces.
     """
 
     weights: tuple[float, ...]
@@ -201,10 +200,9 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance = advancing()
+        advance, memory = advancing(), environment.forces().memory
 
         def flow(state: State, tau: float) -> State:
-            memory = environment.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (np.asarray(sum(w * value[i] for w, value in terms)) for i in (0, 1))
@@ -213,12 +211,12 @@ class LastForcesKick(Substep):
         return flow
 
     def padded(self, part: float, memory: tuple[int, int]) -> tuple[float, ...]:
-        """Return the weights of so many forces and differences, times a part of the step."""
+        """Return the weights for given numbers of forces and differences, times a fraction of the step."""
         pairs = zip((self.weights, self.differences), memory, strict=True)
         return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the kick, which has the number of the weights of forces."""
+        """Return the kick, with the number of its weights of forces."""
         return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)
 
 

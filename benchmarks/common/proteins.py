@@ -14,6 +14,14 @@ PEPTIDE = ROOT / "examples" / "data" / "alanine_dipeptide.pdb"
 FORCE_FIELD = "amber14-all.xml", "amber14/tip3p.xml"
 # Bonds (nm), angles and torsions (degrees) of an ideal helix: C-N, N-CA, CA-C and what each new atom turns about.
 BACKBONE = {"N": (0.1329, 116.6, -47.0), "CA": (0.1458, 121.7, 180.0), "C": (0.1525, 111.0, -57.0)}
+# The terms of forces that are tiled, and where their parameters have the numbers of particles.
+TERMS = {
+    openmm.NonbondedForce: {"Particle": slice(0), "Exception": slice(2)},
+    openmm.HarmonicBondForce: {"Bond": slice(2)},
+    openmm.HarmonicAngleForce: {"Angle": slice(3)},
+    openmm.PeriodicTorsionForce: {"Torsion": slice(4)},
+    openmm.CMAPTorsionForce: {"Torsion": slice(1, 9)},
+}
 
 
 def solvated(file: Path, **water) -> tuple[app.Topology, unit.Quantity]:
@@ -37,6 +45,43 @@ def system_of(topology: app.Topology, force_field: tuple[str, ...] = FORCE_FIELD
         removeCMMotion=False,
         **settings,
     )
+
+
+def tiled(system: openmm.System, counts: tuple[int, int, int]) -> openmm.System:
+    """Return a System of so many copies of a periodic box along each axis, particles copy after copy."""
+    copies, n = int(np.prod(counts)), system.getNumParticles()
+    large = openmm.System()
+    vectors = system.getDefaultPeriodicBoxVectors()
+    large.setDefaultPeriodicBoxVectors(*(vector * count for vector, count in zip(vectors, counts, strict=True)))
+    masses = [system.getParticleMass(i) for i in range(n)]
+    constraints = [system.getConstraintParameters(i) for i in range(system.getNumConstraints())]
+    for first in range(0, copies * n, n):
+        for mass in masses:
+            large.addParticle(mass)
+        for i, j, length in constraints:
+            large.addConstraint(first + i, first + j, length)
+    for force in system.getForces():
+        large.addForce(_tiled_force(force, copies, n))
+    return large
+
+
+def _tiled_force(force: openmm.Force, copies: int, n: int) -> openmm.Force:
+    large = openmm.XmlSerializer.clone(force)
+    for term, particles in TERMS[type(force)].items():
+        count = getattr(force, f"getNum{term}s")()
+        terms = [getattr(force, f"get{term}Parameters")(i) for i in range(count)]
+        add = getattr(large, f"add{term}")
+        for first in range(n, copies * n, n):
+            for parameters in terms:
+                moved = list(parameters)
+                moved[particles] = [first + i for i in moved[particles]]
+                add(*moved)
+    return large
+
+
+def tiled_positions(positions: np.ndarray, vectors: np.ndarray, counts: tuple[int, int, int]) -> np.ndarray:
+    """Return the positions in a tiled box, for those in a box with these vectors (3, 3)."""
+    return np.concatenate([positions + np.array(cell) @ vectors for cell in np.ndindex(*counts)])
 
 
 def placed(a, b, c, bond, angle, torsion):

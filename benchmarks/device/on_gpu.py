@@ -12,8 +12,9 @@ is done, so that a run that is cut off keeps what it has. "ms" is the time of a 
 between two evaluations: 1 fs for water. Proteins have hydrogens of 3 amu, and 4 fs with LangevinMiddleIntegrator and
 BAOA, 8 fs with W2_3m. Villin is OpenMM's test.pdb, DHFR that of openmmtools and left out without it, and the membrane
 the patch of 128 POPC in water of which Modeller.addMembrane makes its own, with charmm36; --proteins takes PDB files
-too, which are solvated (DHFR is in OpenMM's repository, examples/benchmarks). "first s" are the seconds of the first
-steps.
+too, which are solvated (DHFR is in OpenMM's repository, examples/benchmarks). A name with counts, such as dhfr:2x2x1,
+is so many copies of the box along each axis: 94 000 atoms, as many as ApoA1 has, or a million with dhfr:2x3x7. "first
+s" are the seconds of the first steps.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated, system_of
+from benchmarks.common.proteins import FORCE_FIELD, PEPTIDE, solvated, system_of, tiled, tiled_positions
 from benchmarks.common.records import ROOT
 from openmm_exactrb.openmm_access.platforms import no_gpu
 from openmm_exactrb.schemes import scheme_for_thermostat
@@ -131,15 +132,27 @@ def protein(name):
     return system, positions
 
 
-def start_of(system, positions, platform, precision):
-    """Return a State of a protein at 300 K; OpenMM's minimiser may crash on OpenCL of a CPU."""
+def start_of(name, platform, precision):
+    """Return System and a State of a protein at 300 K, or positions of copies of it, such as "villin:2x1x1"."""
+    name, _, counts = name.partition(":")
+    system, positions = protein(name)
+    state = equilibrated(system, positions, platform, precision)
+    if not counts:
+        return system, state
+    counts = tuple(int(count) for count in counts.split("x"))
+    places, box = state.getPositions(asNumpy=True)._value, state.getPeriodicBoxVectors(asNumpy=True)._value
+    return tiled(system, counts), tiled_positions(places, box, counts)
+
+
+def equilibrated(system, positions, platform, precision):
+    """Return a State of a System at 300 K; OpenMM's minimiser may crash on OpenCL of a CPU."""
     integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.001)
-    context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, platform, {"Precision": precision})
+    context = openmm.Context(system, integrator, platform, {"Precision": precision})
     context.setPositions(positions)
     if no_gpu(context):
         del context
         integrator = openmm.LangevinMiddleIntegrator(300.0, 5.0, 0.001)
-        context = openmm.Context(openmm.XmlSerializer.clone(system), integrator, openmm.Platform.getPlatform("CPU"))
+        context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"))
         context.setPositions(positions)
     openmm.LocalEnergyMinimizer.minimize(context, maxIterations=200)
     context.setVelocitiesToTemperature(300.0, 1)
@@ -237,7 +250,6 @@ class Measurement:
             self._write(name, n, precision, label, *row)
 
     def _entry(self, kind, system, start, precision):
-        system = openmm.XmlSerializer.clone(system)
         entry = Entry(kind, openmm.Context(system, kind.make(), self.platform, {"Precision": precision}))
         if isinstance(start, openmm.State):
             entry.context.setState(start)
@@ -259,8 +271,10 @@ def main():
     parser.add_argument("--minutes", type=float, default=9.0)
     parser.add_argument("--water", type=int, nargs="*", default=[64, 512, 4096, 32768, 100_000])
     parser.add_argument("--free", type=int, nargs="*", default=[32768], help="TIP3P without forces")
-    proteins = ["peptide", "villin", *(["dhfr"] if find_spec("openmmtools") else []), "membrane"]
-    parser.add_argument("--proteins", nargs="*", default=proteins, help="peptide, villin, dhfr, membrane, or PDB files")
+    dhfr = ["dhfr", "dhfr:2x2x1", "dhfr:2x3x7"] if find_spec("openmmtools") else []
+    proteins = ["peptide", "villin", *dhfr, "membrane"]
+    help_ = "peptide, villin, dhfr, membrane, or PDB files, and copies of them"
+    parser.add_argument("--proteins", nargs="*", default=proteins, help=help_)
     parser.add_argument("--dipoles", type=int, nargs="*", default=[64, 512, 4096])
     parser.add_argument("--engines", nargs="+", choices=("device", "host"), default=["device"], help="of ours")
     parser.add_argument("--forces", type=int, default=400, help="at most so many force evaluations a round")
@@ -270,9 +284,10 @@ def main():
     parser.add_argument("--csv", type=Path, default=Path("on_gpu.csv"))
     options = parser.parse_args()
     systems = [(water, n) for n in options.water]
-    systems += [(protein, name) for name in options.proteins]
+    systems += [(protein, name) for name in options.proteins if ":" not in name]
     systems += [(dipoles, n) for n in options.dipoles]
     systems += [(free, n) for n in options.free]
+    systems += [(protein, name) for name in options.proteins if ":" in name]
     with options.csv.open("w", newline="", encoding="utf-8") as file:
         measurement = Measurement(options, file)
         if not options.no_tests:
@@ -283,13 +298,12 @@ def main():
                 break
             seconds = measurement.left / (len(todo) - number)
             if build is protein:
-                system, positions = protein(n)
-                start = start_of(system, positions, measurement.platform, precision)
+                system, start = start_of(n, measurement.platform, precision)
                 kinds = of_proteins(options.engines)
             else:
                 system, start = build(n)
                 kinds = of_bodies(0.005 if build is dipoles else 0.001, options.engines)
-            name, size = (Path(n).stem, "") if build is protein else (build.__name__, n)
+            name, size = (Path(n.replace(".pdb", "")).name, "") if build is protein else (build.__name__, n)
             measurement.measure(name, size, system, start, kinds, precision, 0.7 * seconds)
 
 

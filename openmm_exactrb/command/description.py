@@ -1,4 +1,4 @@
-"""What is in a System, how it moves, and the steps that suit it: the lines of ``exactrb info FILE``."""
+"""The description of a System by ``exactrb info FILE``: contents, motion and suitable steps."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
-from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.schemes import splitting
-from openmm_exactrb.tuning.floor import causes, limits
+from openmm_exactrb.tuning.floor import causes
 
 _SHOWN = 3  # periods
 _WATER = 18.015  # amu
@@ -31,21 +30,23 @@ _WATER = 18.015  # amu
 def described(
     system: openmm.System, positions: unit.Quantity | None = None, topology: app.Topology | None = None
 ) -> Iterator[str]:
-    """Yield what is in a System, line by line.
+    """Yield the lines that describe a System.
 
     Parameters
     ----------
     system : openmm.System
     positions : Quantity, optional
-        (n_particles, 3). Without them, shapes follow from constraints alone.
+        Positions (n_particles, 3). Without them, shapes follow from constraints alone.
     topology : openmm.app.Topology, optional
         For the names of atoms.
     """
     names = _Names(system, topology)
     yield from _particles(system)
-    x = _anywhere(system) if positions is None else np.array(positions.value_in_unit(unit.nanometer))
+    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
+    if others:
+        yield f"acting between steps: {', '.join(others)}"
     try:
-        bodies = find_bodies(system, x, box=None if positions is None else periodic_box(system))
+        bodies, noted = _found(system, positions)
     except ValueError as error:
         hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
         yield f"not supported: {' '.join(str(error).split())}{hint}"
@@ -53,10 +54,26 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from limits(system)
+    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
-    yield from _refusals(system, positions)
+    if positions is None:
+        yield "no positions were given, so distances were not compared with the constraints"
+    else:
+        yield from (*noted, "everything is supported")
+
+
+def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
+    """Return the bodies of a first step and what it warns of; without positions, what constraints say alone."""
+    if positions is None:
+        return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
+    integrator = ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        bodies, _ = integrator.bodyState()
+    return bodies, [str(note.message) for note in noted]
 
 
 class _Names:
@@ -69,11 +86,11 @@ class _Names:
         self._residues = [atom.residue.name for atom in atoms] or n * [""]
 
     def joined(self, particles: Iterable[int]) -> str:
-        """Return the names of some particles."""
+        """Return the names of given particles."""
         return ", ".join(self._atoms[i] for i in particles)
 
     def residues(self, particles: NDArray[np.integer[Any]]) -> str:
-        """Return the residues of the first particles of bodies, each once, at most three."""
+        """Return the distinct residues of the first particles of bodies, at most three."""
         found = dict.fromkeys(self._residues[i] for i in particles[:, 0].tolist())
         shown = [name for name in islice(found, 3) if name]
         return f" ({', '.join(shown)}{', ...' if len(found) > 3 else ''})" if shown else ""
@@ -132,7 +149,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
 
 
 def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
-    """Yield the shortest periods of bonds and angles, those of equal frequencies once."""
+    """Yield the shortest periods of bonds and angles, each frequency once."""
     distinct: dict[float, tuple[int, ...]] = {}
     for some, particles in frequencies(system):
         for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
@@ -147,7 +164,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield a line for constant energy and one for constant temperature, where steps were measured."""
+    """Yield a line for constant energy and one for constant temperature, if steps were measured."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return
@@ -162,29 +179,3 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         f'forceInterval={longest:g}*femtoseconds, scheme="{nvt.name}")'
     )
     yield f"these steps were measured on {what} (documentation: Which integrator, scheme and step)"
-
-
-def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
-    """Yield the error of a first step, or that everything is supported, and what acts between steps."""
-    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
-    if others:
-        yield f"acting between steps: {', '.join(others)}"
-    if positions is None:
-        yield "no positions were given, so distances were not compared with the constraints"
-        return
-    integrator = ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    with warnings.catch_warnings(record=True) as noted:
-        warnings.simplefilter("always")
-        try:
-            integrator.bodyState()
-        except ValueError as error:
-            yield f"not supported: {' '.join(str(error).split())}"
-        else:
-            yield "everything is supported"
-    yield from (str(note.message) for note in noted)
-
-
-def _anywhere(system: openmm.System) -> NDArray[np.float64]:
-    return np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))

@@ -1,4 +1,4 @@
-"""The integrator and the barostat of each ensemble, and what the molecules need."""
+"""The integrator and the barostat of each ensemble."""
 
 from __future__ import annotations
 
@@ -20,17 +20,14 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 ENSEMBLES = ("nve", "nvt", "npt")
 #: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    (
-        "rotor",
-        {"type": arguments.named(ROTORS), "choices": ROTORS, "default": "exact", "help": "free rotation (%(default)s)"},
-    ),
+    ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
 )
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble to a System; raise ValueError if it does not allow one."""
+    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow one."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")
@@ -53,7 +50,7 @@ def pace(system: openmm.System, step: float) -> None:
 def correct_pressure(
     system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
 ) -> None:
-    """Add the offset of a file to the pressure of the barostat at a temperature; ValueError for other settings."""
+    """Add the offset of a file to the pressure of the barostat; raise ValueError if its settings differ."""
     if file is None:
         return
     offset = pressure_offset(file)
@@ -62,7 +59,8 @@ def correct_pressure(
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
             f"the pressure offset of {file} is for {theirs[0]} at {theirs[1]:g} ps and {theirs[2]:g} K, and this run "
-            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume with its settings"
+            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume "
+            "with the settings of this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):
@@ -70,7 +68,7 @@ def correct_pressure(
 
 
 def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
-    """Return the integrator of the ensemble, given its own options, such as the scheme, and the step in ps."""
+    """Return the integrator of the ensemble for given options, such as the scheme, and a step in ps."""
     given = {name: getattr(args, name) for name, _ in OPTIONS}
     options = {name: value for name, value in given.items() if value is not None} | own
     if args.ensemble == "nve":

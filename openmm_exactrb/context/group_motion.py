@@ -25,9 +25,9 @@ def of_groups(
 ) -> dict[str, Motion]:
     """Return the motion of groups of particles, each of whole bodies and clusters.
 
-    Where the centre of mass of all is brought to rest, the motion is that relative to it, and a group has lost three
-    degrees of freedom times its part of the mass.
-    ValueError if a group contains some of the particles of a body or cluster and not all.
+    If the centre of mass of the System is kept at rest, the motion is relative to it, and each group loses three
+    degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
+    cluster.
     """
     lists = checks.lists_of_indices(list(groups.values()), "groups")
     drift = bodies.drift(state.rounded) if removes_motion else None
@@ -42,30 +42,18 @@ def of_groups(
 
 
 def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.bool_]:
-    """Return which bodies (N,) a group of particles consists of; particles without mass do not matter."""
+    """Return a mask (N,) of the bodies in a group of particles; massless particles are ignored."""
     beyond = [k for k in particles if not 0 <= k < bodies.n_particles]
     if beyond:
         raise ValueError(
             f"group {name!r} contains particle {beyond[0]}, but the System has {bodies.n_particles} particles"
         )
-    within = np.zeros(bodies.n_particles, dtype=bool)
-    within[particles] = True
-    chosen = np.zeros(len(bodies), dtype=bool)
-    for kind in bodies.kinds:
-        some = within[kind.particles].any(axis=1)
-        _check_parts(bodies, name, np.asarray(some & ~within[kind.particles].all(axis=1)), kind.bodies.start)
-        chosen[kind.bodies] = some
-    for _, columns in bodies.clusters.columns():
-        atoms = columns + bodies.n_turning
-        torn = chosen[atoms].any(axis=1) & ~chosen[atoms].all(axis=1)
-        if torn.any():
-            _check_parts(bodies, name, np.array([True]), int(atoms[np.argmax(torn), 0]))
-    return chosen
-
-
-def _check_parts(bodies: RigidBodies, name: str, torn: NDArray[np.bool_], first: int) -> None:
-    if torn.any():
+    chosen, owner = bodies.touched(np.array(particles, dtype=np.intp)), bodies.owner
+    left_out = np.append(chosen, False)[owner]  # the last is that of no body
+    left_out[particles] = False
+    if left_out.any():
         raise ValueError(
-            f"group {name!r} contains only some particles of {bodies.name(first + int(np.argmax(torn)))}: name all or "
-            "none, since they move together"
+            f"group {name!r} contains only some particles of {bodies.name(int(owner[np.argmax(left_out)]))}: name all "
+            "or none, since they move together"
         )
+    return chosen

@@ -1,9 +1,9 @@
-"""Velocities that a Context draws, ``Context.setVelocitiesToTemperature``, where its integrator is one of this package.
+"""``Context.setVelocitiesToTemperature`` of a Context whose integrator is one of this package.
 
-OpenMM draws those of particles, and its solver of constraints makes them fit. The momenta of rigid bodies are canonical
-then, for no impulse along a constraint changes them. But where constraints are redundant the solver does not converge,
-or leaves a straight or flat body motions that bend it; it does not know what the box has split, nor the bodies that a
-user named; and it sets the centre of mass in motion, which a CMMotionRemover stops.
+OpenMM draws those of particles, and its solver of constraints makes them fit. The momenta of rigid bodies are then
+canonical, because no impulse along a constraint changes them. But with redundant constraints the solver does not
+converge, or leaves motions that bend a straight or flat body; it does not handle molecules that the box has split, nor
+bodies that a user named; and it sets the centre of mass in motion, which a CMMotionRemover stops.
 """
 
 from __future__ import annotations
@@ -14,22 +14,19 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.solver import solvable
-from openmm_exactrb.detection.whole import constraints
-from openmm_exactrb.openmm_access import arrays
+from openmm_exactrb.openmm_access import arrays, parameters
 from openmm_exactrb.openmm_access.units import gas_constant_times
 
-Array = NDArray[np.float64]
 # Of the thermal speed of the lightest particle, what a solver that converged may leave along a constraint.
 _LEFT = 1e-3
 
 
 def draw_by_integrators(kind: type[Any]) -> None:
-    """Have integrators of a class draw the velocities that OpenMM cannot, by their method of the same name.
+    """Let integrators of a class draw the velocities that OpenMM cannot, by their method of the same name.
 
-    The method of all Contexts is replaced, since one may be asked for velocities before its integrator knows it.
+    The method of all Contexts is replaced, because it may be called before the integrator knows its Context.
     """
     method = openmm.Context.setVelocitiesToTemperature
 
@@ -51,17 +48,13 @@ def draw_by_integrators(kind: type[Any]) -> None:
     openmm.Context.setVelocitiesToTemperature = draw
 
 
-def _masses(system: openmm.System) -> Array:
-    return np.array([system.getParticleMass(i)._value for i in range(system.getNumParticles())])
-
-
 def _fit(context: Any, temperature: Any, *_: Any) -> bool:
-    """Return whether constraints suit OpenMM's solver, and the velocities that it made have nothing along them."""
+    """Return whether OpenMM's solver handles the constraints, and its velocities have no components along them."""
     system, state = context.getSystem(), context.getState(positions=True, velocities=True)
-    x, v, masses = arrays.positions(state), arrays.velocities(state), _masses(system)
+    x, v, masses = arrays.positions(state), arrays.velocities(state), parameters.masses(system)
     if not np.isfinite(v).all() or not solvable(system, x):
         return False
-    i, j = constraints(system)[0].T
+    i, j = parameters.constraints(system)[0].T
     apart = x[i] - x[j]
     slow = _LEFT * math.sqrt(gas_constant_times(temperature) / np.min(masses, where=masses > 0.0, initial=math.inf))
     along = np.abs(np.einsum("ij,ij->i", v[i] - v[j], apart)) / np.linalg.norm(apart, axis=1)
@@ -72,5 +65,5 @@ def _stop(context: Any) -> None:
     """Bring the centre of mass to rest if the System has a CMMotionRemover, which does so at the first step."""
     system = context.getSystem()
     if any(isinstance(force, openmm.CMMotionRemover) for force in system.getForces()):
-        v, masses = arrays.velocities(context.getState(velocities=True)), _masses(system)
+        v, masses = arrays.velocities(context.getState(velocities=True)), parameters.masses(system)
         context.setVelocities(v - np.where(masses[:, None] > 0.0, masses @ v / masses.sum(), 0.0))

@@ -1,4 +1,4 @@
-"""The rigid bodies and constrained clusters of an OpenMM System: which particles belong together."""
+"""The rigid bodies and constrained clusters of an OpenMM System."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.detection.shapes import (
     RESIDUAL,
@@ -16,15 +15,15 @@ from openmm_exactrb.detection.shapes import (
     kinds_from_positions,
     on_constraints,
 )
-from openmm_exactrb.detection.whole import Constraints, constraints, whole_positions
+from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, Clusters, sorted_into_kinds
 from openmm_exactrb.mechanics.fit import ShapeWarning
 from openmm_exactrb.openmm_access import arrays, parameters
+from openmm_exactrb.openmm_access.parameters import Rows
+from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 
 def find_bodies(
@@ -34,32 +33,32 @@ def find_bodies(
     box: Array | None = None,
     pairs: bool = False,
 ) -> RigidBodies:
-    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
+    """Find the rigid bodies of a System, which are clusters held rigid by constraints, and its other particles.
 
-    Those are free, or of clusters whose constraints leave them a motion of their own.
+    The other particles are free, or belong to clusters that constraints do not hold rigid.
 
     Parameters
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        In nm. They distinguish a body from its mirror image, and define the shape where constraints do not.
+        In nm. They distinguish a body from its mirror image, and define the shape if constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
     box : (3, 3) array, optional
         Vectors of the periodic box in nm, which may have split bodies: see `whole_positions`.
     pairs : bool, optional
-        Whether two particles with a constraint between them are a cluster, and not a linear body.
+        Whether two particles with a constraint between them form a cluster instead of a linear body.
 
     Raises
     ------
     ValueError
-        If nothing can move, constraints follow from each other or lead out of a body, a body is named wrongly, or the
-        System has Drude particles.
+        If nothing can move, constraints are redundant or lead out of a body, a named body is invalid, or the System has
+        Drude particles.
     """
     masses = parameters.masses(system)
     _check_drude_particles(system)
     given = _named_bodies(system, masses, bodies or [])
-    held = constraints(system)
+    held = parameters.constraints(system)
     whole = whole_positions(system, positions, masses, given, box, held)
     shapes: list[Kind] = []
     flexible: list[ClusterKind] = []
@@ -88,9 +87,9 @@ def find_bodies(
 
 
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
-    """Return clusters from those of their distances that are constrained; the others are nan.
+    """Return clusters from their constrained distances; the other distances are nan.
 
-    Constraints that follow from others are implied: all lengths then are those of the best fit to all of them.
+    Redundant rows are implied: all lengths are then those of the best fit to all rows.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -114,7 +113,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
 
 
 def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
-    """Yield the particles of clusters as single ones, in the order of the clusters; neighbours of one mass together."""
+    """Yield the particles of clusters as single particles, in the order of the clusters, grouped by mass."""
     starts = np.flatnonzero(np.diff(clusters.mass, prepend=np.nan) != 0.0)
     for particles, mass in zip(np.split(clusters.particles, starts[1:]), clusters.mass[starts], strict=False):
         yield Kind(particles[:, None], slice(0), np.array([mass]), np.zeros((1, 1, 3)), float(mass), np.zeros((1, 3)))
@@ -131,19 +130,14 @@ def _check_drude_particles(system: openmm.System) -> None:
 
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
-    """Return the particles with mass of the bodies that a user named."""
-    seen: dict[int, int] = {}
+    """Return the massive particles of the bodies that a user named."""
+    owner = checks.owners(bodies, len(masses))
+    for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
+        if not system.isVirtualSite(particle):
+            raise ValueError(f"particle {particle} of body {owner[particle]} has no mass: a rigid body needs masses")
     named = []
     for number, body in enumerate(bodies):
         particles = np.array(sorted(body), dtype=np.intp)
-        for particle in map(int, particles):
-            if not 0 <= particle < len(masses):
-                raise ValueError(f"body {number} names particle {particle}, but the System has {len(masses)} particles")
-            if particle in seen:
-                raise ValueError(f"particle {particle} is named twice, in bodies {seen[particle]} and {number}")
-            if masses[particle] == 0.0 and not system.isVirtualSite(particle):
-                raise ValueError(f"particle {particle} of body {number} has no mass: a rigid body needs masses")
-            seen[particle] = number
         massive = particles[masses[particles] > 0.0]
         if not len(massive):
             raise ValueError(f"body {number} has no particle with mass: name at least one")
@@ -158,15 +152,12 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
     return named
 
 
-def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
-    """Return the particles (N, n) of bodies of one kind, and their distances (n, n) that constraints give, or nan."""
+def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
+    """Return the particles (N, n) of bodies of one kind, and their constrained distances (n, n), or nan."""
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
-    n, (pairs, _) = len(masses), held
-    owner = np.full(n, -1)
-    for number, particles in enumerate(given):
-        owner[particles] = number
+    n, (pairs, _), owner = len(masses), held, checks.owners(given, len(masses))
     leading_out = owner[pairs[:, 0]] != owner[pairs[:, 1]]
     if leading_out.any():
         p, q = pairs[np.argmax(leading_out)]
@@ -179,8 +170,8 @@ def _clusters(held: Constraints, masses: Array, given: list[Indices]) -> Iterabl
     return [(particles, distances) for _, particles, distances in sorted(found, key=lambda group: group[0])]
 
 
-def _of_one_size(held: Constraints, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
-    """Yield the particles (N, n) of clusters of n particles, by their labels, and their distances (N, n, n)."""
+def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
+    """Yield the particles (N, n) of clusters of n particles, from their labels, and their distances (N, n, n)."""
     pairs, lengths = held
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=len(label)))
@@ -202,7 +193,7 @@ def _of_one_size(held: Constraints, label: Indices, owner: Indices) -> Iterable[
 
 
 def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
-    """Yield clusters with mass by their masses and distances: the first particle, and particles (N, n)."""
+    """Yield clusters grouped by masses and distances: the first particle, and the particles (N, n)."""
     massive = masses[particles].any(axis=1)  # others are frozen, or virtual sites
     particles, distances = particles[massive], distances[massive]
     if not len(particles):

@@ -1,6 +1,6 @@
-"""What an engine is: a record of what carries out the steps of an integrator in its Context.
+"""The definition of an engine: a record of how the steps of an integrator are performed in its Context.
 
-An engine says of itself everything that the rest of the package needs to know, so that a new one is a folder with a
+The record contains everything that the rest of the package needs to know, so that a new engine is a folder with a
 record and an entry in `openmm_exactrb.engines.catalogue.ENGINES`. Reasons and advice are sentences without a full stop.
 """
 
@@ -10,20 +10,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-import numpy as np
 import openmm
-from numpy.typing import NDArray
 
+from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates
-from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes.scheme import Scheme
 from openmm_exactrb.thermostat import Thermostat
-
-Array = NDArray[np.float64]
 
 #: What an engine says that does not add up the heat of its thermostat.
 NO_BALANCE = "the device does not add up the heat of its thermostat: use engine='host' to monitor the energy balance"
@@ -31,12 +27,12 @@ NO_BALANCE = "the device does not add up the heat of its thermostat: use engine=
 
 @dataclass(frozen=True)
 class Settings:
-    """What the steps of an integrator are.
+    """The settings that define the steps of an integrator.
 
     Attributes
     ----------
     scheme : Scheme
-        With all substeps of a step, those of the thermostat included.
+        All substeps of a step, including those of the thermostat.
     outer : Scheme
         The scheme that the user named.
     splitting : Scheme
@@ -46,9 +42,9 @@ class Settings:
     h : float
         Size of a step in ps.
     groups : int
-        Bits of the force groups that act.
+        Bits of the active force groups.
     named : list of lists of int, or None
-        Bodies in addition to those of constraints.
+        Bodies in addition to those defined by constraints.
     check : bool
         Whether a jump of the total energy is an error.
     """
@@ -72,77 +68,42 @@ class Settings:
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Those that no other thermostat has."""
+        """Persistent numbers of this thermostat alone."""
         return () if self.thermostat is None else self.thermostat.own_numbers
 
 
-class Synchronised(Protocol):
-    """The state of the bodies of a Context, kept up to date with it.
-
-    Attributes
-    ----------
-    state : State
-        As the Context shows it.
-    particles : (n_particles, 3) array
-        Positions in nm of all particles, to be overwritten with those of the bodies.
-    new_trajectory : callable
-        Called when a user has set a State or a step count, or began again without a seed.
-    """
-
-    bodies: RigidBodies
-    state: State
-    particles: Array
-    new_trajectory: Callable[[], None]
-
-    @property
-    def context(self) -> Any:
-        """The Context."""
-
-    def box(self) -> Array | None:
-        """Return the vectors (3, 3) of the periodic box in nm, or None without one."""
-
-    def pull(self) -> bool:
-        """Bring the state up to date with what was set in the Context; return whether it changed."""
-
-    def push(self) -> None:
-        """Write the state into the Context."""
-
-    def replace(self, state: State) -> None:
-        """Give the bodies another state, and write it into the Context."""
-
-
 class Propagator(Protocol):
-    """Makes the steps of an integrator in a Context; it owns the state between them."""
+    """Performs the steps of an integrator in a Context, and owns the state between them."""
 
     @property
-    def sync(self) -> Synchronised:
+    def sync(self) -> Synchronisation:
         """The state of the bodies."""
 
     @property
     def updates(self) -> ContextUpdates:
-        """What OpenMM does between steps."""
+        """OpenMM's actions between steps."""
 
     @property
     def outdated(self) -> bool:
-        """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
+        """Whether a new propagator is needed: the Context is gone, was reinitialised, or must be prepared again."""
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, if the present state is that at the end of its step.
+        """The states before and after the last heat exchange, if the present state is the end of its step.
 
-        ValueError if the engine does not know them.
+        A ValueError is raised if the engine does not keep them.
         """
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+        """Return the total energy (kJ/mol) at the last heat exchange; the arguments are those of `advance`.
 
-        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
+        A ValueError (`NO_BALANCE`) is raised if the engine does not add up the heat of its thermostat.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
-        """Make n steps; whatever happens, the Context is left at a valid state.
+        """Perform n steps; after any error, the Context contains a valid state.
 
-        settings() is asked for if the `version` of the settings differs from that of the last call; `key` is that of
+        settings() is called if the `version` of the settings differs from that of the last call; `key` is the key of
         the random numbers.
         """
 
@@ -155,20 +116,20 @@ class Engine:
     ----------
     name : str
     unsupported : callable
-        unsupported(settings) -> why the scheme, the rotor or the thermostat is not served, or None.
+        unsupported(settings) -> why the scheme, the rotor or the thermostat is not supported, or None.
     unsupported_in : callable
-        unsupported_in(context, settings) -> why a Context with this System and platform is not served, or None.
+        unsupported_in(context, settings) -> why a Context with this System and platform is not supported, or None.
     advice : callable
-        advice(context, settings) -> whether ``engine="auto"`` takes it where it serves, and the reason.
+        advice(context, settings) -> whether ``engine="auto"`` selects the engine if it is supported, and the reason.
     marks : callable
-        marks(settings) -> values of the first variable of an integrator whose variables hold a state of this engine; it
-        is zero where they hold none. Checkpoints and States show by it who wrote them.
+        marks(settings) -> possible values of the first variable of an integrator that holds a state of this engine;
+        zero means that it holds none. The mark identifies the engine that wrote a checkpoint or State.
     declare : callable
         declare(integrator, settings) gives an integrator without a Context its variables and its program.
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
     information : callable
-        information() -> what ``exactrb info`` shows of it here, a sentence.
+        information() -> a sentence about the engine for ``exactrb info``.
     """
 
     name: str

@@ -77,7 +77,7 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
 
 
 def _as_from_json(value: Any) -> Any:
-    """Return a value as it is read from JSON, so that new results equal stored ones."""
+    """Return a value as JSON would return it, so that new results equal stored ones."""
 
     def listed(part: Any) -> Any:
         if isinstance(part, (np.ndarray, np.generic)):
@@ -101,7 +101,9 @@ def client_of(scheduler: str | None, workers: int | None, jobs: int) -> Iterator
     try:
         client = distributed.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
-        raise ConnectionError(f"no dask scheduler answers at {scheduler!r}: {error}") from error
+        raise ConnectionError(
+            f"no dask scheduler answers at {scheduler!r} ({error}): check the address, or start one"
+        ) from error
     with client:
         yield client
 

@@ -1,4 +1,4 @@
-"""Inner loops, compiled by numba when the first of them is loaded; `plain` has the exact rotation in numpy."""
+"""Inner loops, compiled by numba when the first of them is loaded; `plain` contains the exact rotation in numpy."""
 
 from __future__ import annotations
 

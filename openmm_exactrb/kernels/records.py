@@ -1,4 +1,4 @@
-"""What compiled kernels take together, as NamedTuples, which numba knows."""
+"""Groups of arguments of compiled kernels, as NamedTuples, which numba supports."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Particles(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Bonded terms: the particles of each, in rows, and its numbers, in columns."""
+    """Bonded terms: the particles of each term, in rows, and its numbers, in columns."""
 
     bonds: I2
     of_bonds: F2  #: lengths and strengths (2, .)

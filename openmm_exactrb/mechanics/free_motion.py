@@ -1,4 +1,4 @@
-"""The flow of the kinetic energy, and what belongs to it."""
+"""The flow of the kinetic energy and related functions."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Kinetic:
 def rigid(mass: Array, rotation: Rotation) -> Kinetic:
     """Return the kinetic flow of rigid bodies of masses (N,).
 
-    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
+    rotation(q, m, tau) -> (q, m) acts on sums, like the results of `openmm_exactrb.rotors.rotor_of_sums`.
     """
     advance = advancing()
 
@@ -82,12 +82,12 @@ CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances"
 
 
 def only_distances() -> bool:
-    """Return whether constraints are those of distances alone, which compiled inner steps keep."""
+    """Return whether all constraints are distances, which compiled inner steps support."""
     return set(CONSTRAINTS.values()) == {geodesics}
 
 
 def free_motion(bodies: RigidBodies, rotor: str | Rotor) -> Kinetic:
-    """Return how bodies move without forces: rigid ones translate and rotate, as far as their constraints allow."""
+    """Return the motion of bodies without forces: free translation and rotation, subject to constraints."""
     kinetic = rigid(bodies.mass, rotor_of_sums(rotor, bodies.inertia, checked=False))
     for constrain in CONSTRAINTS.values():
         kinetic = constrain(kinetic, bodies)

@@ -1,7 +1,8 @@
-"""The state of rigid bodies: as it moves, in sums high + low, and as it is shown, rounded to float64; and its flows."""
+"""The state of rigid bodies, as sums high + low and in float64, its flows, and its last forces."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
@@ -15,6 +16,10 @@ _S = TypeVar("_S")
 
 #: flow(state, tau) moves a state by the time tau; it may return the state itself, and does not change what it is given.
 Flow = Callable[[_S, float], _S]
+#: Force (3, N) and body-frame torque (3, K).
+Force = tuple[Array, Array]
+#: The forces of the last kicks, and what displaced ones differed by, the most recent ones first.
+Remembered = tuple[list[Force], list[Force]]
 
 
 class BodyState(NamedTuple):
@@ -27,7 +32,7 @@ class BodyState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The same as sums of `openmm_exactrb.mathematics.compensated`, so that no step rounds it: what flows act on.
+    """A state as sums of `openmm_exactrb.mathematics.compensated`, so that steps do not round it; flows act on it.
 
     Attributes
     ----------
@@ -43,7 +48,7 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, rounded: BodyState) -> State:
-        """Return a state that was rounded as sums with nothing in their low parts."""
+        """Return a rounded state as sums with low parts of zero."""
         return cls(*map(exactly, rounded))
 
     @property
@@ -52,6 +57,53 @@ class State(NamedTuple):
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; low parts, and whole arrays, stay where they are what they were."""
+        """Return the state with new high parts; unchanged numbers keep their low parts, unchanged arrays are reused."""
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
+
+
+class ForceMemory:
+    """The forces of the last kicks, most recent first, from which a processed scheme computes its output.
+
+    Attributes
+    ----------
+    forces, differences : deque of (force, torque)
+        Forces at the last positions, and differences of the displaced forces of the last force-gradient kicks.
+    closed : bool
+        Whether additions are ignored, as they are while output is computed.
+    """
+
+    def __init__(self, forces: int = 0, differences: int = 0) -> None:
+        self.forces: deque[Force] = deque(maxlen=forces)
+        self.differences: deque[Force] = deque(maxlen=differences)
+        self.closed = False
+
+    def add_force(self, force: Force) -> None:
+        """Store a force."""
+        if not self.closed:
+            self.forces.appendleft(force)
+
+    def add_difference(self, difference: Force) -> None:
+        """Store the difference between a displaced and an undisplaced force."""
+        if not self.closed:
+            self.differences.appendleft(difference)
+
+    @property
+    def full(self) -> bool:
+        """Whether the memory is full."""
+        return all(len(some) == some.maxlen for some in (self.forces, self.differences))
+
+    def clear(self) -> None:
+        """Delete all forces."""
+        self.forces.clear()
+        self.differences.clear()
+
+    def copy(self) -> Remembered:
+        """Return copies of the stored forces and differences."""
+        return list(self.forces), list(self.differences)
+
+    def restore(self, copy: Remembered) -> None:
+        """Store what `copy` returned."""
+        self.clear()
+        self.forces.extend(copy[0][: self.forces.maxlen])
+        self.differences.extend(copy[1][: self.differences.maxlen])

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.graph import Graph
@@ -17,9 +16,7 @@ from openmm_exactrb.multiple_time_steps.compiled_forces import BondedForces
 from openmm_exactrb.rotors.exact import constants
 from openmm_exactrb.schemes.sequence import Sequence, repeated
 from openmm_exactrb.substeps import KICK
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Array, Indices
 
 
 class CompiledInnerSteps:
@@ -41,7 +38,7 @@ class CompiledInnerSteps:
         self._advance = kernels.load("inner_steps").advance
 
     def __call__(self, state: State, tau: float) -> State:
-        """Return the state after a drift over tau (ps); IntegrationError if it diverges."""
+        """Return the state after a drift over tau (ps); raise IntegrationError if it diverges."""
         forces, n = self._forces, self._repetitions(tau)
         if n not in self._sequences:
             self._sequences[n] = _as_arrays(repeated(self._sequence, n))
@@ -69,25 +66,23 @@ class CompiledInnerSteps:
 
 
 def _as_arrays(sequence: Sequence) -> tuple[Indices, Array]:
-    """Return which substeps are kicks, and their parts."""
+    """Return which substeps are kicks, and their fractions."""
     kicks = np.array([substep == KICK for substep, _ in sequence], dtype=np.int64)
     return kicks, np.array([part for _, part in sequence])
 
 
 def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
-    """Return where the kinds of clusters begin, from column `first` on, and their graphs behind each other."""
+    """Return the first columns of the kinds of clusters, from `first` on, and their concatenated graphs."""
     graphs = [kind.graph for kind in clusters.kinds]
     begins = [(len(g.inverse), len(g.pairs), len(g.columns), len(g.rows), len(g.starts), len(g.left)) for g in graphs]
     places = np.zeros((len(graphs) + 1, 8), dtype=np.int64)
     places[:, 0] = first + clusters.first
     places[:-1, 1] = [len(kind.particles) for kind in clusters.kinds]
     places[1:, 2:] = np.cumsum(np.array(begins, dtype=np.int64).reshape(-1, 6), axis=0)
-    if not graphs:
-        return places, _NONE
-    return places, Graph(*map(np.concatenate, zip(*graphs, strict=True)))
+    return places, Graph(*map(np.concatenate, zip(_NONE, *graphs, strict=True)))
 
 
-# The fields of `Graph` without clusters.
+# A graph without constraints.
 _NONE = Graph(
     np.zeros(0),
     np.zeros((0, 2), dtype=np.int64),

@@ -1,6 +1,6 @@
-"""The bonded forces of a System, and pairs of atoms with numbers of their own, on the particles that they move.
+"""The bonded forces of a System, and its exceptions, restricted to the particles on which they act.
 
-They are few compared with those of a solvent, and the System of the user stays as it is.
+These are few compared with those of a solvent, and the System of the user is unchanged.
 """
 
 from __future__ import annotations
@@ -17,35 +17,39 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import Part, RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, Bonded, interacting_exceptions
 from openmm_exactrb.openmm_access import parameters
-
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Indices
 
 
 @dataclass(frozen=True)
 class Excerpt:
-    """Some forces of a System.
+    """A selection of forces of a System.
 
     Attributes
     ----------
     whole : openmm.System
     forces : sequence of Bonded
-        These forces, of particles of the whole System.
+        These forces, with particles of the whole System.
     particles : (n,) array of int
-        Which of its particles they move.
-    part : Part
-        The bodies made of them, numbered as in `system`.
+        The particles on which they act.
+    bodies : RigidBodies
+        All bodies of the whole System.
     """
 
     whole: openmm.System
     forces: Sequence[Bonded]
     particles: Indices
-    part: Part
+    bodies: RigidBodies
+
+    @cached_property
+    def part(self) -> Part:
+        """The bodies that consist of these particles, numbered as in `system`."""
+        chosen = self.bodies.touched(self.particles)
+        return Part(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
 
     @cached_property
     def numbered(self) -> Sequence[Bonded]:
         """The forces, numbered as in `system`."""
-        number = self._number
-        return [force.numbered(number) for force in self.forces]
+        return [force.numbered(self._number) for force in self.forces]
 
     @cached_property
     def system(self) -> openmm.System:
@@ -55,27 +59,28 @@ class Excerpt:
             own.addParticle(mass)
         pairs, lengths = parameters.constraints(self.whole)
         inside = (number[pairs] >= 0).all(axis=1)
-        for (i, j), length in zip(number[pairs[inside]].tolist(), lengths[inside, 0].tolist(), strict=True):
+        for (i, j), length in zip(number[pairs[inside]].tolist(), lengths[inside].tolist(), strict=True):
             own.addConstraint(i, j, length)
         for force in self.numbered:
             own.addForce(force.made())
         own.setDefaultPeriodicBoxVectors(*self.whole.getDefaultPeriodicBoxVectors())
         return own
 
-    @property
+    @cached_property
     def _number(self) -> Indices:
         """The number of each particle of the whole System in `system`, or -1."""
-        return _numbers(self.particles, self.whole.getNumParticles())
+        number = np.full(self.whole.getNumParticles(), -1)
+        number[self.particles] = np.arange(len(self.particles))
+        return number
 
 
 def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
-    """Return the bonded forces that move bodies against each other, and the exceptions of NonbondedForces that do.
+    """Return the bonded forces and the exceptions of NonbondedForces that move bodies relative to each other.
 
-    With groups, of the bonded forces those in these, and no exceptions. Without what acts on virtual sites. None if
-    there are no bonded ones.
+    With groups, only bonded forces in these groups are returned, and no exceptions. Terms on virtual sites are
+    excluded. Without bonded forces the result is empty: None.
     """
-    n = system.getNumParticles()
-    sites = np.array([system.isVirtualSite(i) for i in range(n)], dtype=bool)
+    sites = np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
     bonded = [Bonded.of(force) for force in own if groups is None or force.getForceGroup() in groups]
     forces = _acting(bonded, bodies.owner, sites)
@@ -84,15 +89,12 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
     every = [force for force in system.getForces() if groups is None and isinstance(force, openmm.NonbondedForce)]
     forces += _acting(map(interacting_exceptions, every), bodies.owner, sites)
     touched = np.flatnonzero(np.bincount(np.concatenate([force.particles.ravel() for force in forces])))
-    chosen = _with_clusters(bodies, touched)
-    members = np.flatnonzero(np.concatenate([chosen, [False]])[bodies.owner])  # the last is that of no body
-    particles = np.union1d(members, touched).astype(np.intp)
-    part = Part(bodies.chosen(chosen, _numbers(particles, n), len(particles)), chosen)
-    return Excerpt(system, forces, particles, part)
+    members = np.flatnonzero(np.append(bodies.touched(touched), False)[bodies.owner])  # the last is that of no body
+    return Excerpt(system, forces, np.union1d(members, touched), bodies)
 
 
 def _acting(forces: Any, owner: Indices, sites: NDArray[np.bool_]) -> list[Bonded]:
-    """Return the terms between particles of several bodies and without virtual sites, of forces that have some."""
+    """Return the terms between different bodies and without virtual sites, of forces that have any."""
     found = []
     for force in forces:
         bodies = owner[force.particles]
@@ -100,21 +102,3 @@ def _acting(forces: Any, owner: Indices, sites: NDArray[np.bool_]) -> list[Bonde
         if between.any():
             found.append(force.chosen(between))
     return found
-
-
-def _numbers(particles: Indices, n: int) -> Indices:
-    """Return the place of each of n particles among some, or -1."""
-    number = np.full(n, -1)
-    number[particles] = np.arange(len(particles))
-    return number
-
-
-def _with_clusters(bodies: RigidBodies, particles: Indices) -> NDArray[np.bool_]:
-    """Return which bodies have some of the particles, or are atoms of a cluster that has."""
-    chosen = np.zeros(len(bodies) + 1, dtype=bool)
-    chosen[bodies.owner[particles]] = True
-    chosen = chosen[:-1]
-    for _, columns in bodies.clusters.columns():
-        atoms = columns + bodies.n_turning
-        chosen[atoms] |= chosen[atoms].any(axis=1, keepdims=True)
-    return chosen

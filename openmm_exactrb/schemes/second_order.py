@@ -4,8 +4,8 @@ Next to its heat exchange, a symmetric splitting of steps h conserves
 
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
-and its step ends a drift of y h, with kicks in it, behind the exchange. `openmm_exactrb.averages` makes the error of
-any average of these numbers.
+and its step ends a drift of y h, which may contain kicks, after the exchange. `openmm_exactrb.averages` computes the
+error of any average from these numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class SecondOrder(NamedTuple):
 
 
 def second_order(scheme: Scheme) -> SecondOrder:
-    """Return the coefficients of a scheme with its heat exchange, as the steps of an integrator have it.
+    """Return the coefficients of a scheme that contains the heat exchange of its integrator.
 
     Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
     alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B and D of `sequence.second_moments`, and a force-gradient kick of
@@ -57,7 +57,7 @@ def second_order(scheme: Scheme) -> SecondOrder:
 
 
 def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
-    """Return the drifts and kicks behind the heat exchange up to the end of a step, and those before it."""
+    """Return the drifts and kicks from the heat exchange to the end of a step, and those before it."""
     rows = scheme.sequence
     if isinstance(rows[0][0], HeatExchange) and isinstance(rows[-1][0], HeatExchange) and len(rows) > 1:
         rows = rows[1:]  # the halves of one exchange

@@ -1,4 +1,4 @@
-"""Pairs within rigid bodies that no force need compute."""
+"""Exclusion of pairs within rigid bodies, which need no forces."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
 import openmm
 
 from openmm_exactrb.support import checks
@@ -22,7 +23,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
     Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
     the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
-    bodies, and their parameter offsets, become zero. Call it before the Context is created.
+    bodies, and their parameter offsets, become zero. Call this function before the Context is created.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
 
 def _except(force: Any, within: list[Pair]) -> None:
-    """Give a force exceptions of zero: charge, size and depth, or size and depth of a GayBerneForce."""
+    """Give a force exceptions of zero: charge, size and depth, or for a GayBerneForce size and depth."""
     numbers = (0.0, 1.0, 0.0) if isinstance(force, openmm.NonbondedForce) else (1.0, 0.0)
     present = {_sorted(force.getExceptionParameters(i)[:2]): i for i in range(force.getNumExceptions())}
     for pair in within:
@@ -83,23 +84,14 @@ def _sorted(pair: Iterable[int]) -> Pair:
 
 def _members(system: openmm.System, bodies: list[list[int]]) -> list[list[int]]:
     """Return the particles of each body in ascending order, with the virtual sites that depend on it alone."""
-    owner: dict[int, int] = {}
-    for number, body in enumerate(bodies):
-        for particle in body:
-            if not 0 <= particle < system.getNumParticles():
-                raise ValueError(
-                    f"body {number} names particle {particle}, but the System has {system.getNumParticles()} particles"
-                )
-            if particle in owner:
-                raise ValueError(f"particle {particle} is named twice, in bodies {owner[particle]} and {number}")
-            owner[particle] = number
-    for particle in range(system.getNumParticles()):
-        if particle not in owner and system.isVirtualSite(particle):
+    owner = checks.owners(bodies, system.getNumParticles())
+    for particle in map(int, np.flatnonzero(owner < 0)):
+        if system.isVirtualSite(particle):
             site = system.getVirtualSite(particle)
-            owners = {owner.get(site.getParticle(k), -1) for k in range(site.getNumParticles())}
-            if len(owners) == 1 and owners != {-1}:
+            owners = {owner[site.getParticle(k)] for k in range(site.getNumParticles())}
+            if len(owners) == 1:
                 owner[particle] = owners.pop()
     members: list[list[int]] = [[] for _ in bodies]
-    for particle in sorted(owner):
+    for particle in map(int, np.flatnonzero(owner >= 0)):
         members[owner[particle]].append(particle)
     return members

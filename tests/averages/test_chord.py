@@ -13,8 +13,8 @@ from averages.test_corrections import COUNT, KT, cosine, made, reporting, rotors
 from openmm_exactrb.averages.chord import Chords
 from openmm_exactrb.averages.record import read
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.detection.whole import constraints
 from openmm_exactrb.mechanics.clusters import ClusterState
+from openmm_exactrb.openmm_access.parameters import constraints
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
@@ -233,6 +233,11 @@ def atomic():
         (300.0, [openmm.AndersenThermostat(300.0, 1.0)], "AndersenThermostat, but this integrator"),
         (300.0, [openmm.MonteCarloBarostat(1.0, 310.0, 1)], "at 310 K, the integrator at 300 K: set both"),
         (300.0, [atomic()], "would scale the bodies themselves"),
+        (
+            300.0,
+            [openmm.MonteCarloAnisotropicBarostat([1.0] * 3, 300.0)],
+            "AnisotropicBarostat: use a MonteCarloBarostat",
+        ),
         (0.0, [], "only at a temperature above 0 K"),
     ],
 )

@@ -331,9 +331,6 @@ def test_what_a_file_lacks_is_said(tmp_path):
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
-    other = made(tmp_path, np.random.default_rng(7), frames=100, barostat="MonteCarloMembraneBarostat")
-    with pytest.raises(ValueError, match="with a MonteCarloMembraneBarostat: use a MonteCarloBarostat"):
-        rb.pressure_offset(other)
     (tmp_path / "no.csv").write_text("step,time\n")
     with pytest.raises(ValueError, match="was not written by an AverageReporter"):
         rb.corrected(tmp_path / "no.csv", "pressure")

@@ -6,10 +6,12 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import openmm
 import pytest
+from openmm.unit import nanometer
 
 import openmm_exactrb as rb
-from benchmarks.common import records
+from benchmarks.common import proteins, records
 from benchmarks.common.clocks import in_turns
 from benchmarks.common.energies import spread
 from benchmarks.common.starts import R, canonical, context_of, masses_of, positions_and_velocities, thermostat
@@ -83,3 +85,20 @@ def test_canonical_starts_have_their_temperature_and_repeat_their_bits():
     np.testing.assert_array_equal(v, w)
     masses = masses_of(rb.rigid_water(27)[1])
     assert (masses @ (v * v).sum(axis=1)) / (6 * 27 * R) == pytest.approx(300.0, rel=5.0 * np.sqrt(2.0 / (6 * 27)))
+
+
+def test_copies_of_a_box_have_so_many_times_its_energy():
+    topology, places = proteins.solvated(proteins.PEPTIDE)
+    system, counts = proteins.system_of(topology), (1, 2, 1)
+    (nonbonded,) = (force for force in system.getForces() if isinstance(force, openmm.NonbondedForce))
+    nonbonded.setNonbondedMethod(openmm.NonbondedForce.CutoffPeriodic)
+    nonbonded.setUseDispersionCorrection(False)  # not proportional to the number of particles, by one in N
+    places = np.array(places.value_in_unit(nanometer))
+    vectors = np.array([v.value_in_unit(nanometer) for v in system.getDefaultPeriodicBoxVectors()])
+    large = proteins.tiled(system, counts), proteins.tiled_positions(places, vectors, counts)
+    energies = []
+    for box, start in (system, places), large:
+        context = context_of(box, thermostat(), start)
+        energies.append(context.getState(energy=True).getPotentialEnergy()._value)
+    assert energies[1] == pytest.approx(2.0 * energies[0], rel=2e-6)
+    assert large[0].getNumConstraints() == 2 * system.getNumConstraints()

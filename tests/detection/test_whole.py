@@ -10,8 +10,9 @@ from openmm import unit
 import openmm_exactrb as rb
 import starts
 from openmm_exactrb.detection.find import find_bodies
-from openmm_exactrb.detection.whole import constraints, whole_positions
+from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.mathematics import quaternions
+from openmm_exactrb.openmm_access.parameters import constraints
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,11 +7,10 @@ import pytest
 import charts
 import openmm_exactrb as rb
 from benchmarks.paper.problems import HeavyTop, Satellite, energy, integrate
-from openmm_exactrb.context.forces import ForceMemory
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.free_motion import rigid
-from openmm_exactrb.mechanics.state import State
+from openmm_exactrb.mechanics.state import ForceMemory, State
 from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.schemes.sequence import repeated, run
 from openmm_exactrb.substeps import DRIFT, KICK, GradientKick, gradient_kick, kick

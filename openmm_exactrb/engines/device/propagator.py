@@ -1,4 +1,4 @@
-"""The propagator on the device: has the integrator carry out the program of a scheme, and checks the result."""
+"""The propagator on the device: lets the integrator execute the program of a scheme, and checks the result."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import openmm
 
 from openmm_exactrb.context import variables
+from openmm_exactrb.context.forces import ContextForces
 from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.context.updates import ContextUpdates, conserve_energy
 from openmm_exactrb.engines.device.assembly import EXCHANGE_NUMBERS, Assembly
@@ -18,13 +19,15 @@ from openmm_exactrb.engines.device.flexible.molecules import found, served
 from openmm_exactrb.engines.device.flexible.part import Flexible
 from openmm_exactrb.engines.device.library import Device, library
 from openmm_exactrb.engines.device.state import DeviceState
-from openmm_exactrb.engines.host.exchange import energy_at_exchange
 from openmm_exactrb.engines.host.propagator import inner_mark
 from openmm_exactrb.mechanics.divergence import ADVICE, GROWN, IntegrationError, NonFiniteError, gained, lost
+from openmm_exactrb.mechanics.free_motion import free_motion
 from openmm_exactrb.mechanics.state import State
 from openmm_exactrb.openmm_access import arrays, platforms
 from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.schemes.sequence import inverse
+from openmm_exactrb.schemes.thermostatted import behind_exchange
 from openmm_exactrb.support.warn import warn
 from openmm_exactrb.thermostat import Factors
 
@@ -33,13 +36,13 @@ _NAMED = 5
 
 
 class DevicePropagator:
-    """Makes the steps of an integrator in its Context by a program, which the integrator carries out.
+    """Performs the steps of an integrator in its Context by a program, which the integrator executes.
 
     Parameters
     ----------
     context : openmm.Context
     integrator : openmm.CustomIntegrator
-        Behind which there is a program integrator of the library.
+        The Python object of a program integrator of the library.
     settings : Settings
     timings : Timings
 
@@ -59,9 +62,7 @@ class DevicePropagator:
         self._sites = any(map(system.isVirtualSite, range(system.getNumParticles())))
         self._conserves = conserve_energy(system)
         self._version: object = None
-        self._surroundings: object = (
-            None  # box and parameters at the end of the last call: inner coordinates are theirs
-        )
+        self._surroundings: object = None  # box and parameters at the end of the last call, of the inner coordinates
         self._kept = 0.0  # the mark of the inner coordinates before a call
         self._largest = 0.0  # the largest kinetic energy (kJ/mol) that was found good
         self._load()
@@ -79,9 +80,17 @@ class DevicePropagator:
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Any]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange."""
+        """Return the total energy (kJ/mol) at the last heat exchange of a step that moves all bodies freely."""
         self.sync.pull()
-        return energy_at_exchange(self.sync, settings(), self._timings)
+        bodies, state, of = self.sync.bodies, self.sync.state, settings()
+        drift = free_motion(bodies, of.rotor).drift
+        for _, part in inverse(behind_exchange(of.scheme.sequence)):
+            state = drift(state, part * of.h)
+        try:
+            potential = ContextForces(self.sync.positions, of.groups, self._timings).energy_at(state)
+        finally:
+            self.sync.push()
+        return float(sum(bodies.kinetic_energies(state.rounded)) + potential)
 
     # -- the program ---------------------------------------------------------------------------------------------------
 
@@ -117,7 +126,7 @@ class DevicePropagator:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
-        """Bring the program to new settings: its numbers, or all of it."""
+        """Update the program to new settings: its numbers, or all of it."""
         self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
@@ -141,10 +150,8 @@ class DevicePropagator:
         return None if thermostat is None else thermostat.factors
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
-        """Return the numbers of a heat exchange, as many as the table has room for."""
-        bodies = self.sync.bodies
-        translational = bodies.translational_freedom - 3 * self.updates.removes_motion
-        numbers = self._settings.thermostat.kernel_exchange(tau, (translational, bodies.rotational_freedom))
+        """Return the numbers of a heat exchange, padded to the size of the table."""
+        numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
     def _send_numbers(self) -> None:
@@ -163,14 +170,14 @@ class DevicePropagator:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
-        """Make n steps. After an error the Context holds what it held before.
+        """Perform n steps. After an error the Context has its earlier contents.
 
-        Arguments are those of the propagator of the host.
+        The arguments are those of the host's propagator.
 
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, or a body faster than light.
+            If numbers become infinite, or a body becomes faster than light.
         IntegrationError
             If the total energy rises by integration errors.
         """
@@ -199,7 +206,7 @@ class DevicePropagator:
             self._surroundings = self._present_surroundings()
 
     def _make(self, n: int) -> None:
-        """Make n steps; IntegrationError if they diverge."""
+        """Perform n steps; raise IntegrationError if they diverge."""
         self._step(n)
         kinetic, bad = self._report()
         if bad:
@@ -216,7 +223,7 @@ class DevicePropagator:
         self.sync.moved_on()
 
     def _step(self, n: int) -> None:
-        """Make n steps, and show the result."""
+        """Perform n steps, and show the result in the Context."""
         device, before = self.device, self.device.evaluations
         try:
             if self._processed and n:
@@ -235,14 +242,14 @@ class DevicePropagator:
             self.sync.moved_on()
 
     def _report(self) -> tuple[float, bool]:
-        """Return the kinetic energy (kJ/mol), and whether a body is lost."""
+        """Return the kinetic energy (kJ/mol), and whether the state of a body is invalid."""
         self.device.run("report")
         translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
         kinetic = float(translation + rotation)
         return kinetic, bool(lost_bodies) or not math.isfinite(kinetic)
 
     def _refuse(self, n: int) -> None:
-        """Raise NonFiniteError with the bodies that are lost."""
+        """Raise NonFiniteError with the names of the invalid bodies."""
         self.sync.pull()
         bodies = self.sync.bodies
         which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
@@ -259,14 +266,14 @@ class DevicePropagator:
 
     @property
     def _thermal(self) -> float:
-        """The kinetic energy (kJ/mol) that thermostats account for: twice the canonical mean, and 20 kT more."""
+        """The kinetic energy (kJ/mol) that thermostats can explain: twice the canonical mean plus 20 kT."""
         thermostat, bodies = self._settings.thermostat, self.sync.bodies
         kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
         kT = max(kT, self.updates.hottest(self.sync.context))
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, kinetic: float, n: int) -> None:
-        """Return to the state before n steps; IntegrationError if the total energy was far lower there."""
+        """Return to the state before n steps; raise IntegrationError if its total energy was far lower."""
         energy = kinetic + self._potential()
         self._restore()
         kinetic_before = self._report()[0]
@@ -282,7 +289,7 @@ class DevicePropagator:
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Come to inner coordinates from the state that is shown, unless they are those of the present settings."""
+        """Compute inner coordinates from the shown state, unless they are those of the present settings."""
         mark = inner_mark(self._settings.scheme, self._settings.h)
         if self._coordinates != mark:
             self.device.run("enter")
@@ -290,7 +297,7 @@ class DevicePropagator:
             self._coordinates = mark
 
     def _leave(self, settings: Any) -> None:
-        """Bring the state out of inner coordinates that are not those of new settings, by the exact way back."""
+        """Leave inner coordinates that are not those of new settings, by the exact inverse."""
         if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
             if self._version is not None:  # else the coordinates are of another program
                 self.device.run("postprocess")
@@ -299,7 +306,7 @@ class DevicePropagator:
 
     @property
     def _coordinates(self) -> float:
-        """The mark of the inner coordinates, 0 without any."""
+        """The mark of the inner coordinates, 0 if there are none."""
         return variables.get(self._integrator(), variables.COORDINATES)
 
     @_coordinates.setter

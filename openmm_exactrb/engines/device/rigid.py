@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.engines.device.program import Launch, Operation, Program, Source
-from openmm_exactrb.engines.device.segments import Segment, Table
+from openmm_exactrb.engines.device.segments import Segment, Table, merged
 from openmm_exactrb.mathematics.elliptic import RULES
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
-from openmm_exactrb.moves import MOVE, Move, Op
+from openmm_exactrb.moves import MOVE, Op
 from openmm_exactrb.rotors.exact import constants
+from openmm_exactrb.support.types import Array, Indices
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 Values = Mapping[str, NDArray[Any]]
 
 #: Bodies of more particles get a group of so many threads each.
@@ -42,22 +41,22 @@ _HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
 
 @dataclass(frozen=True)
 class Demands:
-    """What a scheme and its thermostat demand of kernels.
+    """The demands of a scheme and its thermostat on kernels.
 
     Attributes
     ----------
     memory : tuple of int
-        How many forces are remembered, and how many of them in a step.
+        Numbers of stored forces: in total, and per step.
     differences : tuple of int
-        The same of the differences of displaced forces.
+        The numbers for differences of displaced forces.
     copied : bool
-        Whether a copy of the bodies is shown.
+        Whether a copy of the bodies is shown in the Context.
     displaces : bool
         Whether there are force-gradient kicks.
     scales : bool
-        Whether heat exchanges multiply momenta by numbers for all.
+        Whether heat exchanges multiply all momenta by common factors.
     own : tuple of str
-        Texts of the moves of users, in the order of their numbers.
+        Texts of the users' moves, in the order of their numbers.
     """
 
     memory: tuple[int, int] = (0, 1)
@@ -69,7 +68,7 @@ class Demands:
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
-    """Return the parts of a program for all bodies but some others (k,): with a thread for each, and with a group."""
+    """Return the parts of a program for all bodies but given ones (k,), with a thread or a group for each body."""
     chosen = np.ones(len(bodies), dtype=bool)
     chosen[[] if others is None else others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
@@ -79,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = Non
 
 
 class RigidPart:
-    """Some kinds of rigid bodies; the names of their arrays begin with a prefix, and `lanes` threads share a body."""
+    """Given kinds of rigid bodies, with a prefix for the names of their arrays and `lanes` threads per body."""
 
     def __init__(
         self,
@@ -130,17 +129,18 @@ class RigidPart:
     def _named(self, *names: str) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in names)
 
-    def _state(self, copied: bool) -> tuple[str, ...]:
+    def state(self, copied: bool) -> tuple[str, ...]:
+        """Return the names of the arrays of a state."""
         inner = self._demands.copied and not copied
         return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and what is remembered."""
+        """Declare tables, the state, and stored forces."""
         tables = self.tables()
         for name, values in tables.items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
-            for name, of in zip(self._state(copied), _STATE, strict=True):
+            for name, of in zip(self.state(copied), _STATE, strict=True):
                 to.array(name, _ROWS[of] * self.n, saved=True)
         memory, differences, here = self._named("last", "differences", "here")
         to.array(memory, 6 * self.n * self._demands.memory[0], saved=True)
@@ -150,7 +150,7 @@ class RigidPart:
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
         """Return the launch of a segment."""
-        moves = _merged(tuple(move for move in segment.moves if move.bodies != "inner"))
+        moves = merged(move for move in segment.moves if move.bodies != "inner")
         displaced = segment.has(Op.DISPLACED_KICK)
         what = _HAS_FORCES * any(move.groups for move in moves)
         what |= _HAS_FORCES * segment.has(Op.REMEMBER)
@@ -160,7 +160,7 @@ class RigidPart:
             *_CONTEXT,
             "force",
             *self._named(*_TABLES),
-            *self._state(segment.copied),
+            *self.state(segment.copied),
             *self._named("index", "last", "differences", "here"),
             *(Table.MOVES, Table.NUMBERS, "factors"),
             *table.rows(moves),
@@ -172,34 +172,26 @@ class RigidPart:
         lanes = self._lanes
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
-    def copies(self) -> list[Operation]:
-        """Return what makes the shown bodies copies of those of the inner coordinates."""
-        return [f"copy {one} {other}" for one, other in zip(self._state(False), self._state(True), strict=True)]
-
-    def returns(self) -> list[Operation]:
-        """Return what makes the bodies in inner coordinates copies of those that are shown."""
-        return [f"copy {one} {other}" for one, other in zip(self._state(True), self._state(False), strict=True)]
-
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return what writes the kinetic energies to "totals", or adds them."""
+        """Return the operations that write the kinetic energies to "totals", or add them."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
-        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self._state(copied), sums), BLOCK)
+        kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
-        _, P, _, L = self._state(to_copy)
-        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied), P, L))]
+        """Return the operations that add changes of shown velocities to the momenta of that or the other state."""
+        _, P, _, L = self.state(to_copy)
+        return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return what reads positions that were changed."""
-        return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self._state(copied)))]
+        """Return the operations that read changed positions."""
+        return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied)))]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
     def tables(self) -> dict[str, NDArray[Any]]:
-        """Return what does not change, by the names of arrays, but for which bodies are in flexible molecules."""
+        """Return the constant arrays by name, except for the flags of flexible molecules."""
         rows, atoms, sites, masses, of_bodies = [], [], [], [], []
         kind_of = np.concatenate([np.full(len(k.particles), number) for number, k in enumerate(self._kinds)])
         first = counts = n_sites = n_masses = n_constants = 0
@@ -226,7 +218,7 @@ class RigidPart:
         return {self._prefix + name: array for name, array in values.items()}
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write which of all bodies (N,) are in flexible molecules."""
+        """Write the flags (N,) of bodies in flexible molecules."""
         index = np.stack([self.columns, flexible[self.columns]])
         device.upload(self._prefix + "index", index.astype(np.int32))
 
@@ -237,14 +229,14 @@ class RigidPart:
         q[0] = 1.0
         q[:, turning], L[:, turning] = state.q[:, columns[turning]], state.m[:, columns[turning]]
         values = (state.R[:, columns], state.P[:, columns], q, L)
-        for name, array in zip(self._state(copied), values, strict=True):
+        for name, array in zip(self.state(copied), values, strict=True):
             device.upload(name, array)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all."""
+        """Read the state of these bodies into that of all bodies."""
         R, P, q, L = (
             device.download(name, np.empty((_ROWS[of], self.n)))
-            for name, of in zip(self._state(copied), _STATE, strict=True)
+            for name, of in zip(self.state(copied), _STATE, strict=True)
         )
         turning, columns = self._turning, self.columns
         out.R[:, columns], out.P[:, columns] = R, P
@@ -258,7 +250,7 @@ def _sum_of(rule: tuple[Array, Array]) -> str:
 
 
 def _only(kind: Kind, chosen: NDArray[np.bool_]) -> Kind:
-    """Return some bodies of a kind (n,)."""
+    """Return selected bodies of a kind (n,)."""
     sites, inertia = (a if len(a) == 1 else a[chosen] for a in (kind.sites, kind.inertia))
     return replace(kind, particles=kind.particles[chosen], sites=sites, inertia=inertia)
 
@@ -273,21 +265,8 @@ def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
 
 
 def _own(number: int, text: str) -> tuple[str, str]:
-    """Return the text of a user's move, with names of functions that no other text has, and its case."""
+    """Return the text of a user's move, with unique names of functions, and its case."""
     names = dict.fromkeys(_FUNCTION.findall(text))
     move = MOVE.findall(text)[-1]
     renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]
     return "\n".join((*renamed[0], text, *renamed[1])), f"case {Op.OWN + number}: {move}_{number}(&body, tau); break;"
-
-
-def _merged(moves: tuple[Move, ...]) -> tuple[Move, ...]:
-    """Return moves where neighbours that add up are one."""
-    merged: list[Move] = []
-    for move in moves:
-        last = merged[-1] if merged else None
-        same = last is not None and (last.op, last.groups) == (move.op, move.groups)
-        if last is not None and same and move.op in (Op.DRIFT, Op.KICK):
-            merged[-1] = replace(last, part=last.part + move.part)
-        else:
-            merged.append(move)
-    return tuple(merged)

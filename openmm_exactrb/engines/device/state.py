@@ -1,4 +1,4 @@
-"""The bodies of a Context whose state is in arrays of a program on the device."""
+"""The bodies of a Context whose state is in arrays on the device."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState, State
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 # Bits of what others changed, see `Device.changes`.
 SET, LOADED = 3, 8
@@ -25,19 +24,19 @@ _SINGLE, _SINGLE_PART = 1e-5, 1e-6
 
 
 class DeviceState(Synchronisation):
-    """A `Synchronisation` that reads the state only where it is asked for: the device does not need it on the host.
+    """A `Synchronisation` that reads the state only on request: the device does not need it on the host.
 
-    OpenMM's integrator notices what others set in the Context, so that nothing is compared.
+    OpenMM's integrator detects external changes to the Context, so that nothing is compared.
     """
 
     _behind = False  # whether the device has moved on since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
-        """Take the arrays of a program for the state; bodies are those of its parts."""
+        """Use the arrays of a program for the state; bodies are those of its parts."""
         self._device, self._parts, self._processed, self._single = device, parts, processed, single
 
     def pull(self) -> bool:
-        """Bring the state up to date with the device, and both with what was set in the Context."""
+        """Update the state from the device, and both with changes to the Context."""
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -61,21 +60,21 @@ class DeviceState(Synchronisation):
         return _SINGLE if self._single else 1e-9
 
     def settle(self) -> bool:
-        """Pull if there is anything to be pulled; return whether the state is another one."""
+        """Pull if there are changes; return whether the state changed."""
         return self.pull() if self._device.changes() & (SET | LOADED) else False
 
     def moved_on(self) -> None:
-        """Note that the device has moved the bodies, or was brought back."""
+        """Record that the device has moved the bodies, or was restored."""
         self._behind = True
 
     @functools.cached_property
     def _fixed(self) -> NDArray[np.intp]:
-        """The particles without mass that are no virtual sites."""
+        """The massless particles that are not virtual sites."""
         system = self.context.getSystem()
         return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
 
     def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
-        """Take a state: the device follows if it is another one, or particles without mass are `elsewhere`."""
+        """Use a state, and write it to the device if it changed or massless particles are `elsewhere`."""
         self.state, self._behind = state, False
         if elsewhere or state is not known:
             self.inner = None if known is None or not self._processed else self._inner()
@@ -86,7 +85,7 @@ class DeviceState(Synchronisation):
         self._device.changes(clear=SET | LOADED)
 
     def mark(self) -> None:
-        """Mark the integrator's variables: there is a state."""
+        """Mark the integrator's variables as containing a state."""
         integrator = self._integrator()
         variables.mark(integrator, variables.device(variables.own_numbers(integrator)))
 
@@ -105,7 +104,7 @@ class DeviceState(Synchronisation):
         return self._read(copied=False)
 
     def _read(self, copied: bool = True) -> State:
-        """Read the state that is shown, or the one in inner coordinates."""
+        """Read the shown state, or the one in inner coordinates."""
         n, turning = len(self.bodies), self.bodies.n_turning
         out = BodyState(np.empty((3, n)), np.empty((3, n)), np.empty((4, turning)), np.empty((3, turning)))
         for part in self._parts:
@@ -113,7 +112,7 @@ class DeviceState(Synchronisation):
         return State.of(out)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, but for the bodies whose particles are not where it says."""
+        """Return a known state, with bodies refitted whose particles are not at its positions."""
         if not self._single:
             return super().compared(known, x, v)
         return self._compared(known, x, v, _SINGLE, _SINGLE_PART)
@@ -128,7 +127,7 @@ class DeviceState(Synchronisation):
         self._device.changes(clear=SET | LOADED)
 
     def replace(self, state: State) -> None:
-        """Give the bodies another state and push it."""
+        """Replace the state of the bodies and push it."""
         self.state, self.inner, self._behind = state, None, False
         self.push()
 

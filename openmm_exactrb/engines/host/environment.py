@@ -1,15 +1,13 @@
-"""What the substeps of a scheme are bound to in a Context."""
+"""The environment to which the substeps of a scheme are bound in a Context."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, ForceMemory
+from openmm_exactrb.context.forces import ContextForces, EvaluatedForces
 from openmm_exactrb.context.synchronisation import Positions
 from openmm_exactrb.context.updates import ContextUpdates
 from openmm_exactrb.context.variables import Numbers
@@ -19,35 +17,20 @@ from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic
 from openmm_exactrb.mechanics.state import Flow, State
-from openmm_exactrb.openmm_access.molecules import Named, in_flexible_molecules
+from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes.sequence import Sequence, bound, through
 from openmm_exactrb.substeps import Drift, Substep
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: Flows of substeps with their times (ps).
 Bound = list[tuple[Flow[State], float]]
 
 
 @dataclass
 class HostEnvironment:
-    """What substeps are bound to in a Context.
+    """What substeps are bound to in a Context, as `openmm_exactrb.environment.Environment` says.
 
-    Attributes
-    ----------
-    inertia : (3, K) array
-        Principal moments, infinite about the axis of a linear body.
-    kinetic : Kinetic
-        Free motion, including fast forces.
-    slow, all_forces : Forces
-        Those of kicks, and those of all force groups that act.
-    numbers : Numbers
-        Persistent numbers that substeps change.
-    named : sequence of sequences of int, or None
-        Bodies that the user named, in addition to those of constraints.
-    key : int
-        Of the random numbers of a call.
-    last_exchange : (State, State) or None
-        The states before and after the last heat exchange.
+    `slow` are the forces of kicks, `all_forces` those of all force groups that act.
     """
 
     bodies: RigidBodies
@@ -61,8 +44,6 @@ class HostEnvironment:
     numbers: Numbers
     settings: Settings
     positions: Positions
-    memory: ForceMemory
-    named: Named
     key: int = 0
     last_exchange: tuple[State, State] | None = None
 
@@ -70,18 +51,8 @@ class HostEnvironment:
         """Return the forces of a group, or of all kicks."""
         return self.slow if group is None else self.all_forces.of(1 << group)
 
-    @property
-    def check(self) -> Callable[[State], Any]:
-        """check(state) raises NonFiniteError if a state is not finite."""
-        return self.divergence.finite
-
-    @property
-    def check_momenta(self) -> Callable[[State], Any]:
-        """check_momenta(state) raises NonFiniteError if its momenta are not finite."""
-        return self.divergence.finite_momenta
-
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the thermostat at its n-th place in a step."""
+        """Return the flow of the n-th heat exchange in a step."""
         if self.settings.thermostat is None:
             raise ValueError(
                 f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
@@ -90,18 +61,17 @@ class HostEnvironment:
         return self.settings.thermostat.flow(self, number)
 
     def moved(self) -> None:
-        """Note that positions are others than those of the last substep."""
+        """Mark the positions as changed since the last substep."""
         self.positions.version += 1
 
     def flexible(self) -> NDArray[np.bool_]:
-        """Return which bodies (N,) are in molecules of more than one body."""
-        return in_flexible_molecules(self.positions.context, self.bodies, self.named)
+        """Return a mask (N,) of the bodies in molecules of more than one body."""
+        return in_flexible_molecules(self.positions.context, self.bodies, self.settings.named)
 
     @property
     def degrees_of_freedom(self) -> tuple[int, int]:
         """The numbers of translational and of rotational degrees of freedom."""
-        bodies = self.bodies
-        return bodies.translational_freedom - 3 * self.updates.removes_motion, bodies.rotational_freedom
+        return self.updates.freedom(self.bodies)
 
     def bound(self, sequence: Sequence, h: float) -> Bound:
         """Return the flows of a sequence in steps of h."""
@@ -112,7 +82,7 @@ class HostEnvironment:
         return bound(sequence, flows, h)
 
     def _flow_of(self, substep: Substep) -> Flow[State]:
-        """Return the flow of a substep, behind which positions have a new version if it may have changed them."""
+        """Return the flow of a substep, which increases the version of positions if it may change them."""
         flow = substep.bind(self)
         if not substep.moves or isinstance(substep, Drift):  # drifts of the propagator count versions
             return flow

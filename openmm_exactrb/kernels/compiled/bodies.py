@@ -1,4 +1,4 @@
-"""Rigid bodies: places and velocities of their particles, sums of forces and torques, and double-doubles that move."""
+"""Rigid bodies: positions and velocities of particles, sums of forces and torques, and updates of double-doubles."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def collect(q, particles, forces, total, torque):
 
 @compiled("f3 f2 f F3")
 def advance(x, rate, t, total):
-    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N); the total may be x."""
+    """Write x + t rate for double-doubles x (2, k, N) and rates (k, N); the result may overwrite x."""
     rows, n = rate.shape
     for row in range(rows):
         for i in range(n):

@@ -20,7 +20,7 @@ def _anisotropy(a, b, c, chi):
 
 @inner
 def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
-    """Return the energy and its derivatives by r, a = u.r/r, b = v.r/r and c = u.v; not a number where they overlap."""
+    """Return the energy and its derivatives by r, a = u.r/r, b = v.r/r and c = u.v; nan if the ellipsoids overlap."""
     H, Ha, Hb, Hc = _anisotropy(a, b, c, chi)
     K, Ka, Kb, Kc = _anisotropy(a, b, c, chi_prime)
     width = sigma / np.sqrt(H)

@@ -1,6 +1,7 @@
 """Inner steps of multiple time stepping, compiled: drifts and kicks by bonded forces in one call.
 
-Molecules with bonds are few compared with their solvent, so that calls from Python would cost more than the arithmetic.
+Molecules with bonds are few compared with their solvent, so that calls from Python would take longer than the
+arithmetic.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from openmm_exactrb.kernels.records import Bodies, Particles, Terms
 
 @inner
 def _move_single(R, P, mass, first, last, t):
-    """Let the centres of bodies from `first` to `last` move freely."""
+    """Advance the centres of bodies from `first` to `last` by free motion."""
     for row in range(3):
         for i in range(first, last):
             R[0, row, i], R[1, row, i] = two_sum(R[0, row, i], t * (P[0, row, i] / mass[i]) + R[1, row, i])

@@ -1,7 +1,7 @@
 """The sum over soft dipoles in compiled double precision.
 
-Where the cutoff leaves no room for cells every sphere sums over all others, so that a pair is computed twice: rows are
-independent, the inner loop is vectorised, and any number of threads gives the same bits.
+If the cutoff leaves no room for cells, every sphere sums over all others, so that each pair is computed twice: rows are
+independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def soft_dipoles(
 
 
 def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
-    """Return the work in pairs without screening."""
+    """Return the work in units of pairs without screening."""
     waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
     return n * (n + waves / 10)
 
@@ -103,7 +103,7 @@ def _split(x):
 
 @at_first_call
 def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces, fields):
-    """Sum twice the energy, and the forces, of some spheres with all others."""
+    """Sum twice the energy, and the forces, of given spheres with all others."""
     n = len(energies)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]

@@ -1,11 +1,11 @@
-"""The moves of bodies with inner steps: the drifts of a scheme with the fast forces in them."""
+"""The moves of bodies with inner steps: the drifts of a scheme, including the fast forces."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from openmm_exactrb.engines.device.segments import Segment
+from openmm_exactrb.engines.device.segments import Segment, merged
 from openmm_exactrb.moves import Move, Op
 from openmm_exactrb.schemes.sequence import Sequence, repeated
 from openmm_exactrb.substeps import KICK
@@ -15,7 +15,7 @@ Moves = tuple[Move, ...]
 
 @dataclass(frozen=True)
 class InnerSteps:
-    """An inner scheme, and how many of its steps a drift over a part of a step has."""
+    """An inner scheme, and the number of its steps in a drift over a fraction of a step."""
 
     sequence: Sequence
     repetitions: Callable[[float], int]
@@ -27,7 +27,7 @@ class InnerSteps:
         return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
 
     def evaluations(self, part: float) -> int:
-        """Return the evaluations of fast forces in a drift: kicks at its ends share theirs with its neighbours."""
+        """Return the number of evaluations of fast forces in a drift; neighbouring drifts share those at its ends."""
         kicks = [substep == KICK for substep, _ in repeated(self.sequence, self.repetitions(part))]
         return sum(kicks) - (kicks[0] and kicks[-1])
 
@@ -35,35 +35,23 @@ class InnerSteps:
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.
 
-    The kick at the end of a drift needs fast forces that are known in the segment behind it too, if that begins with a
-    kick: one that a segment `leaves` is due there.
+    If the next segment begins with a kick, the fast forces for the kick at the end of a drift must be known there: a
+    kick that a segment `leaves` is due in the next one.
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:
-        return _merged(moves)
+        return merged(moves)
     due = inner.within(Move(Op.DRIFT, segment.behind))[-1:] if segment.behind else ()
     found = [move for move in due if move.op == Op.FAST_KICK]
     for move in moves:
         found += inner.within(move) if move.op == Op.DRIFT else (move,)
     if segment.leaves and found[-1].op == Op.FAST_KICK:
         found.pop()
-    return _merged(found)
+    return merged(found)
 
 
 def up_to_drifts(moves: Moves) -> list[Moves]:
-    """Return moves in parts, of which all but the last one end with a drift."""
+    """Return moves in parts, all of which except the last end with a drift."""
     ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
     parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
     return [part for part in parts if part]
-
-
-def _merged(moves: list[Move]) -> Moves:
-    """Return moves where neighbours that add up are one."""
-    merged: list[Move] = []
-    for move in moves:
-        last = merged[-1] if merged else None
-        if last is not None and last.op == move.op and move.op in (Op.DRIFT, Op.KICK, Op.FAST_KICK):
-            merged[-1] = replace(last, part=last.part + move.part)
-        else:
-            merged.append(move)
-    return tuple(merged)

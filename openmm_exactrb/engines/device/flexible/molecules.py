@@ -1,4 +1,4 @@
-"""What flexible molecules in a Context consist of, and which of them the kernels serve."""
+"""The composition of flexible molecules in a Context, and which of them the kernels support."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.context.synchronisation import require_positions
 from openmm_exactrb.detection.find import find_bodies
@@ -18,43 +17,41 @@ from openmm_exactrb.engines.device.flexible.evaluated import Evaluated
 from openmm_exactrb.engines.device.flexible.inner import InnerSteps
 from openmm_exactrb.engines.device.flexible.tables import particles
 from openmm_exactrb.kernels.records import Terms
-from openmm_exactrb.mechanics.bodies import Part, RigidBodies
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.multiple_time_steps.bonded import BONDED_FORCES, acting, groups_of
 from openmm_exactrb.multiple_time_steps.compiled_forces import NO_TERMS, terms_of, unknown
 from openmm_exactrb.multiple_time_steps.excerpt import Excerpt, bonded_excerpt
 from openmm_exactrb.multiple_time_steps.fast_forces import FastForces, fast_forces
 from openmm_exactrb.openmm_access import arrays, parameters
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
+from openmm_exactrb.support.types import Array, Indices
 
 #: The most bonded terms of a particle, for whose partners a block has room in local memory.
 MOST_TERMS = 400
 
 
 class NotServedError(Exception):
-    """The kernels do not serve some molecules or forces; the text says which, and what to do."""
+    """The kernels do not support some molecules or forces; the message names them and the remedy."""
 
 
 @dataclass(frozen=True)
 class Molecules:
-    """What flexible molecules consist of.
+    """The composition of flexible molecules.
 
     Attributes
     ----------
     groups : sequence of Group
-        Their clusters, single atoms and atoms without mass included.
+        Their clusters, including single atoms and massless atoms.
     masses : (n_particles,) array
-        Of all particles of the System.
+        Masses of all particles of the System.
     body_of : (n_particles,) array
-        The body of each particle, among all; -1 for none.
+        The body of each particle; -1 for none.
     terms : Terms
-        Their fast forces, of particles of the System.
+        Their fast forces, as terms of particles of the System.
     inner : InnerSteps or None
         None without fast forces.
     late : bool
-        Whether drifts between the last heat exchange and the end of a step begin the next one.
+        Whether the drifts between the last heat exchange and the end of a step are performed at the start of the next
+        one.
     """
 
     groups: Sequence[Group]
@@ -66,7 +63,7 @@ class Molecules:
 
 
 class Served(NamedTuple):
-    """What the kernels have of the flexible molecules, and the fast forces that OpenMM evaluates in inner steps."""
+    """The flexible molecules supported by kernels, and the fast forces that OpenMM evaluates in inner steps."""
 
     molecules: Molecules | None
     evaluated: Evaluated | None = None
@@ -78,9 +75,9 @@ class Found(NamedTuple):
     Attributes
     ----------
     bodies : RigidBodies
-        With flexible molecules, two particles with a constraint between them are a cluster.
+        With flexible molecules, two particles with a constraint between them form a cluster.
     whole : RigidBodies
-        The same as the host has them: such a pair is a linear body.
+        The bodies of the host, for which such a pair is a linear body.
     fast : FastForces or None
     """
 
@@ -100,22 +97,12 @@ def found(context: Any, settings: Any) -> Found:
         return Found(whole, whole, None)
     bodies = find_bodies(system, x, settings.named, box, pairs=True)
     if fast is not None and fast.excerpt is not None:
-        fast = replace(fast, excerpt=_of_bodies(fast.excerpt, bodies))
+        fast = replace(fast, excerpt=replace(fast.excerpt, bodies=bodies))
     return Found(bodies, whole, fast)
 
 
-def _of_bodies(excerpt: Excerpt, bodies: RigidBodies) -> Excerpt:
-    """Return an excerpt with other bodies of the same particles."""
-    number = np.full(len(bodies.owner), -1)
-    number[excerpt.particles] = np.arange(len(excerpt.particles))
-    chosen = np.zeros(len(bodies) + 1, dtype=bool)  # the last one is no body
-    chosen[bodies.owner[excerpt.particles]] = True
-    chosen = chosen[:-1]
-    return replace(excerpt, part=Part(bodies.chosen(chosen, number, len(excerpt.particles)), chosen))
-
-
 def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
-    """Return the molecules whose atoms constraints hold or fast forces move, and the fast forces without a kernel.
+    """Return the molecules with constraints or fast forces, and the fast forces without a kernel.
 
     Parameters
     ----------
@@ -139,7 +126,7 @@ def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, 
         return Served(without_terms)
     repetitions = fast.repetitions(scheme, h)
     inner = InnerSteps(fast.inner(scheme).sequence, lambda part: repetitions(part * h))
-    excerpt = _excerpt(system, bodies, fast)
+    excerpt = fast.excerpt or bonded_excerpt(system, bodies, fast.named)
     if what := _without_kernel(system, bodies, fast, excerpt):
         if not fast.groups:
             raise NotServedError(
@@ -167,7 +154,7 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
 
 
 def _require_room(terms: Terms) -> None:
-    """Raise NotServedError if a particle has so many terms that a block has no room for the others in them."""
+    """Raise NotServedError if the terms of a particle involve more particles than a block can hold."""
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
     if count.max() > MOST_TERMS:
         raise NotServedError(
@@ -176,22 +163,12 @@ def _require_room(terms: Terms) -> None:
         )
 
 
-def _named(fast: FastForces) -> list[int]:
-    """Return the force groups that are named."""
-    return [group for group in range(32) if fast.groups >> group & 1]
-
-
-def _excerpt(system: openmm.System, bodies: RigidBodies, fast: FastForces) -> Excerpt | None:
-    """Return the fast bonded forces on the atoms of molecules."""
-    return fast.excerpt or bonded_excerpt(system, bodies, _named(fast))
-
-
 def _without_kernel(
     system: openmm.System, bodies: RigidBodies, fast: FastForces, excerpt: Excerpt | None
 ) -> str | None:
-    """Return for which fast forces there is no kernel, or None."""
-    for force in acting(system) if fast.groups else []:
-        if groups_of(force) & set(_named(fast)) and not isinstance(force, BONDED_FORCES):
+    """Return the fast forces without a kernel, or None."""
+    for force in acting(system):
+        if groups_of(force) & set(fast.named) and not isinstance(force, BONDED_FORCES):
             return f"the fast force {force.getName()}"
     if excerpt is None:
         return None

@@ -18,9 +18,7 @@ from openmm_exactrb.engines.device.segments import Segment, Table
 from openmm_exactrb.mechanics.divergence import LIGHT
 from openmm_exactrb.mechanics.state import BodyState
 from openmm_exactrb.moves import Op
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 #: Threads of a block of atoms.
 THREADS = 64
@@ -38,9 +36,9 @@ class Flexible(NamedTuple):
     ----------
     molecules : Molecules
     particles : (n_particles, 3) array
-        The positions of all particles, kept up to date, for those without mass.
+        Up-to-date positions of all particles, for the massless ones.
     precision : type
-        Of fast forces: np.float32 or np.float64.
+        Precision of fast forces: np.float32 or np.float64.
     """
 
     molecules: Molecules
@@ -49,7 +47,7 @@ class Flexible(NamedTuple):
 
 
 class FlexiblePart:
-    """The part of flexible molecules in a program; arguments but the last one are those of `Flexible`."""
+    """The part of flexible molecules in a program; all arguments except the last are those of `Flexible`."""
 
     def __init__(
         self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
@@ -75,18 +73,19 @@ class FlexiblePart:
         files = ("random.cl", "context.cl", "layout.cl", *constraints.files(self.blocks), "bonded.cl", "inner.cl")
         return Source((*files, "sums.cl", "flexible_updates.cl"), tuple(constants.items()))
 
-    def _state(self, copied: bool) -> tuple[str, str]:
+    def state(self, copied: bool) -> tuple[str, str]:
+        """Return the names of the arrays of a state: positions and velocities."""
         inner = "inner_" if self._demands.copied and not copied else ""
         return f"flexible_{inner}x", f"flexible_{inner}v"
 
     # -- declarations and launches ---------------------------------------------------------------------------------
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and what is remembered."""
+        """Declare tables, the state, and stored forces."""
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
-            for name in self._state(copied):
+            for name in self.state(copied):
                 to.array(name, 3 * self.n, saved=True)
         for name in ("y", "z"):
             to.array(f"flexible_{name}", 3 * self.n * self._open)
@@ -94,9 +93,9 @@ class FlexiblePart:
         to.array("flexible_kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
-        """Return the launches of a segment: one, or one for each drift if blocks have terms in common."""
+        """Return the launches of a segment: one, or one for each drift if blocks share terms."""
         moves = moves_of(segment, self._inner)
-        x, v = self._state(segment.copied)
+        x, v = self.state(segment.copied)
         parts = (self._open and up_to_drifts(moves)) or [moves]
         last_drift = max((k for k, part in enumerate(parts) if _drifts(part)), default=-1)
         made: list[Operation] = []
@@ -114,7 +113,7 @@ class FlexiblePart:
 
     @staticmethod
     def _next(here: str, x: str, last: bool) -> str:
-        """Return the array for positions behind a drift from those in another one: in the end, x if that is not it."""
+        """Return the array for positions after a drift from those in another array."""
         if last and here != x:
             return x
         return "flexible_z" if here == "flexible_y" else "flexible_y"
@@ -128,36 +127,28 @@ class FlexiblePart:
         )
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
-    def copies(self) -> list[Operation]:
-        """Return what makes the shown molecules copies of those of the inner coordinates."""
-        return [copy(*names) for names in zip(self._state(False), self._state(True), strict=True)]
-
-    def returns(self) -> list[Operation]:
-        """Return what makes the molecules in inner coordinates copies of those that are shown."""
-        return [copy(*names) for names in zip(self._state(True), self._state(False), strict=True)]
-
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return what writes the kinetic energy along the constraints to "totals", or adds it."""
-        x, v = self._state(copied)
+        """Return the operations that write the kinetic energy along the constraints to "totals", or add it."""
+        x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
         total = Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return what adds the changes of velocities that show one state to those of it, or of the other one."""
-        states = self._state(copied)[1], self._state(to_copy)[1]
+        """Return the operations that add changes of shown velocities to those of that or the other state."""
+        states = self.state(copied)[1], self.state(to_copy)[1]
         return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return what reads positions that were changed."""
-        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self._state(copied)[0]
+        """Return the operations that read changed positions."""
+        arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self.state(copied)[0]
         return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
     def tables(self) -> dict[str, NDArray[Any]]:
-        """Return what does not change, by the names of arrays."""
+        """Return the constant arrays by name."""
         of_atoms = {
             "atoms": self.blocks.particles.astype(np.int32),
             "bodies": self._bodies(np.ones(self.n, dtype=bool)),
@@ -169,23 +160,23 @@ class FlexiblePart:
         }
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
-        """Write the state of all bodies, and the positions of particles without mass, to the device."""
+        """Write the state of all bodies, and the positions of massless particles, to the device."""
         massive = self._mass > 0.0
         x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
         v[massive] = state.P[:, self.columns[massive]].T / self._mass[massive, None]
-        for name, values in zip(self._state(copied), (x, v), strict=True):
+        for name, values in zip(self.state(copied), (x, v), strict=True):
             device.upload(name, values)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all."""
+        """Read the state of these bodies into that of all bodies."""
         massive = self._mass > 0.0
-        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self._state(copied))
+        x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self.state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write which of all bodies (N,) are in flexible molecules: a pair of atoms alone is not."""
+        """Write the flags (N,) of bodies in flexible molecules, which exclude isolated pairs of atoms."""
         device.upload("flexible_bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
 
     def _bodies(self, flexible: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -194,12 +185,12 @@ class FlexiblePart:
 
     @property
     def bodies(self) -> Indices:
-        """Which of all bodies these are."""
+        """The indices of these bodies among all."""
         return np.sort(self.columns[self.columns >= 0])
 
     @property
     def has_fixed(self) -> bool:
-        """Whether there are atoms without mass, which others may move."""
+        """Whether there are massless atoms, which may be moved externally."""
         return bool((self._mass == 0.0).any())
 
 
