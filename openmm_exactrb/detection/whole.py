@@ -6,8 +6,6 @@ are; ValueError where something shows that the box has split them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import openmm
 from numpy.typing import NDArray
@@ -60,19 +58,14 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
 
 def _with_bonds(system: openmm.System, held: Rows) -> Rows:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
-    pairs, lengths = zip(held, *_bonds(system), strict=True)
-    return np.concatenate(pairs), np.concatenate(lengths)
-
-
-def _bonds(system: openmm.System) -> Iterator[Rows]:
-    """Yield the particles of the bonds of forces, and their lengths at rest in nm: nan of those by a formula."""
+    pairs, lengths = [held[0]], [held[1]]
     for force in system.getForces():
-        if isinstance(force, openmm.HarmonicBondForce):
+        if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             particles, numbers = parameters.terms(force)
-            yield particles, numbers[:, 0]
-        elif isinstance(force, openmm.CustomBondForce):
-            particles, _ = parameters.terms(force)
-            yield particles, np.full(len(particles), np.nan)
+            pairs.append(particles)
+            known = isinstance(force, openmm.HarmonicBondForce)  # a formula may have no length at rest
+            lengths.append(numbers[:, 0] if known else np.full(len(particles), np.nan))
+    return np.concatenate(pairs), np.concatenate(lengths)
 
 
 def whole_positions(

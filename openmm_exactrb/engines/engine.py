@@ -77,15 +77,11 @@ class Propagator(Protocol):
 
     @property
     def sync(self) -> Synchronisation:
-        """The state of the bodies."""
+        """The state of the bodies; when it is outdated, so is the propagator."""
 
     @property
     def updates(self) -> ContextUpdates:
         """What OpenMM does between steps."""
-
-    @property
-    def outdated(self) -> bool:
-        """Whether it cannot serve any longer: the Context is gone, or was made again, or has to be prepared again."""
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:

@@ -70,11 +70,6 @@ class DevicePropagator:
             warn(evaluated.warning)
 
     @property
-    def outdated(self) -> bool:
-        """Whether the Context is gone or has been reinitialised."""
-        return self.sync.outdated
-
-    @property
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, which the device does not keep."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
