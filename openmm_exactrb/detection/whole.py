@@ -175,7 +175,13 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         return X, confirmed
     apart = (gaps - gaps[0]) @ np.linalg.inv(box)
     if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all are turned alike
-        _check_clear(near[0], box)
+        longest = _steps(near[0]).max()
+        if longest > _CLEAR * half_width(box):
+            raise ValueError(
+                f"bodies of {len(near[0])} particles with the same masses differ in shape only by the periodic images "
+                f"of their particles, and across a gap of at least {longest:.3g} nm either image may be meant: "
+                + _REMEDY
+            )
         return _joined_to(near[0], X, box), confirmed
     common = _common_images(X, box)
     joint = _joined_to(common, X, box)
@@ -220,16 +226,6 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
     except ValueError:
         return X
     return np.asarray(y.reshape(X.shape))
-
-
-def _check_clear(near: Array, box: Array) -> None:
-    """Raise ValueError if a body (k, 3) joined by nearest images has a gap that may as well be another."""
-    longest = _steps(near).max()
-    if longest > _CLEAR * half_width(box):
-        raise ValueError(
-            f"bodies of {len(near)} particles with the same masses differ in shape only by the periodic images of "
-            f"their particles, and across a gap of at least {longest:.3g} nm either image may be meant: {_REMEDY}"
-        )
 
 
 def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:

@@ -75,13 +75,6 @@ def mixed(platform: openmm.Platform) -> dict[str, str]:
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 
-def is_single(context: Any) -> bool:
-    """Return whether a Context computes in the single precision of its platform."""
-    platform = context.getPlatform()
-    return platform.getName() in DEVICES and platform.getPropertyValue(context, _PRECISION) == "single"
-
-
-def is_double(context: Any) -> bool:
-    """Return whether a Context computes in double precision throughout."""
-    platform = context.getPlatform()
-    return platform.getName() not in DEVICES or platform.getPropertyValue(context, _PRECISION) == "double"
+def precision(context: Any) -> str:
+    """Return whether a Context of a device computes in single, mixed or double precision."""
+    return str(context.getPlatform().getPropertyValue(context, _PRECISION))

@@ -188,11 +188,6 @@ class FlexiblePart:
         """Which of all bodies these are."""
         return np.sort(self.columns[self.columns >= 0])
 
-    @property
-    def has_fixed(self) -> bool:
-        """Whether there are atoms without mass, which others may move."""
-        return bool((self._mass == 0.0).any())
-
 
 def _drifts(part: Moves) -> bool:
     return any(move.op == Op.DRIFT for move in part)
