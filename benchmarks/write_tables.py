@@ -27,6 +27,7 @@ from benchmarks.water.equipartition_record import RECORD, over_frictions, over_g
 
 #: Records that are shown as they are.
 AS_THEY_ARE = [
+    "acceptance",
     "cholesterol",
     "device_drift",
     "device_drift_peptide",

@@ -15,7 +15,7 @@ _LARGEST = 1e100  # whose squares, and the sums of many, are still numbers
 
 
 def reaction(dielectric: float) -> float:
-    """Return the factor 2 (eps - 1)/(2 eps + 1) of the reaction field of a medium; a ValueError if eps < 1."""
+    """Return the factor 2 (eps - 1)/(2 eps + 1) of the reaction field of a medium; raise ValueError if eps < 1."""
     if not (dielectric == np.inf or checks.number(dielectric, "dielectric") >= 1.0):
         raise ValueError(f"dielectric must be at least 1, not {dielectric}")
     return float(2.0 * (1.0 - 1.0 / dielectric) / (2.0 + 1.0 / dielectric))
@@ -26,13 +26,13 @@ def dielectric_constant(
 ) -> tuple[float, float]:
     """Return the dielectric constant and its standard error from moments in equilibrium.
 
-    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1) for surroundings of the constant eps',
+    With x = 4 pi <M²>/(9 V kT) and Q = 2 (eps' - 1)/(2 eps' + 1) for surroundings with dielectric constant eps',
 
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x),
 
-    for any interaction of dipoles whose uniform part is Q (M. Neumann, Mol. Phys. 50, 841 (1983)). Between conductors
-    (an Ewald sum, a reaction field of infinity) it is eps = 1 + 3 x; without a reaction field it is the formula of
-    Clausius and Mossotti.
+    for any interaction of dipoles whose uniform part is Q (M. Neumann, Mol. Phys. 50, 841 (1983)). In conducting
+    surroundings (an Ewald sum, or a reaction field with infinite dielectric) this is eps = 1 + 3 x; without a reaction
+    field it is the formula of Clausius and Mossotti.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ def dielectric_constant(
     Returns
     -------
     value : float
-        The dielectric constant; infinity if M fluctuates more than is possible in these surroundings.
+        The dielectric constant; infinity if M fluctuates more than these surroundings allow.
     error : float
         Standard error from the block means of Mx², My² and Mz², which are independent and have the same expectation.
 
     Raises
     ------
     ValueError
-        If there are fewer moments than blocks or fewer than two blocks, they are not finite or have a unit, or a number
-        is out of its range.
+        If there are fewer moments than blocks or fewer than two blocks, if moments are not finite or have a unit, or if
+        a number is out of range.
 
     Notes
     -----

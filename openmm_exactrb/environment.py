@@ -1,4 +1,4 @@
-"""What substeps and thermostats are bound to, on whatever engine: forces, free motion, clock and noise."""
+"""The environment to which substeps and thermostats are bound: forces, free motion, clock and noise."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 
 class Clock(Protocol):
-    """The number of the present step, and the time in ps at its begin."""
+    """The number of the present step, and the time in ps at its start."""
 
     number: int
     time: float
 
 
 class Numbers(Protocol):
-    """Numbers by name that checkpoints contain; what a step adds to `present` counts when the step is kept."""
+    """Named numbers that checkpoints contain; additions to `present` take effect when the step is kept."""
 
     present: dict[str, float]
 
@@ -36,25 +36,26 @@ class Forces(Protocol):
     memory: ForceMemory
 
     def __call__(self, state: State) -> Force:
-        """Return the force (3, N) and body-frame torque (3, K) at the present positions, which are those of a state."""
+        """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
 
     def at(self, state: State) -> Force:
-        """Return the same at the positions of any state."""
+        """Return force and torque at the positions of any state."""
 
     def energy(self, state: State) -> float:
-        """Return the potential energy (kJ/mol) of all forces at the present positions, which are those of a state."""
+        """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy with each force, because it will be needed."""
+        """Evaluate the potential energy together with each force, because it will be needed."""
 
 
 class Environment(Protocol):
-    """What a substep or a thermostat can ask for when it is bound.
+    """What a substep or a thermostat can use when it is bound.
 
     Attributes
     ----------
     key : int
-        Of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` makes noise of it and the clock.
+        Key of the random numbers of a call; `openmm_exactrb.mechanics.rng.Instant` generates noise from it and the
+        clock.
     last_exchange : (State, State) or None
         The states before and after the last heat exchange, which a thermostat sets.
     """
@@ -94,13 +95,13 @@ class Environment(Protocol):
         """Return the forces of a group, or of all kicks."""
 
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the thermostat at its n-th place in a step."""
+        """Return the flow of the n-th heat exchange in a step."""
 
     def flow_of(self, sequence: Sequence) -> Flow[State]:
         """Return the flow of a sequence of substeps: flow(state, h) -> state."""
 
     def flexible(self) -> NDArray[np.bool_]:
-        """Return which bodies (N,) are in molecules of more than one body."""
+        """Return a mask (N,) of the bodies in molecules of more than one body."""
 
     def moved(self) -> None:
-        """Note that positions are others than those of the last substep: forces are evaluated again."""
+        """Mark the positions as changed, so that forces are evaluated again."""

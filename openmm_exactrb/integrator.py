@@ -1,4 +1,4 @@
-"""ExactRigidBodyIntegrator: OpenMM computes the forces, splitting and rotation are ours."""
+"""ExactRigidBodyIntegrator, which takes the forces from OpenMM and performs splitting and rotation."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
-        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. The default of
-        Nosé-Hoover chains is "BAOAB", that of hybrid Monte Carlo "S2_2".
+        VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. Nosé-Hoover chains use
+        "BAOAB" by default, and hybrid Monte Carlo "S2_2".
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or an `openmm_exactrb.rotors.Rotor` of your own.
     bodies : sequence of sequences of int, optional
@@ -71,8 +71,8 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
     forceInterval : float or Quantity, optional
-        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this times
-        `forceEvaluationsPerStep`, so that schemes of equal intervals cost about the same.
+        Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this
+        interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
         Whether a jump of the total energy is an error. Pass False if forces or substeps of your own do work, as in
         active matter. Energies are also not compared if a force may do work: a PythonForce, or a force of a plugin.
@@ -81,7 +81,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     Raises
     ------
     ValueError
-        If an argument is invalid, or not supported by the engine that was asked for.
+        If an argument is invalid, or the requested engine does not support it.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Raises
         ------
         ValueError
-            If it is not a time, or not supported by the engine that was asked for.
+            If the value is not a time, or the requested engine does not support it.
         """
         before, self._h = self._h, picoseconds(size)
         super().setStepSize(self._h)
@@ -185,28 +185,28 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
                 raise
 
     def setIntegrationForceGroups(self, groups: int | set[int]) -> None:
-        """Set the force groups that act, as a set or by their bits; a ValueError is raised for anything else."""
+        """Set the active force groups, as a set or as bits; raise ValueError for anything else."""
         super().setIntegrationForceGroups(checks.force_groups(groups))
         self._groups = openmm.CustomIntegrator.getIntegrationForceGroups(self)
         self._changed()
 
     def getIntegrationForceGroups(self) -> int:
-        """Return the bits of the force groups that act, as they were set."""
+        """Return the active force groups as bits, as they were set."""
         return self._groups
 
     def setRandomNumberSeed(self, seed: int) -> None:
-        """Set the seed of the noise; with 0 the next step draws one, which is then kept.
+        """Set the seed of the noise; 0 lets the next step draw a seed, which is then kept.
 
         Raises
         ------
         ValueError
-            If it is not a whole number from 0 to 2^31 - 1.
+            If the seed is not a whole number from 0 to 2^31 - 1.
         """
         super().setRandomNumberSeed(valid_seed(checks.whole(seed, "the seed", 0)))
         self._noise.set(self, seed)
 
     def getSeedInUse(self) -> int:
-        """Return the seed of the noise: the one that was set, or else that of a checkpoint or the one that was drawn.
+        """Return the seed in use: the one that was set, read from a checkpoint, or drawn.
 
         It is 0 before a seed is drawn. ``getRandomNumberSeed`` returns the seed that was set.
         """
@@ -231,12 +231,12 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Parameters
         ----------
         context : openmm.Context
-            Made with this integrator.
+            The Context that was created with this integrator.
 
         Raises
         ------
         ValueError
-            If it is not a Context, or has another integrator.
+            If the argument is not a Context, or has another integrator.
         """
         if not isinstance(context, openmm.Context):
             raise ValueError(
@@ -281,7 +281,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
             self._at_work.release()
 
     def _begin_work(self) -> None:
-        """Raise RuntimeError within a step, when the state is not whole."""
+        """Raise RuntimeError within a step, when the state is incomplete."""
         if not self._at_work.acquire(blocking=False):
             raise RuntimeError(
                 "this integrator is already performing a step, in another thread or from a force that calls it: wait "
@@ -296,7 +296,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return Settings(*parts, self._rotor, self._fast, thermostat, self._bodies, self._check)
 
     def _step_of(self, size: float | unit.Quantity | None, interval: float | unit.Quantity | None) -> float:
-        """Return the step size in ps, given itself or by the time between force evaluations."""
+        """Return the step size in ps, from the step size or from the interval between force evaluations."""
         if (size is None) == (interval is None):
             raise ValueError(
                 "give either stepSize=, that of a whole step, or forceInterval=, that between force evaluations"
@@ -330,7 +330,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return copies.restored(*self._parts())
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Any:
-        """Return the same with copies of what a subclass of a user has."""
+        """Return the same, with deep copies of the attributes of a user's subclass."""
         return copies.restored(type(self), *copy.deepcopy(self._parts()[1:], memo))
 
     def _parts(self) -> tuple[Any, ...]:
@@ -338,12 +338,12 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return type(self), copies.own_attributes(self, settings["arguments"]), *settings.values()
 
     def _arguments(self) -> dict[str, Any]:
-        """Return the arguments of a copy in addition to those that all have."""
+        """Return the arguments that a copy needs in addition to the common ones."""
         others = {"engine": self._selection.asked, "thermostat": self._thermostat, "checkDivergence": self._check}
         return others | MultipleTimeSteps.arguments(self._fast)
 
     def _up_to_date(self) -> Propagator:
-        """Return the propagator of the present Context, which knows what was set there."""
+        """Return the propagator of the present Context, updated with the user's changes."""
         self._begin_work()
         self._at_work.release()
         propagator = self._present()
@@ -351,12 +351,12 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         return propagator
 
     def _unsettled(self) -> bool:
-        """Return whether the Context is not known or was made again, or has a state of another engine."""
+        """Return whether the Context is unknown, was reinitialised, or has the state of another engine."""
         propagator = self._propagator
         return propagator is None or propagator.sync.outdated or self.getGlobalVariable(0) not in self._selection.marks
 
     def _settle(self, context: Any) -> None:
-        """Have the engine chosen for a Context, with a propagator of its own if it is another one."""
+        """Choose the engine for a Context, and create a propagator if the engine changes."""
         before = self._selection.engine
         self._selection.settle(context, self, self._settings())
         if self._selection.engine is not before:
@@ -386,7 +386,7 @@ _SETTINGS = "IntegrationForceGroups", "ConstraintTolerance", "RandomNumberSeed"
 
 
 def _parting(integrator: ExactRigidBodyIntegrator) -> Callable[[], None]:
-    """Return what is called where a run is taken elsewhere: its noise becomes another one."""
+    """Return the callback for runs that branch off, whose noise must differ."""
     reference, noise = weakref.ref(integrator), integrator._noise  # noqa: SLF001
 
     def part() -> None:

@@ -1,4 +1,4 @@
-"""Moves: what a substep does to bodies, in a form that an engine carries out in segments, between force evaluations."""
+"""Moves: the actions of a substep on bodies, which an engine performs in segments between force evaluations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOVE = re.compile(r"\bDEVICE\s+(?:inline\s+)?void\s+(\w+)\s*\(\s*Body\s*\*\s*\w+
 
 
 class Op(IntEnum):
-    """What a move does; the numbers are those of kernels/moves.cl."""
+    """The kinds of moves, with the numbers that kernels/moves.cl uses."""
 
     DRIFT = 0  # free motion
     KICK = 1  # momenta by the forces here
@@ -38,19 +38,19 @@ class Move:
     ----------
     op : Op or int
     part : float
-        Of the step; of its square for the number e of a displacement.
+        Fraction of the step; for the number e of a displacement, of its square.
     number : int
-        Of a heat exchange: its number in the step. Of what remembers: its place among those of a step. Of a kick by
-        last forces: how many of the weights are those of forces; the others are of differences.
+        For a heat exchange, its index in the step. For a move that stores forces, its index among those of the step.
+        For a kick by stored forces, the number of weights of forces; the other weights are those of differences.
     groups : int
-        Bits of the force groups that it needs: -1 all, 0 none.
+        Bits of the force groups that the move needs: -1 for all, 0 for none.
     weights : tuple of float
         Further numbers.
     bodies : str
-        "all", "inner" or "others", as those of `openmm_exactrb.substeps.Drift`.
+        "all", "inner" or "others", as for `openmm_exactrb.substeps.Drift`.
     text : str
-        Of a user's: the function ``DEVICE inline void NAME(Body* body, double tau)`` of kernels in OpenMM's dialect,
-        the last of such if there are several.
+        Source of a user's move: a function ``DEVICE inline void NAME(Body* body, double tau)`` in OpenMM's kernel
+        dialect; if the text defines several, the last one.
     late : bool
         Whether it belongs to the step after the one that a segment ends.
     """
@@ -66,11 +66,11 @@ class Move:
 
     @property
     def displaces(self) -> bool:
-        """Whether positions are others behind it."""
+        """Whether the move changes positions."""
         return self.op in (Op.DRIFT, Op.DISPLACE) or self.op >= Op.OWN
 
     def numbers(self, h: float, exchange: Exchange | None) -> tuple[float, ...]:
-        """Return what a kernel multiplies with, in steps of h (ps)."""
+        """Return the factors that a kernel uses for steps of h (ps)."""
         tau = self.part * h
         if self.op == Op.EXCHANGE:
             assert exchange is not None
@@ -85,7 +85,7 @@ class Move:
 
 
 def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
-    """Return the moves of a substep over a part of the step; ValueError if a device does not support it."""
+    """Return the moves of a substep over a fraction of the step; raise ValueError if a device does not support it."""
     moves: tuple[Move, ...] | None = substep.device_moves(part)
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")

@@ -30,7 +30,7 @@ _DIGITS = 12
 
 
 class _Lines:
-    """Lines of CSV at intervals, each flushed at once."""
+    """Lines of CSV at intervals, each flushed immediately."""
 
     def __init__(
         self, file: str | os.PathLike[str] | TextIO, reportInterval: int, columns: Sequence[str], append: bool
@@ -75,7 +75,7 @@ class EnergyReporter(_Lines):
         Steps between two lines.
     append : bool, optional
         Append to the lines of an existing file, and write the names of the columns only if it is empty. A file that
-        ends within a line, because a script was killed, raises a ValueError.
+        ends with an incomplete line, because a script was killed, raises a ValueError.
 
     Notes
     -----
@@ -160,7 +160,7 @@ class MomentReporter(_Lines):
         self._write(simulation, state, self._charges @ x)
 
     def _links_of(self, simulation: Any) -> Links:
-        """Return what joins the particles of each molecule, after checking the charges."""
+        """Return the links that join the particles of each molecule, after checking the charges."""
         particles = simulation.system.getNumParticles()
         if len(self._charges) != particles:
             raise ValueError(
@@ -174,7 +174,7 @@ class MomentReporter(_Lines):
 
 
 def _elementary(charges: Any) -> Array:
-    """Return a copy of charges as an array, Quantities in elementary charges."""
+    """Return a copy of charges as an array, with Quantities converted to elementary charges."""
     e = unit.elementary_charge
     given = [stripped(q, e) for q in charges] if isinstance(charges, (list, tuple)) else stripped(charges, e)
     asked = "a list of numbers or Quantities of charge, one for each particle"

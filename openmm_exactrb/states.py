@@ -29,7 +29,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     Raises
     ------
     ValueError
-        If the source is neither a State nor a file of a State, has no positions, or has another number of particles.
+        If the source is neither a State nor a file with one, has no positions, or has a different number of particles.
 
     Examples
     --------
@@ -64,14 +64,14 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
 
 
 def read_xml(file: str | os.PathLike[str], kind: type[Any], writer: str = "openmm.XmlSerializer") -> Any:
-    """Read an object of this kind, such as openmm.System, from the XML of a `writer`.
+    """Read an object of a given class, such as openmm.System, from the XML of a `writer`.
 
     Raises
     ------
     ValueError
         If the file has another format, or holds another kind of object.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     try:
         content: Any = openmm.XmlSerializer.deserialize(Path(file).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Thermostats: what each of them says of itself, and the substep that they all have."""
+"""Thermostats: the base class, and the substep that all of them share."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _STREAMS = 2**22  # with the seed they fit into the 53 bits of a variable of Ope
 
 
 class Factors(NamedTuple):
-    """The kernel that makes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
+    """The kernel that computes the two factors of a heat exchange on a device, a function in kernels/thermostats.cl.
 
-    Its defines come with it, and how many persistent numbers it has: first those of ``Thermostat.numbers``, then the
-    thermostat's own.
+    The record contains its defines and its number of persistent numbers: first those of ``Thermostat.numbers``, then
+    the thermostat's own.
     """
 
     kernel: str
@@ -41,21 +41,21 @@ class Factors(NamedTuple):
 class Thermostat(ABC):
     """A thermostat of an `openmm_exactrb.ExactRigidBodyIntegrator`.
 
-    Derive a frozen dataclass from it and hand it over as ``thermostat=``.
+    Derive a frozen dataclass from it and pass an instance as ``thermostat=``.
 
     Attributes
     ----------
     temperature : float
         In K.
     numbers : tuple of str
-        Persistent numbers of `openmm_exactrb.context.variables` that its steps change.
+        Persistent numbers of `openmm_exactrb.context.variables` that the thermostat changes.
     heat : str or None
-        The one of them in which the energy is added up that it gives to the bodies.
+        The persistent number in which the energy supplied to the bodies is accumulated.
     factors : Factors, optional
-        The kernel of a device that makes the numbers by which an exchange multiplies momenta, if it does.
+        The device kernel that computes the factors by which an exchange multiplies momenta, if it does so.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
-        evaluates forces once a step. A deterministic thermostat has one that is symmetric in time.
+        evaluates forces once per step. A deterministic thermostat has a scheme that is symmetric in time.
     """
 
     temperature: float
@@ -66,17 +66,17 @@ class Thermostat(ABC):
 
     @property
     def relaxation(self) -> float | None:
-        """The time in ps in which it takes heat away, if a run that stays hot for longer is an error of its step."""
+        """The time in ps in which the thermostat removes heat; a run that stays hot for longer has too long a step."""
         return None
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Persistent numbers that no other thermostat has: checkpoints with them are for this one alone."""
+        """Persistent numbers of this thermostat alone: only it can read checkpoints with them."""
         return ()
 
     @abstractmethod
     def bind(self, environment: Environment) -> Exchange:
-        """Return what it does to momenta.
+        """Return the heat exchange as a function of momenta.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class Thermostat(ABC):
         """
 
     def flow(self, environment: Environment, number: int) -> Flow[State]:
-        """Return the flow of its n-th substep in a step, which acts on momenta along the constraints."""
+        """Return the flow of the n-th heat exchange in a step, which acts on momenta along the constraints."""
         exchange, tangent = self.bind(environment), environment.kinetic.tangent
         clock, outside = environment.clock, environment.divergence.outside
         bodies, numbers, heat = environment.bodies, environment.numbers, self.heat
@@ -103,19 +103,19 @@ class Thermostat(ABC):
         return flow
 
     def steps(self, scheme: Scheme) -> Scheme:
-        """Return a scheme with half of its flow before and half after each step, unless it has it within."""
+        """Return a scheme with half a heat exchange at each end of a step, unless the step already contains one."""
         return thermostatted.with_thermostat(scheme)
 
     def splitting(self, scheme: Scheme) -> tuple[Scheme, int]:
-        """Return the drifts and kicks of a step, and how many steps of the scheme they are."""
+        """Return the drifts and kicks of a step, and the number of steps of the scheme that they make up."""
         return scheme, 1
 
     def settings(self) -> Mapping[str, Any]:
-        """Return the settings that decide on the bits of a run."""
+        """Return the settings on which the bits of a run depend."""
         return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...] | None:
-        """Return the numbers that kernels of a device need for an exchange over tau (ps), None if it is not served.
+        """Return the numbers that device kernels need for an exchange over tau (ps), or None if it is not supported.
 
         `freedom` are the degrees of freedom of translation and of rotation.
         """
@@ -123,7 +123,7 @@ class Thermostat(ABC):
 
 
 def _gain(bodies: RigidBodies, before: State, after: State) -> float:
-    """Return the kinetic energy (kJ/mol) that bodies gained, from momenta along the constraints."""
+    """Return the kinetic energy (kJ/mol) gained by the bodies, from momenta along the constraints."""
     gains = (
         np.sum((b[0] - a[0]) * (b[0] + a[0]) / (2.0 * inertia))
         for a, b, inertia in ((before.P, after.P, bodies.mass), (before.m, after.m, bodies.inertia.T))
@@ -132,43 +132,43 @@ def _gain(bodies: RigidBodies, before: State, after: State) -> float:
 
 
 class Noise:
-    """The seed of an integrator's noise, and which of its streams is in use.
+    """The seed of an integrator's noise, and the stream in use.
 
-    The noise of a step depends on both and on the number of the step alone, so that ten calls of ``step(10)`` give the
-    bits of ``step(100)``, as does a run that continues from a checkpoint or State in another process. Where a State or
-    a step count that is set takes a run elsewhere, as in replica exchange, what follows has a stream of its own; a
-    checkpoint has the number of its stream, and brings the noise back.
+    The noise of a step depends only on both and on the number of the step, so that ten calls of ``step(10)`` are
+    bit-identical to ``step(100)``, as is a run that continues from a checkpoint or State in another process. If a
+    loaded State or a new step count makes a run branch off, as in replica exchange, the run continues with a new
+    stream; a checkpoint contains the number of its stream, and restores the noise.
     """
 
     def __init__(self) -> None:
         self._drew, self._streams = False, 0
 
     def set(self, integrator: openmm.CustomIntegrator, seed: int) -> None:
-        """Set the seed; with 0 the next step draws one."""
+        """Set the seed; 0 lets the next step draw one."""
         variables.put(integrator, variables.SEED, seed)
         variables.put(integrator, variables.STREAM, 0)
         self._streams = 0
 
     def in_use(self, integrator: openmm.CustomIntegrator) -> int:
-        """Return the seed: the one that was asked for, else that of a checkpoint or the drawn one; 0 before."""
+        """Return the seed that was set, read from a checkpoint or drawn; 0 before a seed is drawn."""
         return int(integrator.getRandomNumberSeed()) or int(variables.get(integrator, variables.SEED))
 
     def key(self, integrator: openmm.CustomIntegrator, steps: int) -> int:
-        """Return the key of the random numbers of some steps, or of none; a seed is drawn unless one is set."""
+        """Return the key of the random numbers of steps; a seed is drawn unless one is set."""
         seed = self.in_use(integrator) or 1 + secrets.randbelow(_SEEDS - 1)
         variables.put(integrator, variables.SEED, seed)
         self._drew |= steps > 0
         return seed + _SEEDS * int(variables.get(integrator, variables.STREAM))
 
     def part(self, integrator: openmm.CustomIntegrator) -> None:
-        """Take a stream that nothing had before, where there was noise."""
+        """Switch to an unused stream if noise was drawn before."""
         if self._drew:
             self._streams = 1 + max(self._streams, int(variables.get(integrator, variables.STREAM)))
             variables.put(integrator, variables.STREAM, self._streams % _STREAMS)
 
 
 def valid_seed(seed: int) -> int:
-    """Return a seed of OpenMM's integrators; ValueError if it is not below 2^31."""
+    """Return a valid seed of OpenMM's integrators; raise ValueError if it is not below 2^31."""
     if seed >= _SEEDS:
         raise ValueError(f"the seed must be below 2^31, not {seed}")
     return seed

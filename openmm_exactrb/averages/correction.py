@@ -10,14 +10,14 @@ below and far above the frequencies of the liquid,
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
-with n degrees of freedom; the second is exact without inner steps only. A correction takes the first, and its bracket
-has both. Drifts along chords conserve h² T in addition (`openmm_exactrb.averages.chord`), which adds
+with n degrees of freedom; the second is exact only without inner steps. A correction uses the first, and its bracket
+contains both. Drifts along chords conserve h² T in addition (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
-at weak friction, and to the energy of a harmonic liquid at any. A barostat accepts by the true energy: it sees the
-pressure at a fixed volume, whose error dP changes any average by Cov(A, V) dP/kT, while A, S and W fluctuate at a fixed
-volume in all other terms (the volume is slow).
+at weak friction, and at any friction to the energy of a harmonic liquid. A barostat accepts volumes by the true energy.
+The error dP of the pressure at a fixed volume therefore changes any average by Cov(A, V) dP/kT, while A, S and W
+fluctuate at a fixed volume in all other terms (the volume is slow).
 """
 
 from __future__ import annotations
@@ -54,15 +54,15 @@ class Average:
     Attributes
     ----------
     mean : float
-        The average less the error of the step size.
+        The average minus the step-size error.
     error : float
         The statistical error of the mean, one standard deviation.
     correction : float
-        What was added to the average of the frames.
+        The difference between `mean` and the average over the frames.
     correction_error : float
         The statistical error of the correction.
     bracket : (float, float)
-        The means that follow for weak and for strong friction; the first is `mean`.
+        The corrected averages for weak and for strong friction; the first is `mean`.
     """
 
     mean: float
@@ -74,16 +74,16 @@ class Average:
 
 @dataclass(frozen=True)
 class PressureOffset:
-    """The error of the pressure at a fixed volume, which a barostat has to be set to in addition.
+    """The step-size error of the pressure at a fixed volume, which is added to the pressure of a barostat.
 
     Attributes
     ----------
     bar, error : float
-        The error of the pressure, and the statistical error of that, in bar.
+        The error of the pressure and its statistical error, in bar.
     bracket : (float, float)
         For weak and for strong friction.
     scheme, step, temperature : str, float (ps), float (K)
-        What it holds for; it is the same for the same force field and density only.
+        The settings for which the offset is valid; it also depends on the force field and the density.
     """
 
     bar: float
@@ -94,13 +94,13 @@ class PressureOffset:
     temperature: float
 
     def barostat(self, pressure: float | unit.Quantity, frequency: int = 25) -> openmm.MonteCarloBarostat:
-        """Return a barostat that keeps the density of a pressure (in bar if it has no unit) at zero step size."""
+        """Return a barostat that yields the density of a pressure (in bar if it has no unit) at zero step size."""
         wanted = plain(pressure, unit.bar, "a pressure")
         return openmm.MonteCarloBarostat((wanted + self.bar) * unit.bar, self.temperature * unit.kelvin, frequency)
 
 
 class _Observable(NamedTuple):
-    """Values of an observable (frames,), and its slopes along M⁻¹f_s of bodies without and with inner steps."""
+    """Values of an observable (frames,) and its slopes along M⁻¹f_s, for bodies without and with inner steps."""
 
     values: Array
     slopes: tuple[Array, Array]
@@ -118,14 +118,14 @@ def corrected(
     Parameters
     ----------
     file : str or path
-        Of an `AverageReporter`, without the frames before equilibrium.
+        File of an `AverageReporter`, without the frames before equilibrium.
     observable : str or (frames,) array_like
         "potential energy" (kJ/mol), "pressure" (bar), "volume" (nm³), "density" (kg/m³), "enthalpy" (kJ/mol, without
         the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), the name of an observable of the
         reporter, or a value for each frame.
     slope : (frames,) array_like or two of them, optional
-        Slopes along M⁻¹f_s (1/ps²) of values that depend on positions: of bodies without inner steps, and of those with
-        them. Not needed for values that depend on the volume alone.
+        Slopes along M⁻¹f_s (1/ps²) of values that depend on positions, for bodies without and with inner steps. Not
+        needed for values that depend on the volume alone.
     local : bool, optional
         Whether to take the curvature of the potential around the particles that the reporter was given.
     pressure : float or Quantity, optional
@@ -139,7 +139,7 @@ def corrected(
     Raises
     ------
     ValueError
-        If the file has not what the correction needs, or the theory does not hold for the run.
+        If the file lacks data that the correction needs, or the theory does not apply to the run.
 
     Warns
     -----
@@ -173,12 +173,12 @@ def corrected(
 
 
 def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
-    """Return how far the pressure of a run at constant volume is off by its step size.
+    """Return the step-size error of the pressure of a run at constant volume.
 
     Parameters
     ----------
     file : str or path
-        Of an `AverageReporter` with ``pressure=True``; 200 ps of 216 molecules of water give an error of 16 bar.
+        File of an `AverageReporter` with ``pressure=True``; 200 ps of 216 molecules of water give an error of 16 bar.
 
     Raises
     ------
@@ -247,7 +247,7 @@ def _at_fixed_volume(
 
 
 def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
-    """Return the covariance of two observables, or that of what is left after regression on a third one."""
+    """Return the covariance of two observables, or of their residuals after regression on a third."""
     own = float(np.mean((a - a.mean()) * (b - b.mean())))
     if given is None or not np.ptp(given):
         return own
@@ -255,7 +255,7 @@ def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
 
 
 def _warn_of_friction(found: Average) -> None:
-    """Warn of an average for which it matters whether friction is weak or strong."""
+    """Warn of an average that differs between the limits of weak and strong friction."""
     weak, strong = found.bracket
     if abs(weak - strong) > _DISTINCT * found.error:
         warn(
@@ -266,7 +266,7 @@ def _warn_of_friction(found: Average) -> None:
 
 
 def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
-    """Return an average of all frames with errors from the averages without one block of them each."""
+    """Return an average over all frames, with jackknife errors."""
     frames = len(columns["step"])
     value, weak, strong = of(columns)
     left_out = []
@@ -283,7 +283,7 @@ def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
 
 
 def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
-    """Return the estimator of an observable with a name."""
+    """Return the estimator of a named observable."""
     if name in settings.observables:
         return lambda columns: _mean(columns[name], columns[f"{name} slope"], columns[f"{name} inner slope"])
     if name not in _READY:
@@ -302,7 +302,7 @@ def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
 
 
 def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Estimate]:
-    """Return the estimator of values that a user has for each frame."""
+    """Return the estimator of a user's values for each frame."""
     frames = len(columns["step"])
     array = checks.array(values, "values", "a number for each frame")
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
@@ -346,7 +346,7 @@ def _enthalpy(settings: Settings, columns: Columns) -> _Estimate:
 
 
 def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
-    """Return the heat capacity by the fluctuation of the enthalpy, or at constant volume of the energy."""
+    """Return the heat capacity from the fluctuations of the enthalpy, or of the energy at constant volume."""
     values, slopes = (_enthalpy if settings.barostat else _potential)(settings, columns)[1]
     off = values - values.mean()
     scale = 1.0 / (settings.kT * settings.temperature)
@@ -356,7 +356,7 @@ def _heat_capacity(settings: Settings, columns: Columns) -> _Estimate:
 
 
 def _compressibility(settings: Settings, columns: Columns) -> _Estimate:
-    """Return the isothermal compressibility by the fluctuation of the volume."""
+    """Return the isothermal compressibility from the fluctuations of the volume."""
     volume = columns["volume"]
     off, mean = volume - volume.mean(), float(volume.mean())
     variance = float(np.mean(off**2))
@@ -377,7 +377,7 @@ _READY = {
 
 
 def _checked(file: str | os.PathLike[str]) -> tuple[Settings, Columns]:
-    """Return the settings and columns of a file; ValueError if its frames are too few."""
+    """Return the settings and columns of a file; raise ValueError if there are too few frames."""
     settings, columns = read(file)
     frames = len(columns["step"])
     if frames < _FEWEST:

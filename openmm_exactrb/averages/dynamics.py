@@ -1,4 +1,4 @@
-"""What corrections need to know of an integrator: Langevin dynamics of this package, or OpenMM's."""
+"""The data of an integrator that corrections need: Langevin dynamics of this package, or OpenMM's."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Langevin dynamics with one exchange of heat a step.
+    """Langevin dynamics with one heat exchange per step.
 
     Attributes
     ----------
@@ -47,17 +47,17 @@ class Dynamics:
         Degrees of freedom.
     bodies : RigidBodies
     named : sequence of sequences of int
-        Bodies that a user named.
+        Bodies named by the user.
     state : callable
         Returns the state of the bodies at the positions (n_particles, 3) of the Context.
     damping : (N,) and (K,) arrays
-        Frictions of translation and of rotation, over their mean for a degree of freedom.
+        Frictions of translation and of rotation, relative to their mean over the degrees of freedom.
     fast : FastForces, optional
         Forces of the drifts.
     chords : Chords, optional
-        Of drifts that are no free motion.
+        Chords of drifts that are not free motion.
     changing : callable
-        Returns the settings that a user may change in a run.
+        Returns the settings that a user may change during a run.
     """
 
     scheme: str
@@ -76,12 +76,12 @@ class Dynamics:
 
 
 def dynamics_of(simulation: Any) -> Dynamics:
-    """Return what corrections need to know of a Simulation's integrator.
+    """Return the data of a Simulation's integrator that corrections need.
 
     Raises
     ------
     ValueError
-        If the theory does not hold for it.
+        If the theory does not apply to the integrator.
     """
     integrator = simulation.integrator
     theirs = isinstance(integrator, openmm.LangevinMiddleIntegrator)
@@ -162,7 +162,7 @@ def _of_openmm(simulation: Any, frictions: tuple[float, ...]) -> Dynamics:
 
 
 def _damping(thermostat: Langevin, bodies: RigidBodies, flexible: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the frictions of bodies, some of which are in flexible molecules, over their mean."""
+    """Return the frictions of bodies relative to their mean; some bodies are in flexible molecules."""
     rates = zip(thermostat.frictions, thermostat.flexible_frictions, strict=True)
     translation, rotation = (np.where(flexible, other, rate) for rate, other in rates)
     rotation = rotation[: bodies.n_turning]

@@ -1,4 +1,4 @@
-"""What a frame of a run says about the step-size error of averages.
+"""The quantities of a frame that determine the step-size error of averages.
 
 The symbols are those of `openmm_exactrb.averages.correction`: f is the generalised force of all forces and f_s that of
 the forces in the kicks; w = M⁻¹f_s is a field of velocities, along which observables have slopes.
@@ -44,7 +44,7 @@ class Force(NamedTuple):
 
 
 class Frames:
-    """Reads the frames of a Simulation with some dynamics."""
+    """Reads the frames of a Simulation with given dynamics."""
 
     def __init__(
         self, simulation: Any, dynamics: Dynamics, pressure: bool, around: tuple[Sequence[int], float] | None
@@ -88,7 +88,7 @@ class Frames:
         return self._excerpt.forces(self._context, x)
 
     def _products(self, one: Force, other: Force) -> Force:
-        """Return f·M⁻¹g of each body, of its translation (N,) and its rotation (K,)."""
+        """Return f·M⁻¹g of each body, for translation (N,) and rotation (K,)."""
         translation = (one.force * other.force).sum(axis=0) / self.bodies.mass
         return Force(translation, (one.torque * other.torque / self.bodies.inertia.T).sum(axis=0))
 
@@ -99,7 +99,7 @@ class Frames:
         return one, other
 
     def _near(self, x: Array, state: openmm.State) -> tuple[Array, Array]:
-        """Return 1 for each body with a particle near those that the user named, and 0 for the others."""
+        """Return 1 for each body with a particle near the user's, and 0 for the others."""
         assert self._around is not None
         particles, distance = self._around
         gaps = x[:, None] - x[None, list(particles)]
@@ -112,7 +112,7 @@ class Frames:
         return bodies, bodies[: self.bodies.n_turning]
 
     def _field(self, state: BodyState, slow: Force, chosen: NDArray[np.bool_]) -> Field:
-        """Return M⁻¹f_s of some bodies."""
+        """Return M⁻¹f_s of selected bodies."""
         turning = chosen[: self.bodies.n_turning]
         own = Force(slow.force * chosen, slow.torque * turning)
         particles = np.zeros((self.bodies.n_particles, 3))
@@ -121,7 +121,7 @@ class Frames:
 
 
 class Field(NamedTuple):
-    """Velocities of bodies, and those of all particles (n_particles, 3)."""
+    """Velocities of bodies, and of all particles (n_particles, 3)."""
 
     bodies: Force
     particles: Array
@@ -143,7 +143,7 @@ def _slope(observable: Observable, x: Array, field: Array) -> float:
 
 
 class _FastContext:
-    """The forces of the inner steps, which the kicks do not have."""
+    """The forces of the inner steps, which the kicks do not contain."""
 
     def __init__(self, fast: FastForces) -> None:
         self._fast = fast
@@ -152,7 +152,7 @@ class _FastContext:
             self._own = openmm.Context(fast.excerpt.system, openmm.VerletIntegrator(0.001), platform)
 
     def forces(self, context: Any, x: Array) -> Array:
-        """Return the forces (n_particles, 3) at positions that the Context has."""
+        """Return the forces (n_particles, 3) at the positions of the Context."""
         excerpt = self._fast.excerpt
         if excerpt is None:
             return arrays.forces(context.getState(forces=True, groups=self._fast.groups))
@@ -166,7 +166,7 @@ class _FastContext:
 class _ScaledContext:
     """Energies and forces in boxes of other sizes, in which a barostat moves the centres of molecules.
 
-    A molecule's centre is the mean place of its particles, as for OpenMM's barostats.
+    A molecule's centre is the mean position of its particles, as for OpenMM's barostats.
     """
 
     def __init__(self, simulation: Any, dynamics: Dynamics, kT: float) -> None:
@@ -225,7 +225,7 @@ class _ScaledContext:
         scale: float,
         generalised: Callable[[BodyState, Array], Force],
     ) -> tuple[float, Force]:
-        """Return energy and generalised force in a box of other lengths."""
+        """Return energy and generalised force in a box of different lengths."""
         self._own.setPeriodicBoxVectors(*(scale * np.reshape(arrays.box(state), (3, 3))))
         self._own.setPositions(x + (scale - 1.0) * self._centres(x)[self._molecule])
         self._own.computeVirtualSites()

@@ -16,7 +16,7 @@ _MARK = "# "
 
 @dataclass(frozen=True)
 class Settings:
-    """What the corrections need to know of a run.
+    """The settings of a run that the corrections need.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Settings:
     alpha, beta : float
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
-        Coefficients of minus the slope of an observable, for bodies without and with inner steps.
+        Coefficients of the negative slope of an observable, for bodies without and with inner steps.
     temperature : float
         In K.
     kT : float
@@ -36,11 +36,11 @@ class Settings:
     freedom : int
         Degrees of freedom.
     mass : float
-        Of all particles, in Da.
+        Total mass of all particles, in Da.
     barostat : str
         The type of the System's barostat, or "".
     pressure : float
-        That of a barostat in bar.
+        Pressure of the barostat, in bar.
     observables : tuple of str
     chords : bool, optional
         Whether drifts are those of `openmm_exactrb.averages.chord`.
@@ -80,7 +80,7 @@ def head(settings: Settings, columns: tuple[str, ...]) -> str:
 
 
 def continues(text: str, settings: Settings, columns: tuple[str, ...]) -> bool:
-    """Return whether a file is of a run with these settings and columns."""
+    """Return whether a file is from a run with these settings and columns."""
     first, second, *_ = [*text.splitlines(), "", ""]
     return first.startswith(_MARK) and _settings(first) == settings and second == ",".join(columns)
 
@@ -92,14 +92,14 @@ def _settings(line: str) -> Settings:
 
 
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
-    """Return the settings of a run and its columns, without units in their names.
+    """Return the settings and the columns of a run, whose names are without units.
 
     Raises
     ------
     ValueError
-        If an `AverageReporter` did not write the file, or a line of it is incomplete.
+        If the file is not from an `AverageReporter`, or a line is incomplete.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     lines = Path(file).read_text(encoding="utf-8").splitlines()
     if len(lines) < 2 or not lines[0].startswith(_MARK):

@@ -1,4 +1,4 @@
-"""AverageReporter: what a run has to store so that its averages can be corrected for the step size."""
+"""AverageReporter, which stores the data needed to correct averages for the step size."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from openmm_exactrb.support import checks
 
 
 class AverageReporter:
-    """Write what `corrected` and `pressure_offset` need, as CSV with all digits.
+    """Write the data for `corrected` and `pressure_offset`, as CSV with all digits.
 
-    A report evaluates no forces but those that Simulation evaluates for it, unless pressure is asked for.
+    Unless pressure is requested, a report needs only the forces that Simulation evaluates for it.
 
     Parameters
     ----------
@@ -28,22 +28,22 @@ class AverageReporter:
     reportInterval : int
         Steps between two frames. Frames that are a tenth of a ps apart are nearly independent in water.
     pressure : bool, optional
-        Whether to store the molecular pressure and its slope, at two more evaluations of energy and forces a frame.
+        Whether to store the molecular pressure and its slope, at two more evaluations of energy and forces per frame.
         Corrections at constant pressure and `pressure_offset` need it.
     observables : mapping of str to callable, optional
         Functions of the positions, an array (n_particles, 3) in nm with whole molecules, that return a number. They are
         evaluated at displaced positions too, for the slopes that their corrections need.
     around : (sequence of int, float), optional
         Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
-        then stored of bodies within the distance too, which reduces the statistical error of corrections of observables
-        that depend on these particles alone: see ``local`` of `corrected`.
+        then also stored for the bodies within this distance, which reduces the statistical error of corrections of
+        observables that depend on these particles alone: see ``local`` of `corrected`.
     append : bool, optional
-        Continue an existing file, of a run with the same settings.
+        Continue the existing file of a run with the same settings.
 
     Notes
     -----
     The Simulation must use an `openmm_exactrb.ExactRigidBodyLangevinIntegrator` with one heat exchange per step, or
-    OpenMM's LangevinMiddleIntegrator. Each line is flushed at once.
+    OpenMM's LangevinMiddleIntegrator. Each line is flushed immediately.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class AverageReporter:
         Raises
         ------
         ValueError
-            If averages of the Simulation's integrator cannot be corrected, or the file is of another run.
+            If averages of the Simulation's integrator cannot be corrected, or the file belongs to another run.
         """
         if self._frames is None:
             self._begin(simulation)
@@ -113,13 +113,13 @@ class AverageReporter:
         return frames
 
     def _changing(self, simulation: Any) -> object:
-        """Return what a user may change in a run."""
+        """Return the settings that a user may change during a run."""
         groups = simulation.integrator.getIntegrationForceGroups()
         return self._dynamics.changing(), groups, dict(simulation.context.getParameters())
 
 
 def settings_of(simulation: Any, dynamics: Dynamics, observables: Mapping[str, Any]) -> Settings:
-    """Return what corrections need to know of a Simulation; ValueError if its averages cannot be corrected."""
+    """Return the settings of a Simulation; raise ValueError if its averages cannot be corrected."""
     system, order = simulation.system, dynamics.order
     barostats = [force for force in acting_updates(simulation.context) if type(force).__name__ in BAROSTATS]
     if len(barostats) > 1:

@@ -1,5 +1,5 @@
 """The command ``exactrb``: run a molecular simulation, tune its scheme and step, print what is installed.
 
-`run`, `tune` and `info` are subcommands, which `main` joins. Of `run`, `inputs` reads or creates the molecules, `setup`
-makes integrator and barostat, `equilibration` provides start and step, and `analysis` prints and draws the results.
+`main` combines the subcommands `run`, `tune` and `info`. For `run`, `inputs` reads or creates the molecules, `setup`
+creates integrator and barostat, `equilibration` provides start and step, and `analysis` prints and draws the results.
 """

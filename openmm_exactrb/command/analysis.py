@@ -63,7 +63,7 @@ def draw(folder: Path, ensemble: str) -> None:
 
 
 def _temperatures(table: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return the temperatures of what has degrees of freedom."""
+    """Return the temperatures of translation and rotation that have degrees of freedom."""
     return {name: table[:, k] for name, k in _TEMPERATURES.items() if not np.isnan(table[:, k]).any()}
 
 

@@ -14,7 +14,7 @@ _LARGEST = 2**31 - 1  # OpenMM stores a seed in 32 bits
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+    """A parser with one-line error messages."""
 
     def error(self, message: str) -> NoReturn:
         """Exit with status 2 and one line, without the usage."""
@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _option(convert: Callable[[str], Any], fits: Callable[[Any], bool], description: str) -> Callable[[str], Any]:
-    """Return an argparse type that accepts the converted values that fit."""
+    """Return an argparse type that accepts converted values within a range."""
 
     def checked(text: str) -> Any:
         try:
@@ -44,7 +44,7 @@ def _picoseconds(text: str) -> float:
 
 
 def named(names: Iterable[str]) -> Callable[[str], str]:
-    """Return an argparse type that accepts some names in any case."""
+    """Return an argparse type that accepts given names in any case."""
     by_case = {name.lower(): name for name in names}
     return lambda text: by_case.get(text.lower(), text)  # what is no name is left to choices=
 

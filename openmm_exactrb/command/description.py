@@ -1,4 +1,4 @@
-"""What is in a System, how it moves, and the steps that suit it: the lines of ``exactrb info FILE``."""
+"""The description of a System by ``exactrb info FILE``: contents, motion and suitable steps."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ _WATER = 18.015  # amu
 def described(
     system: openmm.System, positions: unit.Quantity | None = None, topology: app.Topology | None = None
 ) -> Iterator[str]:
-    """Yield what is in a System, line by line.
+    """Yield the lines that describe a System.
 
     Parameters
     ----------
     system : openmm.System
     positions : Quantity, optional
-        (n_particles, 3). Without them, shapes follow from constraints alone.
+        Positions (n_particles, 3). Without them, shapes follow from constraints alone.
     topology : openmm.app.Topology, optional
         For the names of atoms.
     """
@@ -69,11 +69,11 @@ class _Names:
         self._residues = [atom.residue.name for atom in atoms] or n * [""]
 
     def joined(self, particles: Iterable[int]) -> str:
-        """Return the names of some particles."""
+        """Return the names of given particles."""
         return ", ".join(self._atoms[i] for i in particles)
 
     def residues(self, particles: NDArray[np.integer[Any]]) -> str:
-        """Return the residues of the first particles of bodies, each once, at most three."""
+        """Return the distinct residues of the first particles of bodies, at most three."""
         found = dict.fromkeys(self._residues[i] for i in particles[:, 0].tolist())
         shown = [name for name in islice(found, 3) if name]
         return f" ({', '.join(shown)}{', ...' if len(found) > 3 else ''})" if shown else ""
@@ -132,7 +132,7 @@ def _bodies(bodies: RigidBodies, names: _Names) -> Iterator[str]:
 
 
 def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
-    """Yield the shortest periods of bonds and angles, those of equal frequencies once."""
+    """Yield the shortest periods of bonds and angles, each frequency once."""
     distinct: dict[float, tuple[int, ...]] = {}
     for some, particles in frequencies(system):
         for frequency, own in zip(some.tolist(), particles.tolist(), strict=True):
@@ -147,7 +147,7 @@ def _periods(system: openmm.System, names: _Names) -> Iterator[str]:
 
 
 def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
-    """Yield a line for constant energy and one for constant temperature, where steps were measured."""
+    """Yield a line for constant energy and one for constant temperature, if steps were measured."""
     if not any(len(kind.masses) == 3 and abs(kind.mass - _WATER) < 0.1 for kind in bodies.kinds):
         yield "step: not measured for such molecules; exactrb tune finds one"
         return
@@ -165,7 +165,7 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
 
 
 def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
-    """Yield the error of a first step, or that everything is supported, and what acts between steps."""
+    """Yield the error of a first step or a line that everything is supported, and the forces that act between steps."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
     if others:
         yield f"acting between steps: {', '.join(others)}"

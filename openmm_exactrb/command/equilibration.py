@@ -1,4 +1,4 @@
-"""Everything before a run, which is done once and stored: an equilibrated start, and a tuned scheme and step."""
+"""The preparation of a run, performed once and stored: an equilibrated start, and a tuned scheme and step."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _PART, _LONGEST = 0.2, 5.0
 
 
 def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
-    """Prepare the folder of a locked run: delete the files that are overwritten; ValueError for those of other runs.
+    """Prepare the folder of a locked run: delete overwritten files, and raise ValueError for files of other runs.
 
-    `files` are those that the run may write in addition to the ones of this module, which a run that is resumed without
-    a checkpoint makes again.
+    `files` are those that the run may write in addition to the files of this module, which a run resumed without a
+    checkpoint creates again.
     """
     if job.resuming:
         return
@@ -50,7 +50,7 @@ def claim(job: Run, args: argparse.Namespace, files: Iterable[str]) -> None:
 def start_of(job: Run, args: argparse.Namespace, box: Box, platform: openmm.Platform) -> openmm.State:
     """Return the State at step 0: the user's, or an equilibrated one.
 
-    A start without velocities is minimised, gets some and is equilibrated for ``--equilibrate``.
+    A start without velocities is minimised, given velocities, and equilibrated for ``--equilibrate``.
     """
     if job.resuming:
         return read_xml(job.folder / START, openmm.State)
@@ -92,7 +92,7 @@ def candidates(args: argparse.Namespace) -> Sequence[str] | None:
 
 
 def length_of(args: argparse.Namespace) -> float:
-    """Return the length of the equilibration in ps: none that is shorter than a step of the run."""
+    """Return the length of the equilibration in ps, or 0 if it is shorter than a step of the run."""
     length = float(min(_PART * args.duration, _LONGEST) if args.equilibrate is None else args.equilibrate)
     return length if args.step is None or length >= args.step else 0.0
 

@@ -1,4 +1,4 @@
-"""The subcommand ``exactrb info``: what is in a user's files, or what is installed."""
+"""The subcommand ``exactrb info``, which describes a user's files, or the installation."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the files and how their forces are made."""
+    """Add the files and the options of their forces."""
     inputs.add_options(parser)
 
 

@@ -244,7 +244,7 @@ def _understood(what: str, function: Callable[..., Any], *arguments: Any, **opti
 
 
 def begin_at(simulation: app.Simulation, state: openmm.State) -> None:
-    """Load a State, but for the pressure and temperature of the barostat of the run that it was saved in."""
+    """Load a State, except for the pressure and temperature of the barostat of its run."""
     loadState(simulation, state)
     for force in simulation.system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

@@ -1,4 +1,4 @@
-"""The command: subcommands, and errors in one line."""
+"""The command: subcommands, and one-line error messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _COMMANDS = {"run": run, "tune": tune, "info": info}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Execute a command line, by default that of the process, and return its exit status.
 
-    That is 0, or 2 with one line on stderr, or 130 after Ctrl-C, or 141 if nobody reads the output any more.
+    The exit status is 0, 2 with one line on stderr, 130 after Ctrl-C, or 141 if the reader of the output is gone.
     """
     args = _parser().parse_args(arguments)
     with warnings.catch_warnings():
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _warning_of(command: str) -> Callable[..., None]:
-    """Return what prints a warning as one line on stderr."""
+    """Return a function that prints a warning as one line on stderr."""
 
     def show(message: Warning | str, *_place: object) -> None:
         print(f"exactrb {command}: warning: {' '.join(str(message).split())}", file=sys.stderr)

@@ -125,7 +125,7 @@ def _scheme_of(args: argparse.Namespace) -> Scheme:
 
 
 def _idle(args: argparse.Namespace, box: inputs.Box) -> list[tuple[bool, str, str]]:
-    """Return when options have no effect, which they are, and why."""
+    """Yield conditions under which options have no effect, the options, and the reason."""
     return [
         (args.ensemble != "npt", "pressure pressure_offset", "only --ensemble npt has one"),
         (args.ensemble == "nve", "friction", "only --ensemble nvt and npt have one"),

@@ -1,4 +1,4 @@
-"""The integrator and the barostat of each ensemble, and what the molecules need."""
+"""The integrator and the barostat of each ensemble."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs,
 
 
 def couple(system: openmm.System, args: argparse.Namespace) -> None:
-    """Add the barostat of the ensemble to a System; raise ValueError if it does not allow one."""
+    """Add the barostat of the ensemble to a System; raise ValueError if the System does not allow one."""
     others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES and name != _REMOVER]
     if others:
         raise ValueError(f"remove the {', '.join(others)} from the System: --ensemble nvt or npt adds its own")
@@ -53,7 +53,7 @@ def pace(system: openmm.System, step: float) -> None:
 def correct_pressure(
     system: openmm.System, file: str | None, integrator: ExactRigidBodyIntegrator, temperature: float
 ) -> None:
-    """Add the offset of a file to the pressure of the barostat at a temperature; ValueError for other settings."""
+    """Add the offset of a file to the pressure of the barostat; raise ValueError if its settings differ."""
     if file is None:
         return
     offset = pressure_offset(file)
@@ -70,7 +70,7 @@ def correct_pressure(
 
 
 def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
-    """Return the integrator of the ensemble, given its own options, such as the scheme, and the step in ps."""
+    """Return the integrator of the ensemble for given options, such as the scheme, and a step in ps."""
     given = {name: getattr(args, name) for name, _ in OPTIONS}
     options = {name: value for name, value in given.items() if value is not None} | own
     if args.ensemble == "nve":

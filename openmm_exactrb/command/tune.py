@@ -36,7 +36,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def carry_out(args: argparse.Namespace) -> int:
-    """Tune for the molecules of files and print the result; return 1 if the target is not reached, else 0."""
+    """Tune for the molecules of files and print the result; return 1 if the target is not reached, otherwise 0."""
     platform = platform_of(args.platform)
     box = inputs.load(inputs.with_defaults(args))
     inputs.check_idle(args, box)

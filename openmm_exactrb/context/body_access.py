@@ -33,15 +33,15 @@ class BodyAccess:
 
     @abstractmethod
     def getIntegrationForceGroups(self) -> int:
-        """Return the bits of the force groups that act."""
+        """Return the active force groups as bits."""
 
     @abstractmethod
     def getNamedBodies(self) -> list[list[int]] | None:
-        """Return the particles of the bodies in addition to those that constraints define."""
+        """Return the particles of the bodies that the user named."""
 
     @abstractmethod
     def _up_to_date(self) -> Any:
-        """Return the propagator of the present Context, which knows what was set there."""
+        """Return the propagator of the present Context, updated with the user's changes."""
 
     def kineticEnergies(self) -> tuple[unit.Quantity, unit.Quantity]:
         """Return the translational and the rotational kinetic energy of the bodies, as Quantities in kJ/mol."""
@@ -52,9 +52,9 @@ class BodyAccess:
     def totalEnergy(self) -> unit.Quantity:
         """Return the total energy, in kJ/mol: kinetic, and potential of the integration force groups.
 
-        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities. With a scheme that
-        ends a step with a drift behind a heat exchange, such as the default with a thermostat, the sum has its
-        canonical mean, but fluctuates in proportion to the step size: ``effectiveEnergy`` is the balance of such a run.
+        The kinetic energy is that of the bodies in float64, even if the platform rounds velocities. With a scheme whose
+        steps end with a drift after a heat exchange, such as the default with a thermostat, the sum has its canonical
+        mean but fluctuates in proportion to the step size; ``effectiveEnergy`` is the conserved quantity of such a run.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
@@ -63,9 +63,9 @@ class BodyAccess:
     def degreesOfFreedom(self) -> tuple[int, int]:
         """Return the numbers of translational and of rotational degrees of freedom.
 
-        A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover three
-        translational ones are subtracted, whatever its interval: temperatures are those of the motion relative to the
-        centre of mass.
+        A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover, three
+        translational degrees of freedom are subtracted, whatever its interval: temperatures are those of the motion
+        relative to the centre of mass.
         """
         return freedom_of(self._up_to_date())
 
@@ -91,7 +91,7 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If a group has some particles of a body or cluster and not all.
+            If a group contains only part of a body or cluster.
         """
         propagator = self._up_to_date()
         sync = propagator.sync
@@ -101,10 +101,11 @@ class BodyAccess:
         return {name: temperatures_of(*motion) for name, motion in motions.items()}
 
     def computeSystemTemperature(self) -> unit.Quantity:
-        """Return the temperature of all degrees of freedom of the bodies, in K; nan without any.
+        """Return the temperature of all degrees of freedom of the bodies, in K; nan if there are none.
 
-        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters ask for it, and would
-        otherwise count the constraints of the System, which redundant ones and bodies named by hand make wrong.
+        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method. They
+        would otherwise count the constraints of the System, and this count is wrong with redundant constraints and
+        bodies named by hand.
         """
         propagator = self._up_to_date()
         return _temperature(sum(thermal_energies(propagator, propagator.sync.state)), sum(freedom_of(propagator)))
@@ -112,9 +113,9 @@ class BodyAccess:
     def setVelocitiesToTemperature(self, temperature: float | unit.Quantity, randomSeed: int | None = None) -> None:
         """Draw the momenta of the bodies from the canonical distribution.
 
-        It is correct for linear bodies, redundant constraints and bodies without constraints. With a CMMotionRemover
-        the total momentum is 0. The method of the same name of the Context calls this one where OpenMM's solver of
-        constraints does not converge, and where bodies are named by hand.
+        The distribution is correct for linear bodies, redundant constraints and bodies without constraints. With a
+        CMMotionRemover the total momentum is 0. The method of the same name of the Context calls this one where
+        OpenMM's solver of constraints does not converge, and where bodies are named by hand.
 
         Parameters
         ----------
@@ -125,7 +126,7 @@ class BodyAccess:
         Raises
         ------
         ValueError
-            If the temperature is negative, not finite or has another unit, or the seed is not a whole number.
+            If the temperature is negative, not finite or has an incompatible unit, or the seed is not a whole number.
         """
         seed = None if randomSeed is None else checks.whole(randomSeed, "randomSeed", least=0)
         propagator, kT, rng = self._up_to_date(), gas_constant_times(temperature), np.random.default_rng(seed)
@@ -135,9 +136,8 @@ class BodyAccess:
     def minimizeEnergy(self, tolerance: float | unit.Quantity = 10.0, maxIterations: int = 0) -> None:
         """Minimise the potential energy.
 
-        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method where there
-        are some, and where constraints follow from others. If molecules are constrained but not rigid, OpenMM's
-        minimiser is used.
+        Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method if there are
+        such bodies or redundant constraints. If molecules are constrained but not rigid, OpenMM's minimiser is used.
 
         Parameters
         ----------
@@ -226,7 +226,7 @@ def freedom_of(propagator: Any) -> tuple[int, int]:
 
 
 def thermal_energies(propagator: Any, state: State) -> tuple[float, float]:
-    """Return the kinetic energies that temperatures are made of, in kJ/mol."""
+    """Return the kinetic energies from which temperatures are computed, in kJ/mol."""
     bodies, rounded = propagator.sync.bodies, state.rounded
     drift = bodies.drift(rounded) if propagator.updates.removes_motion else None
     energies: tuple[float, float] = bodies.kinetic_energies(rounded, drift)
@@ -234,7 +234,7 @@ def thermal_energies(propagator: Any, state: State) -> tuple[float, float]:
 
 
 def temperatures_of(energies: Sequence[float], freedom: Sequence[float]) -> Temperatures:
-    """Return the temperatures of kinetic energies (kJ/mol) of translation and rotation: nan without freedom."""
+    """Return translational and rotational temperatures; nan without degrees of freedom."""
     one, other = map(_temperature, energies, freedom)
     return one, other
 

@@ -26,7 +26,7 @@ class EvaluatedForces(ABC):
         self._version, self._value = -1, (np.zeros(0), np.zeros(0))
 
     def __call__(self, state: State) -> Force:
-        """Return the force (3, N) and body-frame torque (3, K) at the present positions, which are those of a state."""
+        """Return the force (3, N) and body-frame torque (3, K) of a state at the present positions."""
         version = self.positions.version
         if self._version != version:
             self._value = self._evaluated(state, present=True)
@@ -35,16 +35,16 @@ class EvaluatedForces(ABC):
         return self._value
 
     def at(self, state: State) -> Force:
-        """Return the same at the positions of any state."""
+        """Return the result at the positions of any state."""
         return self._evaluated(state, present=False)
 
     @abstractmethod
     def energy(self, state: State) -> float:
-        """Return the potential energy (kJ/mol) of all forces at the present positions, which are those of a state."""
+        """Return the potential energy (kJ/mol) of all forces for a state at the present positions."""
 
     @abstractmethod
     def with_energies(self) -> None:
-        """Evaluate the potential energy with each force, because it will be needed."""
+        """Evaluate the potential energy together with each force, because it will be needed."""
 
     @abstractmethod
     def _evaluated(self, state: State, present: bool) -> Force:
@@ -52,7 +52,7 @@ class EvaluatedForces(ABC):
 
 
 class ContextForces(EvaluatedForces):
-    """The forces of some force groups (bits); `counter` names the number of the timings that counts evaluations."""
+    """The forces of given force groups (bits); `counter` names the counter of evaluations in the timings."""
 
     def __init__(self, positions: Positions, groups: int, timings: Timings, counter: str = "evaluations") -> None:
         super().__init__(positions)
@@ -67,11 +67,11 @@ class ContextForces(EvaluatedForces):
         return self._potential_energy(self.positions.write, state)
 
     def energy_at(self, state: State) -> float:
-        """Return the same at the positions of any state."""
+        """Return the result at the positions of any state."""
         return self._potential_energy(self.positions.show, state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy with each force."""
+        """Evaluate the potential energy together with each force."""
         self._energies = True
 
     def landscape(self, state: BodyState) -> tuple[float, Array, Array]:
@@ -81,7 +81,7 @@ class ContextForces(EvaluatedForces):
         return float(found.getPotentialEnergy()._value), *self.positions.bodies.forces(state, arrays.forces(found))
 
     def of(self, groups: int, counter: str = "evaluations") -> ContextForces:
-        """Return the forces of those of the groups that are among some others (bits)."""
+        """Return the forces of the groups that are also in another set (bits)."""
         return ContextForces(self.positions, self.groups & groups, self._timings, counter)
 
     def _potential_energy(self, place: Callable[[State], None], state: State) -> float:
@@ -97,7 +97,7 @@ class ContextForces(EvaluatedForces):
         return self.positions.bodies.forces(state.rounded, arrays.forces(found))
 
     def _asked(self, place: Callable[[State], None], state: State, **kinds: bool) -> Any:
-        """Return what OpenMM evaluates at the positions of a state; every evaluation is counted here."""
+        """Return OpenMM's evaluation at the positions of a state, and count it."""
         start = time.perf_counter()
         place(state)
         found = self.positions.context.getState(groups=self.groups, **kinds)
@@ -105,7 +105,7 @@ class ContextForces(EvaluatedForces):
         return found
 
     def _count(self, start: float) -> None:
-        """Count an evaluation that began at this time."""
+        """Count an evaluation that started at the given time."""
         self._timings.forces += time.perf_counter() - start
         self._add_evaluations(1)
 
@@ -114,7 +114,7 @@ class ContextForces(EvaluatedForces):
 
 
 class SlowGroups(ContextForces):
-    """The forces of some groups apart from fast ones, which are integrated within the drifts."""
+    """The forces of given groups without the fast ones, which are integrated within the drifts."""
 
     def __init__(self, forces: ContextForces, fast: ContextForces, timings: Timings) -> None:
         super().__init__(forces.positions, forces.groups & ~fast.groups, timings)
@@ -126,9 +126,9 @@ class SlowGroups(ContextForces):
 
 
 class Remainder(EvaluatedForces):
-    """All forces less the fast ones on the bodies of a part, in a Context of their own.
+    """All forces minus the fast forces on selected bodies, in a Context of their own.
 
-    Whatever the fast forces are, both together are all forces: nothing has to be changed in the System.
+    The sum of both equals all forces for any choice of fast forces, so the System is not modified.
     """
 
     def __init__(self, forces: ContextForces, fast: ContextForces, part: Part) -> None:
@@ -140,7 +140,7 @@ class Remainder(EvaluatedForces):
         return self._forces.energy(state)
 
     def with_energies(self) -> None:
-        """Evaluate the potential energy with each force."""
+        """Evaluate the potential energy together with each force."""
         self._forces.with_energies()
 
     def _evaluated(self, state: State, present: bool) -> Force:

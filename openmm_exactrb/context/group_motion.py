@@ -25,9 +25,9 @@ def of_groups(
 ) -> dict[str, Motion]:
     """Return the motion of groups of particles, each of whole bodies and clusters.
 
-    Where the centre of mass of all is brought to rest, the motion is that relative to it, and a group has lost three
-    degrees of freedom times its part of the mass.
-    ValueError if a group contains some of the particles of a body or cluster and not all.
+    If the centre of mass of the System is kept at rest, the motion is relative to it, and each group loses three
+    degrees of freedom times its fraction of the mass. Raise ValueError if a group contains only part of a body or
+    cluster.
     """
     lists = checks.lists_of_indices(list(groups.values()), "groups")
     drift = bodies.drift(state.rounded) if removes_motion else None
@@ -42,7 +42,7 @@ def of_groups(
 
 
 def _chosen(bodies: RigidBodies, name: str, particles: list[int]) -> NDArray[np.bool_]:
-    """Return which bodies (N,) a group of particles consists of; particles without mass do not matter."""
+    """Return a mask (N,) of the bodies in a group of particles; massless particles are ignored."""
     beyond = [k for k in particles if not 0 <= k < bodies.n_particles]
     if beyond:
         raise ValueError(

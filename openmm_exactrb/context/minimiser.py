@@ -1,4 +1,4 @@
-"""OpenMM's minimiser where it cannot minimise: bodies named by hand, and constraints that do not suit its solver."""
+"""Minimisation where OpenMM's minimiser fails: bodies named by hand, and constraints that its solver cannot handle."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ OPENMM = openmm.LocalEnergyMinimizer.minimize
 
 
 def minimise_by_integrators(kind: type[Any]) -> None:
-    """Have integrators of a kind minimise the energy, by ``minimizeEnergy``, where OpenMM's minimiser cannot.
+    """Let integrators of a class minimise the energy, by ``minimizeEnergy``, where OpenMM's minimiser cannot.
 
-    It would deform bodies named by hand, and the first step would take the deformed shape. Where constraints follow
-    from others it ends in NaN or kills the process, and molecules that the box has split it drags together. Its method
-    is replaced, since ``Simulation.minimizeEnergy`` calls it before the integrator knows its Context.
+    OpenMM's minimiser would deform bodies named by hand, and the first step would use the deformed shape. With
+    redundant constraints it ends in NaN or kills the process, and it drags molecules together that the box has split.
+    Its method is replaced because ``Simulation.minimizeEnergy`` calls it before the integrator knows its Context.
     """
 
     @functools.wraps(OPENMM)

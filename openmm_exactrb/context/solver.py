@@ -1,4 +1,4 @@
-"""Where OpenMM's solver of constraints can be relied on."""
+"""The conditions under which OpenMM's constraint solver is reliable."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _DEPENDENT = 1e-6
 
 
 def solvable(system: openmm.System, x: Array) -> bool:
-    """Return whether OpenMM's solver suits the constraints of a System at positions (n_particles, 3).
+    """Return whether OpenMM's solver handles the constraints of a System at positions (n_particles, 3).
 
-    It does not where the box has split molecules, since it takes distances without images. Where constraints follow
-    from others it may diverge, or leave motions across all of them that a rigid body does not have.
+    It does not if the box has split molecules, because it computes distances without images. With redundant constraints
+    it may diverge, or leave motions that satisfy the constraints at first order but deform a rigid body.
     """
     pairs, lengths = parameters.constraints(system)
     if not len(pairs):
@@ -31,7 +31,7 @@ def solvable(system: openmm.System, x: Array) -> bool:
 
 
 def _independent(directions: Array, pairs: NDArray[np.intp], n_particles: int) -> bool:
-    """Return whether no velocity along a constraint (m, 3) follows from those along others."""
+    """Return whether the velocities along the constraints (m, 3) are linearly independent."""
     from scipy.sparse import csr_array  # here, for a short import of the package
     from scipy.sparse.linalg import splu
 

@@ -1,4 +1,4 @@
-"""Synchronisation of the bodies with their Context: what a user changed is pulled, what a step made is pushed."""
+"""Synchronisation of the bodies with their Context: pulls a user's changes, and pushes the results of steps."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ _LOST = 1e-14
 
 
 class Positions:
-    """The only writer of the positions of bodies into a Context, which is not kept alive, and their version.
+    """The only writer of the positions of bodies into a Context, which it does not keep alive, and their version.
 
-    Who changes positions, box or parameters adds to `version`: what was computed for another one is computed again. Of
-    the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
+    Every change of positions, box or parameters increases `version`, so that results of earlier versions are computed
+    again. Of the positions x (n_particles, 3) of all particles, those of the bodies are overwritten.
     """
 
     def __init__(self, context: Any, bodies: RigidBodies, x: Array) -> None:
@@ -50,14 +50,14 @@ class Positions:
         return self._context()
 
     def write(self, state: State) -> None:
-        """Bring the Context to the present positions, which are those of the state."""
+        """Write the present positions, those of the state, into the Context."""
         version = self.version
         if self._written != version:
             self.show(state)
             self._written = version
 
     def show(self, state: State) -> None:
-        """Bring the Context to the positions of any state."""
+        """Write the positions of any state into the Context."""
         self._written = -1
         context, x = self.context, self.placed(state)
         if self._loses_pairs:
@@ -70,7 +70,7 @@ class Positions:
         return self.bodies.positions(state.rounded, self.particles)
 
     def moved(self) -> None:
-        """Notice that something else moved the particles of the Context."""
+        """Record that something else moved the particles of the Context."""
         self.version += 1
         self._written = -1
 
@@ -78,24 +78,24 @@ class Positions:
 class Synchronisation:
     """The bodies of a Context and their state.
 
-    Holds no strong reference to the Context and its integrator, which own this. The variables of the integrator take
-    the full state along in checkpoints and States. ValueError if there are no positions, nothing can move, bodies
-    cannot be served, or positions do not fit them. `pairs` is an argument of `find_bodies`;
-    `bodies` are those that it found, if they are known.
+    The object holds no strong reference to the Context and its integrator, which own it. The variables of the
+    integrator carry the full state in checkpoints and States. A ValueError is raised if there are no positions, nothing
+    can move, bodies are not supported, or positions do not match them. `pairs` is an argument of `find_bodies`;
+    `bodies` is its result, if known.
 
     Attributes
     ----------
     bodies : RigidBodies
     state : State
-        As it is shown in the Context.
+        The state that the Context shows.
     inner : State or None
-        The same in the inner coordinates of a processed scheme, from which its steps continue.
+        The state in the inner coordinates of a processed scheme, from which its steps continue.
     memory : Remembered
         The forces of the last kicks in these coordinates.
     particles : (n_particles, 3) array
         Positions of all particles (nm), to be overwritten with those of the bodies.
     positions : Positions
-        What writes them into the Context.
+        The writer of the positions into the Context.
     """
 
     _same, _rigid = (_SAME, _SAME_PART), _RIGID
@@ -121,7 +121,7 @@ class Synchronisation:
         self._coordinates = 0.0  # of the inner state
         self.memory: Remembered = ([], [])
         self._outdated = self._written = False
-        #: Called when a user has set a State or a step count, or began again without a seed.
+        #: Called when a user has set a State or a step count, or restarted without a seed.
         self.new_trajectory: Callable[[], None] = lambda: None
         _watch(context, "reinitialize", self._write, self._outlive)
         for name in ("setState", "setStepCount"):
@@ -136,7 +136,7 @@ class Synchronisation:
 
     @property
     def outdated(self) -> bool:
-        """Whether the Context is gone, or was reinitialised since: masses, constraints and forces may be others."""
+        """Whether the Context is gone or was reinitialised, so that masses, constraints and forces may have changed."""
         return self._outdated or self._context() is None
 
     def _outlive(self) -> None:
@@ -147,14 +147,14 @@ class Synchronisation:
             self.new_trajectory()
 
     def pull(self) -> bool:
-        """Bring the state up to date with what was set in the Context since it was pushed; return whether it changed.
+        """Update the state with changes to the Context since the last push; return whether it changed.
 
         Positions that were not quite rigid, or split by the periodic box, are corrected in the Context too.
 
         Raises
         ------
         ValueError
-            If that is not finite, or no rigid bodies. The state stays what it was.
+            If the Context's values are not finite, or the molecules not rigid. The state is then unchanged.
         """
         x, v = self.held()
         saved, seen = self.saved(x, v), self._seen
@@ -180,7 +180,7 @@ class Synchronisation:
         return True
 
     def _joined(self, x: Array) -> Array:
-        """Return positions without what the periodic box split."""
+        """Return positions in which molecules split by the periodic box are whole."""
         box = self.box()
         return x if box is None else self._shapes.whole(x, box)
 
@@ -196,15 +196,15 @@ class Synchronisation:
         return self._refitted(known, x, v, moved, pushed)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
-        """Return a known state, but for bodies that were moved or pushed."""
+        """Return a known state, with bodies refitted that were moved or whose velocities changed."""
         if not len(moved) and not len(pushed):
             return known
         return known.renewed(refit(self.bodies, known.rounded, x, v, moved, pushed))
 
     def _follow(self, before: State, after: State) -> None:
-        """Have the inner state follow what a user changed: a change below the errors of the output in both alike.
+        """Apply a user's change to the inner state too: a change below the errors of the output is added to both.
 
-        With a larger one it is lost, and comes from the state by the processor.
+        After a larger change the processor computes the inner state from the state.
         """
         if self.inner is None or after is before:
             return
@@ -217,30 +217,30 @@ class Synchronisation:
         self.inner = State(*map(add, self.inner, changes)) if small else None
 
     def push(self) -> None:
-        """Write the state into the Context; its positions only where others have been written since."""
+        """Write the state into the Context, including its positions if others have been written since."""
         self.positions.write(self.state)
         self.write_velocities(self.state)
         self._seen = self.held()
 
     def inner_in(self, coordinates: float) -> State | None:
-        """Return the inner state if it is in the coordinates with this mark."""
+        """Return the inner state if its coordinates have this mark."""
         return self.inner if self._coordinates == coordinates else None
 
     def keep(self, inner: State | None, coordinates: float = 0.0, memory: Remembered = ([], [])) -> None:
-        """Keep a state in the inner coordinates with this mark, and the last forces; `push` writes them."""
+        """Store a state in the inner coordinates with this mark, and the last forces; `push` writes them."""
         self.inner, self._coordinates, self.memory = inner, coordinates, memory
 
     @functools.cached_property
     def _mark(self) -> float:
-        """The first number of the integrator with a state: its variables are those that it was made with."""
+        """The first variable of an integrator that holds a state."""
         return variables.written(variables.own_numbers(self._integrator()))
 
     def saved(self, x: Array, v: Array) -> State | None:
-        """Return the state that a checkpoint or State brought along, if any; x and v are those of the Context."""
+        """Return the state that a checkpoint or State contained, if any; x and v are those of the Context."""
         return variables.read(self._integrator(), self.bodies)
 
     def _read_inner(self) -> None:
-        """Read the inner state that the integrator's variables hold, if any."""
+        """Read the inner state from the integrator's variables, if there is one."""
         integrator = self._integrator()
         coordinates = variables.get(integrator, variables.COORDINATES)
         inner = variables.read(integrator, self.bodies, variables.INNER) if coordinates else None
@@ -260,11 +260,11 @@ class Synchronisation:
         variables.mark(integrator, self._mark)
 
     def _unmark(self) -> None:
-        """Take the mark away: variables that have it were loaded."""
+        """Remove the mark, so that variables with a mark are known to have been loaded."""
         variables.mark(self._integrator(), variables.NOTHING)
 
     def _withdraw(self) -> None:
-        """Take the mark away that `_write` set."""
+        """Remove the mark that `_write` set."""
         if self._written:
             self._unmark()
 
@@ -273,13 +273,13 @@ class Synchronisation:
         self.context.setVelocities(self.bodies.velocities(state.rounded, self._v))
 
     def held(self) -> tuple[Array, Array]:
-        """Return positions (nm) and velocities (nm/ps) of all particles, as the Context has them."""
+        """Return positions (nm) and velocities (nm/ps) of all particles in the Context."""
         context: Any = self._context()
         state = context.getState(positions=True, velocities=True)
         return arrays.positions(state), arrays.velocities(state)
 
     def replace(self, state: State) -> None:
-        """Give the bodies another state and push it."""
+        """Replace the state of the bodies and push it."""
         self.state = state
         self.keep(None)
         self.positions.moved()
@@ -297,12 +297,12 @@ def require_positions(context: openmm.Context) -> None:
 
 
 def _is_small(change: Array, size: Any) -> bool:
-    """Return whether a change of a part of the state is below `_SMALL` of a size; inertia may be zero."""
+    """Return whether a change of part of the state is below `_SMALL` relative to a size; inertia may be zero."""
     return bool((np.abs(change) <= _SMALL * size).all())
 
 
 def _differs(bodies: RigidBodies, actual: Array, expected: Array, same: float = 0.0, part: float = 0.0) -> Indices:
-    """Return the bodies with a particle that is not where it is expected, up to tolerances; nan differs."""
+    """Return the bodies with a particle not at its expected position within tolerances; nan counts as different."""
     different = np.zeros(len(bodies), dtype=bool)
     for kind in bodies.kinds:
         known = expected[kind.particles]
@@ -312,7 +312,7 @@ def _differs(bodies: RigidBodies, actual: Array, expected: Array, same: float = 
 
 
 def _saves(*arguments: Any, **options: Any) -> bool:
-    """Return whether arguments of `Context.getState` ask for the integrator's variables."""
+    """Return whether arguments of `Context.getState` request the integrator's variables."""
     return len(arguments) > 6 or bool(options.get("integratorParameters") or options.get("getIntegratorParameters"))
 
 
@@ -327,7 +327,7 @@ def _watch(
     after: Callable[[], None] = _nothing,
     concerns: Callable[..., bool] = lambda *arguments, **options: True,
 ) -> None:
-    """Notice calls of a method of the Context with arguments that concern us: OpenMM has no such callback."""
+    """Call a function at relevant calls of a method of the Context, for which OpenMM has no callback."""
     method = getattr(type(context), name)
     reference = weakref.ref(context)
 

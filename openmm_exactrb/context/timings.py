@@ -12,14 +12,14 @@ class Timings:
     Attributes
     ----------
     forces : float
-        Inside OpenMM, and in the compiled kernels of bonded forces: positions that are set, and evaluations.
+        Time inside OpenMM and in the compiled kernels of bonded forces, for setting positions and for evaluations.
     rotor : float
-        The free motion of the bodies, with the bonded forces within it where one compiled call makes the inner steps.
+        Time of the free motion of the bodies, including bonded forces if one compiled call performs the inner steps.
     total : float
-        Everything inside step().
+        Total time inside step().
     evaluations : int
-        All that steps have OpenMM evaluate, but for nested forces: forces, with or without the energy, and energies
-        alone, which barostats, Metropolis's rule and now and then the check for divergence need.
+        Evaluations by OpenMM except for nested forces: forces, with or without the energy, and energies alone, which
+        barostats, Metropolis's rule and occasionally the check for divergence need.
     fast_evaluations : int
         Evaluations of the forces that are nested in the drifts.
     """
@@ -31,6 +31,6 @@ class Timings:
     fast_evaluations: int = 0
 
     def reset(self) -> None:
-        """Begin again at zero."""
+        """Set all numbers to zero."""
         self.forces = self.rotor = self.total = 0.0
         self.evaluations = self.fast_evaluations = 0

@@ -31,21 +31,21 @@ UPDATES = (_THERMOSTAT, _REMOVER, *BAROSTATS)
 
 
 class RemovedMotionWarning(UserWarning):
-    """A CMMotionRemover takes away momentum that frozen particles give: the energy has errors of order 1."""
+    """A CMMotionRemover removes momentum transferred by frozen particles, so the energy has errors of order 1."""
 
 
 class ContextUpdates:
-    """What OpenMM does between steps in a Context; ValueError if a barostat would tear bodies.
+    """OpenMM's actions between steps in a Context; raises ValueError if a barostat would tear bodies.
 
-    A CMMotionRemover acts on velocities alone, and so on the inner state of a processed scheme as on the true one.
-    Barostats and thermostats of the System act on the true state, by OpenMM itself.
+    A CMMotionRemover acts on velocities alone, and therefore equally on the inner and the true state of a processed
+    scheme. Barostats and thermostats of the System act on the true state, by OpenMM itself.
 
     Attributes
     ----------
     moves, pushes : bool
         Whether a barostat moves bodies, and a thermostat changes their momenta.
     temperatures : dict
-        The parameters of the Context that are their temperatures, and whose.
+        The parameters of the Context that hold their temperatures, and the names of the forces.
     """
 
     def __init__(self, context: openmm.Context, named: Sequence[Sequence[int]]) -> None:
@@ -63,11 +63,11 @@ class ContextUpdates:
         self.temperatures = {force.Temperature(): type(force).__name__ for force in acting}
 
     def hottest(self, context: openmm.Context) -> float:
-        """Return RT (kJ/mol) of the hottest thermostat or barostat, as the parameters of the Context have it now."""
+        """Return RT (kJ/mol) of the hottest thermostat or barostat, from the present parameters of the Context."""
         return max((gas_constant_times(context.getParameter(name)) for name in self.temperatures), default=0.0)
 
     def check_temperatures(self, context: openmm.Context, temperature: float) -> None:
-        """Raise ValueError for what would bring bodies to another temperature (K) than the integrator's thermostat."""
+        """Raise ValueError for forces with a temperature (K) other than that of the integrator's thermostat."""
         if self.pushes:
             raise ValueError(
                 "the System has an AndersenThermostat, but this integrator has a thermostat of its own: remove it "
@@ -83,7 +83,7 @@ class ContextUpdates:
 
     @property
     def act(self) -> bool:
-        """Whether there are any."""
+        """Whether there are such forces."""
         return self.moves or self.pushes or self.removes_motion
 
     @property
@@ -97,25 +97,25 @@ class ContextUpdates:
 
     @property
     def period(self) -> int:
-        """After how many steps barostats or thermostats have something to do; 0 is never."""
+        """Number of steps between two actions of barostats or thermostats; 0 is never."""
         return 1 if self.pushes else math.gcd(*(barostat.getFrequency() for barostat in self._barostats))
 
     @property
     def removal(self) -> int:
-        """Of what the numbers of steps are multiples behind which motion is removed; 0 is never."""
+        """Number of steps between two removals of motion; 0 is never."""
         return math.gcd(*self._removals)
 
     def remove_motion(self, mass: Array, state: State, number: int) -> State:
-        """Return the state behind a step of this number, its centre of mass at rest if that is due; masses are (N,)."""
+        """Return the state after a given step, with its centre of mass at rest if that is due; masses are (N,)."""
         if any(number % interval == 0 for interval in self._removals):
             velocity = state.P.sum(axis=(0, 2)) / mass.sum()
             return state._replace(P=self._advance(state.P, velocity[:, None] * mass, -1.0))
         return state
 
     def due(self) -> int:
-        """Count a step; return how many updates of OpenMM are to be made now, in the last of which something acts.
+        """Count a step; return the number of OpenMM's updates that are due, in the last of which something acts.
 
-        A barostat of frequency n acts in every n-th update: the others do nothing, and wait for it.
+        A barostat of frequency n acts in every n-th update: the others do nothing, and are deferred to it.
         """
         if not (self.moves or self.pushes):
             return 0
@@ -135,7 +135,7 @@ class ContextUpdates:
         return 2 * trials
 
     def changed(self, sync: Synchronisation, state: State, box: tuple[float, ...]) -> State:
-        """Return a state with what an update made of the particles of its Context, which had this box before."""
+        """Return a state after an update of its Context; `box` is that before the update."""
         context = sync.context
         if not self.pushes:
             if arrays.box(context.getState()) == box:
@@ -147,9 +147,10 @@ class ContextUpdates:
 
 
 def conserve_energy(system: openmm.System) -> bool:
-    """Return whether the forces of a System conserve its energy for all that is known.
+    """Return whether the forces of a System are known to conserve its energy.
 
-    A PythonForce, but for ours, may depend on time or have no energy, and a plugin's force, a mere Force here, do work.
+    A PythonForce, except for ours, may depend on time or have no energy, and a plugin's force, a plain Force here, may
+    do work.
     """
     return not any(
         type(force) is openmm.Force or (isinstance(force, openmm.PythonForce) and force.getName() not in _OURS)
@@ -170,7 +171,7 @@ def warn_of_removed_motion(system: openmm.System) -> None:
 
 
 def acting_updates(context: openmm.Context) -> list[Any]:
-    """Return the thermostats and barostats that a Context knows: those that joined its System later do nothing."""
+    """Return the thermostats and barostats of a Context; those added to its System later do nothing."""
     known = set(context.getParameters())
     names = (_THERMOSTAT, *BAROSTATS)
     found = [force for force in context.getSystem().getForces() if type(force).__name__ in names]
@@ -178,7 +179,7 @@ def acting_updates(context: openmm.Context) -> list[Any]:
 
 
 def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Sequence[Sequence[int]]) -> None:
-    """Raise ValueError for bodies that a barostat would tear: it moves particles or OpenMM's molecules individually."""
+    """Raise ValueError for bodies torn by a barostat that moves particles or OpenMM's molecules individually."""
     for barostat in barostats:
         if not getattr(barostat, "getScaleMoleculesAsRigid", lambda: True)():
             name = type(barostat).__name__
@@ -195,7 +196,7 @@ def _check_torn_bodies(context: openmm.Context, barostats: list[Any], named: Seq
 
 
 def _check_dipoles_of_one_box(context: openmm.Context, barostats: list[Any]) -> None:
-    """Raise ValueError for dipole forces by formulas: in a box that changes their numbers may become wrong silently."""
+    """Raise ValueError for dipole forces by formulas, which may silently become wrong in a box that changes."""
     for force in context.getSystem().getForces() if barostats else ():
         formula = isinstance(force, openmm.CustomHbondForce | openmm.CustomCompoundBondForce)
         if formula and force.getName() == _OURS[0] and force.usesPeriodicBoundaryConditions():

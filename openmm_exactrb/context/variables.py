@@ -1,9 +1,9 @@
-"""Persistent variables: what checkpoints, States and XML of OpenMM take along, declared in one list by their owners.
+"""Persistent variables, which checkpoints, States and XML of OpenMM contain, declared in one list.
 
 Names and order are the format of checkpoints. All integrators of the package have the variables of all of its
-thermostats, so that a checkpoint or State of one kind can be read by another. Numbers that only one thermostat has
-follow, and are a format of their own: a checkpoint of OpenMM is a row of numbers without names, which OpenMM reads into
-any variables. So the first number is the mark of the format too.
+thermostats, so that a checkpoint or State of one kind can be read by another. Numbers of a single thermostat follow,
+and are a format of their own: a checkpoint of OpenMM is a row of numbers without names, which OpenMM reads into any
+variables. The first number therefore also marks the format.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ OTHER_FORMAT = (
 
 
 def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory: int | None = None) -> None:
-    """Give a new integrator its variables, and the program that lets OpenMM do its own part of a step.
+    """Give a new integrator its variables, and the program with which OpenMM performs its own part of a step.
 
-    A copy that OpenMM makes, from XML or within a CompoundIntegrator, has no Python: its steps would let the clock run
-    while nothing moves. So positions and velocities become nan unless a step comes from Python. `own` are numbers of a
-    thermostat that not all integrators have. A processed scheme has an inner state too, and a `memory` of so many
-    forces.
+    A copy that OpenMM creates, from XML or within a CompoundIntegrator, has no Python part: its steps would advance the
+    clock while nothing moves. Positions and velocities therefore become nan unless a step comes from Python. `own`
+    names numbers of a thermostat that not all integrators have. A processed scheme also has an inner state, and a
+    `memory` of that many forces.
     """
     stored = _PREFIX + _STORED
     for name in _VECTORS:
@@ -71,18 +71,18 @@ def declare(integrator: openmm.CustomIntegrator, own: Sequence[str] = (), memory
 
 
 def declare_numbers(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
-    """Give a new integrator the numbers of the package, and some of its own, at zero."""
+    """Give a new integrator the numbers of the package and its own, all zero."""
     for name in (*_NUMBERS, *own):
         integrator.addGlobalVariable(_PREFIX + name, 0.0)
 
 
 def written(own: Sequence[str]) -> float:
-    """Return the first number of an integrator that has a state, and numbers of its own: at least 1, below 2."""
+    """Return the first number of an integrator with a state and numbers of its own: at least 1, below 2."""
     return _WRITTEN + (1 + zlib.crc32(" ".join(own).encode())) / 2**33 if own else _WRITTEN
 
 
 def marks(own: Sequence[str] = ()) -> tuple[float, float]:
-    """Return what the first number of an integrator with a state and numbers of its own can be."""
+    """Return the possible first numbers of an integrator with a state and numbers of its own."""
     return written(own), _STEPPING
 
 
@@ -97,7 +97,7 @@ def device(own: Sequence[str]) -> float:
 
 
 def declare_device(integrator: openmm.CustomIntegrator, own: Sequence[str] = ()) -> None:
-    """Give a new integrator, which keeps the state itself, the mark and its numbers."""
+    """Give a new integrator that stores the state itself the mark and its numbers."""
     integrator.addGlobalVariable(_PREFIX + _STORED, NOTHING)
     declare_numbers(integrator, own)
 
@@ -119,7 +119,7 @@ def put(integrator: openmm.CustomIntegrator, name: str, value: float) -> None:
 
 
 def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
-    """Let OpenMM make steps of its own, in which barostats and thermostats of the System do their part."""
+    """Let OpenMM perform steps of its own, in which barostats and thermostats of the System act."""
     before = get(integrator, _STORED)
     put(integrator, _STORED, _STEPPING)
     try:
@@ -129,7 +129,7 @@ def step_openmm(integrator: openmm.CustomIntegrator, steps: int) -> None:
 
 
 class Numbers:
-    """Numbers that the substeps of a call change: what a step adds counts when the step is kept."""
+    """Numbers that the substeps of a call change; additions take effect when the step is kept."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = names
@@ -137,22 +137,22 @@ class Numbers:
         self._kept: dict[str, float] = {}
 
     def load(self, integrator: openmm.CustomIntegrator) -> None:
-        """Read them at the begin of a call."""
+        """Read the numbers at the start of a call."""
         self.present = {name: get(integrator, name) for name in self._names}
         self.keep()
 
     def keep(self) -> None:
-        """Keep the present ones."""
+        """Keep the present numbers."""
         self._kept = dict(self.present)
 
     def store(self, integrator: openmm.CustomIntegrator) -> None:
-        """Write what was kept at the end of a call."""
+        """Write the kept numbers at the end of a call."""
         for name, value in self._kept.items():
             put(integrator, name, value)
 
 
 def write(integrator: openmm.CustomIntegrator, bodies: RigidBodies, state: State, which: str = SHOWN) -> None:
-    """Write the sums of a state; `mark` says that one is there."""
+    """Write the sums of a state, and the `mark` of its presence."""
     R, P, q, m = state
     first, turning = bodies.first_particle, bodies.first_particle[: bodies.n_turning]
     full = np.zeros((2, 5, bodies.n_particles, 3))
@@ -188,7 +188,7 @@ def read(integrator: openmm.CustomIntegrator, bodies: RigidBodies, which: str = 
 
 
 def write_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies, memory: Remembered) -> None:
-    """Write forces (3, N) and torques (3, K) that are remembered."""
+    """Write the stored forces (3, N) and torques (3, K)."""
     forces, differences = memory
     for k, values in enumerate([*forces, *differences]):
         for name, value in zip(_last(k), values, strict=True):
@@ -200,7 +200,7 @@ def write_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies, memor
 
 
 def read_forces(integrator: openmm.CustomIntegrator, bodies: RigidBodies) -> Remembered:
-    """Read what `write_forces` wrote."""
+    """Read the forces and torques that `write_forces` wrote."""
     memory: list[Force] = []
     n = int(get(integrator, REMEMBERED))
     for k in range(n + int(get(integrator, DIFFERENCES))):

@@ -1,4 +1,4 @@
-"""The rigid bodies and constrained clusters of an OpenMM System: which particles belong together."""
+"""The rigid bodies and constrained clusters of an OpenMM System."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ def find_bodies(
     box: Array | None = None,
     pairs: bool = False,
 ) -> RigidBodies:
-    """Find the rigid bodies of a System, clusters of particles that constraints hold rigid, and its other particles.
+    """Find the rigid bodies of a System, which are clusters held rigid by constraints, and its other particles.
 
-    Those are free, or of clusters whose constraints leave them a motion of their own.
+    The other particles are free, or belong to clusters that constraints do not hold rigid.
 
     Parameters
     ----------
     system : openmm.System
     positions : (n_particles, 3) array
-        In nm. They distinguish a body from its mirror image, and define the shape where constraints do not.
+        In nm. They distinguish a body from its mirror image, and define the shape if constraints do not.
     bodies : sequence of sequences of int, optional
         Particles of further bodies, whose shape is that of the positions. Their virtual sites may be named or not.
     box : (3, 3) array, optional
         Vectors of the periodic box in nm, which may have split bodies: see `whole_positions`.
     pairs : bool, optional
-        Whether two particles with a constraint between them are a cluster, and not a linear body.
+        Whether two particles with a constraint between them form a cluster instead of a linear body.
 
     Raises
     ------
     ValueError
-        If nothing can move, constraints follow from each other or lead out of a body, a body is named wrongly, or the
-        System has Drude particles.
+        If nothing can move, constraints are redundant or lead out of a body, a named body is invalid, or the System has
+        Drude particles.
     """
     masses = parameters.masses(system)
     _check_drude_particles(system)
@@ -87,9 +87,9 @@ def find_bodies(
 
 
 def _flexible(particles: Indices, masses: Array, distances: Array, positions: Array) -> ClusterKind:
-    """Return clusters from those of their distances that are constrained; the others are nan.
+    """Return clusters from their constrained distances; the other distances are nan.
 
-    Rows that follow from others are implied: all lengths then are those of the best fit to all of them.
+    Redundant rows are implied: all lengths are then those of the best fit to all rows.
     """
     pairs = np.argwhere(np.triu(~np.isnan(distances), 1))
     kind = ClusterKind(particles, masses, pairs, distances[pairs[:, 0], pairs[:, 1]])
@@ -113,7 +113,7 @@ def _flexible(particles: Indices, masses: Array, distances: Array, positions: Ar
 
 
 def _atoms_of(clusters: Clusters) -> Iterable[Kind]:
-    """Yield the particles of clusters as single ones, in the order of the clusters; neighbours of one mass together."""
+    """Yield the particles of clusters as single particles, in the order of the clusters, grouped by mass."""
     starts = np.flatnonzero(np.diff(clusters.mass, prepend=np.nan) != 0.0)
     for particles, mass in zip(np.split(clusters.particles, starts[1:]), clusters.mass[starts], strict=False):
         yield Kind(particles[:, None], slice(0), np.array([mass]), np.zeros((1, 1, 3)), float(mass), np.zeros((1, 3)))
@@ -130,7 +130,7 @@ def _check_drude_particles(system: openmm.System) -> None:
 
 
 def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequence[int]]) -> list[Indices]:
-    """Return the particles with mass of the bodies that a user named."""
+    """Return the massive particles of the bodies that a user named."""
     owner = checks.owners(bodies, len(masses))
     for particle in map(int, np.flatnonzero((owner >= 0) & (masses == 0.0))):
         if not system.isVirtualSite(particle):
@@ -153,7 +153,7 @@ def _named_bodies(system: openmm.System, masses: Array, bodies: Sequence[Sequenc
 
 
 def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple[Indices, Array]]:
-    """Return the particles (N, n) of bodies of one kind, and their distances (n, n) that constraints give, or nan."""
+    """Return the particles (N, n) of bodies of one kind, and their constrained distances (n, n), or nan."""
     from scipy.sparse import coo_array  # here, for a short import of the package
     from scipy.sparse.csgraph import connected_components
 
@@ -171,7 +171,7 @@ def _clusters(held: Rows, masses: Array, given: list[Indices]) -> Iterable[tuple
 
 
 def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[Indices, Array]]:
-    """Yield the particles (N, n) of clusters of n particles, by their labels, and their distances (N, n, n)."""
+    """Yield the particles (N, n) of clusters of n particles, from their labels, and their distances (N, n, n)."""
     pairs, lengths = held
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1, append=len(label)))
@@ -193,7 +193,7 @@ def _of_one_size(held: Rows, label: Indices, owner: Indices) -> Iterable[tuple[I
 
 
 def _alike(masses: Array, particles: Indices, distances: Array) -> Iterable[tuple[int, Indices, Array]]:
-    """Yield clusters with mass by their masses and distances: the first particle, and particles (N, n)."""
+    """Yield clusters grouped by masses and distances: the first particle, and the particles (N, n)."""
     massive = masses[particles].any(axis=1)  # others are frozen, or virtual sites
     particles, distances = particles[massive], distances[massive]
     if not len(particles):

@@ -38,11 +38,11 @@ def kinds_from_distances(particles: Indices, masses: Array, distances: Array, po
 
 
 def on_constraints(particles: Indices, masses: Array, distances: Array, positions: Array) -> Array:
-    """Return positions (n_particles, 3) that are moved as little as constraints want, in the metric of the masses.
+    """Return the closest positions (n_particles, 3) that satisfy constraints, in the metric of the masses.
 
-    Newton's method from the positions that are given; those of bodies without constraints stay. Where constraints
-    follow from each other but for their rounding, they are missed by as little as can be, as least squares. ValueError
-    if positions are not finite, or the constraints cannot be reached from them.
+    Newton's method starts from the given positions; bodies without constraints are unchanged. Constraints that are
+    redundant except for rounding are satisfied in the sense of least squares. A ValueError is raised if positions are
+    not finite, or the method does not converge from them.
     """
     X = positions[particles]
     if not np.isfinite(X).all():
@@ -76,9 +76,9 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
 
 
 def kinds_from_positions(particles: Indices, masses: Array, positions: Array) -> list[Kind]:
-    """Return the kinds of bodies of these masses whose shape is that of their positions.
+    """Return the kinds of bodies with these masses and the shapes of their positions.
 
-    Where all agree with the first one within `RIGIDITY` they have its shape, else each has its own.
+    If all agree with the first within `RIGIDITY` they have its shape, otherwise each has its own.
     """
     X = positions[particles]
     kind = _with_shape_of(particles[:1], masses, X[:1], positions)
@@ -101,7 +101,7 @@ def _with_shape_of(particles: Indices, masses: Array, X: Array, positions: Array
 
 
 def _joined(kinds: list[Kind]) -> Kind:
-    """Return bodies of the same masses as one kind with a shape for each."""
+    """Return bodies with the same masses as one kind with a shape for each body."""
     particles, sites, inertia = (
         np.concatenate([getattr(kind, name) for kind in kinds]) for name in ("particles", "sites", "inertia")
     )
@@ -109,9 +109,9 @@ def _joined(kinds: list[Kind]) -> Kind:
 
 
 def held_rigid(distances: Array, x: Array) -> bool:
-    """Return whether constraints leave a cluster at positions x (k, 3) only the motions of a rigid body.
+    """Return whether constraints restrict a cluster at positions x (k, 3) to the motions of a rigid body.
 
-    Of the distances (k, k) those that are constrained are numbers, the others nan: all are if a user named the body.
+    Unconstrained distances in (k, k) are nan; in a body that the user named all are constrained.
     """
     i, j = np.nonzero(np.triu(~np.isnan(distances), 1))
     every = len(i) == len(x) * (len(x) - 1) // 2
@@ -131,11 +131,11 @@ def held_rigid(distances: Array, x: Array) -> bool:
 
 
 def _kept_flat(distances: Array, places: Array) -> bool:
-    """Return whether constraints keep a body flat or straight, as its coordinates (k, 1 or 2) along its axes are.
+    """Return whether constraints keep a flat or straight body with given coordinates (k, 1 or 2) in that shape.
 
-    They do if some stress on them, which balances at each particle, resists all motions out of the plane: a positive
-    definite matrix whose entries vanish where no distance is constrained. R. Connelly, Invent. Math. 66 (1982) 11. The
-    one closest to that of all distances is tried, for bodies of at most `_LARGEST_FLAT` particles.
+    They do if a stress on them, which is in equilibrium at each particle, resists all motions out of the plane: a
+    positive definite matrix whose entries vanish for unconstrained distances. R. Connelly, Invent. Math. 66 (1982) 11.
+    The stress closest to that of all distances is tried, for bodies of at most `_LARGEST_FLAT` particles.
     """
     k = len(places)
     if k > _LARGEST_FLAT:
@@ -179,9 +179,9 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
 
 
 def _scaled(distances: Array, weights: Array, root: Array) -> tuple[Array, Array]:
-    """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of places.
+    """Return the three largest eigenvalues (3,), 0 if small, and eigenvectors (k, 3) of the Gram matrix of positions.
 
-    These are positions at these distances about the mean with these weights, times a root of a weight each.
+    The positions have the given distances and the weighted mean 0, and are scaled by the square roots of the weights.
     """
     square = distances**2
     to_centre = square @ weights

@@ -1,7 +1,7 @@
-"""Positions of a System with its molecules whole: joined along constraints and bonds, or to a shape that is known.
+"""Positions of a System with its molecules whole: joined along constraints and bonds, or to a known shape.
 
-Bodies that a user named have the shape of their positions. Where nothing joins their parts, positions are taken as they
-are; ValueError where something shows that the box has split them.
+Bodies that a user named have the shape of their positions. If nothing joins their parts, positions are used unchanged;
+a ValueError is raised if there is evidence that the box has split them.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _COMPARED = 4
 
 
 def molecular_links(system: openmm.System, molecule: Indices) -> Links:
-    """Return the constraints and bonds of a System, and what else joins particles (n_particles,) of one molecule.
+    """Return the constraints and bonds of a System, and further links between particles (n_particles,) of a molecule.
 
-    That is nearest images to a particle that a virtual site depends on, or to the first of the molecule.
+    Further links lead to the nearest image of a particle on which a virtual site depends, or of the first particle.
     """
     pairs, lengths = _with_bonds(system, parameters.constraints(system))
     n = len(molecule)
@@ -71,19 +71,19 @@ def _with_bonds(system: openmm.System, held: Rows) -> Rows:
 def whole_positions(
     system: openmm.System, x: Array, masses: Array, named: list[Indices], box: Array | None, held: Rows
 ) -> Array:
-    """Return positions (n_particles, 3) with clusters of constraints whole, and the bodies that a user named.
+    """Return positions (n_particles, 3) in which constrained clusters and bodies named by the user are whole.
 
     ``held`` are the constraints of the System.
 
     Raises
     ------
     ValueError
-        If the box has split a named body, and it is not known where its parts belong.
+        If the box has split a named body, and the positions of its parts are ambiguous.
 
     Warns
     -----
     ShapeWarning
-        If a named body may well be one that the box has split.
+        If the box has probably split a named body.
     """
     if box is None:
         return x
@@ -105,7 +105,7 @@ def whole_positions(
 
 
 def _check_doubtful_bonds(x: Array, links: Links, found: Decided, owner: Indices, box: Array) -> None:
-    """Raise ValueError for a bond within a named body of which no image has the length."""
+    """Raise ValueError for a bond within a named body if no image has its length."""
     i, j = links.pairs.T
     (bad,) = np.nonzero(found.doubtful & (owner[i] >= 0) & (owner[i] == owner[j]))
     if not len(bad):
@@ -139,9 +139,9 @@ _REMEDY = (
 
 
 def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[int], box: Array, split: bool) -> Array:
-    """Return positions with those bodies whole that nothing joins, where others of their masses show their shape.
+    """Return positions in which bodies without links are whole, if others with the same masses show their shape.
 
-    ``split`` is whether the box has split other molecules.
+    ``split`` states whether the box has split other molecules.
     """
     same: dict[bytes, list[int]] = {}
     for place, body in enumerate(bodies):
@@ -160,10 +160,10 @@ def _loose_whole(x: Array, masses: Array, bodies: list[Indices], numbers: list[i
 
 
 def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) of equal masses, those that were split joined, and which of them others confirm.
+    """Return bodies (n, k, 3) of equal masses with split ones joined, and which of them others confirm.
 
-    A shape that all can have, by images of their particles, is that of all. If no shape suits all, those that have the
-    shape of a whole one by their nearest images are joined.
+    If images of the particles give all bodies a common shape, they have that shape. Otherwise those whose nearest
+    images have the shape of a whole body are joined.
     """
     if len(X) == 1 or X.shape[1] == 1:
         return X, np.full(len(X), X.shape[1] == 1)
@@ -193,7 +193,7 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Return bodies (n, k, 3) joined by nearest images, and which of them have shorter gaps then."""
+    """Return bodies (n, k, 3) joined by nearest images, and which of them then have shorter gaps."""
     near, torn = X.copy(), np.ptp(X @ np.linalg.inv(box), axis=1).max(axis=1) > 0.5  # narrow ones are not
     if torn.any():
         (given, _), (across, shifts) = image_gaps(X[torn], None), image_gaps(X[torn], box)
@@ -203,7 +203,7 @@ def _nearest(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def _common_images(X: Array, box: Array) -> Array:
-    """Return the first body (k, 3) with its particles at distances from the first that images in others have too."""
+    """Return the first body (k, 3), with distances from its first particle that images in other bodies have too."""
     shape, offered = np.array(X[0]), lattice(2) @ box
     for place in range(1, len(shape)):
         gaps = (X[:_COMPARED, place] - X[:_COMPARED, 0])[:, None] + offered
@@ -216,7 +216,7 @@ def _common_images(X: Array, box: Array) -> Array:
 
 
 def _joined_to(shape: Array, X: Array, box: Array) -> Array:
-    """Return bodies (n, k, 3) with the images of their particles that suit a shape (k, 3); as given if several do."""
+    """Return bodies (n, k, 3) with the images that match a shape (k, 3); unchanged if several match."""
     n, k, _ = X.shape
     within = spanning_pairs(shape[None], braced=True)
     lengths = np.linalg.norm(shape[within[:, 0]] - shape[within[:, 1]], axis=1)
@@ -229,7 +229,7 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
 
 
 def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:
-    """Return which bodies (n, k, 3) have a shape (k, 3), or that of its mirror image, within a distance."""
+    """Return which bodies (n, k, 3) match a shape (k, 3) or its mirror image within a distance."""
     sites, relative = (a - a.mean(axis=-2, keepdims=True) for a in (shape[None], X))
     found = np.zeros(len(X), dtype=bool)
     for hand in (sites, -sites):
@@ -263,11 +263,11 @@ def _say(number: int, X: Array, box: Array, split: bool) -> None:
 
 
 def _in_cell(X: Array, box: Array) -> bool:
-    """Return whether particles (k, 3) are where wrapping them one by one leaves them, in a cell from 0 or about 0."""
+    """Return whether particles (k, 3) are individually wrapped into a cell that starts or is centred at 0."""
     place = X @ np.linalg.inv(box)
     return any(((place > low - 1e-3) & (place < low + 1.0 + 1e-3)).all() for low in (0.0, -0.5))
 
 
 def _steps(X: Array) -> Array:
-    """Return the steps (k - 1,) on the way through a body (k, 3)."""
+    """Return the distances (k - 1,) between successive particles along a path through a body (k, 3)."""
     return np.asarray(np.linalg.norm(np.diff(X[shortest_tree(X[None])], axis=1)[:, 0], axis=1))

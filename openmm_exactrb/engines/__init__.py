@@ -1,4 +1,4 @@
-"""Engines: what carries the steps of an integrator out in its Context."""
+"""Engines, which perform the steps of an integrator in its Context."""
 
 from openmm_exactrb.engines.catalogue import ENGINES
 from openmm_exactrb.engines.engine import Engine

@@ -1,6 +1,6 @@
-"""What an engine is: a record of what carries out the steps of an integrator in its Context.
+"""The definition of an engine: a record of how the steps of an integrator are performed in its Context.
 
-An engine says of itself everything that the rest of the package needs to know, so that a new one is a folder with a
+The record contains everything that the rest of the package needs to know, so that a new engine is a folder with a
 record and an entry in `openmm_exactrb.engines.catalogue.ENGINES`. Reasons and advice are sentences without a full stop.
 """
 
@@ -27,12 +27,12 @@ NO_BALANCE = "the device does not add up the heat of its thermostat: use engine=
 
 @dataclass(frozen=True)
 class Settings:
-    """What the steps of an integrator are.
+    """The settings that define the steps of an integrator.
 
     Attributes
     ----------
     scheme : Scheme
-        With all substeps of a step, those of the thermostat included.
+        All substeps of a step, including those of the thermostat.
     outer : Scheme
         The scheme that the user named.
     splitting : Scheme
@@ -42,9 +42,9 @@ class Settings:
     h : float
         Size of a step in ps.
     groups : int
-        Bits of the force groups that act.
+        Bits of the active force groups.
     named : list of lists of int, or None
-        Bodies in addition to those of constraints.
+        Bodies in addition to those defined by constraints.
     check : bool
         Whether a jump of the total energy is an error.
     """
@@ -68,12 +68,12 @@ class Settings:
 
     @property
     def own_numbers(self) -> tuple[str, ...]:
-        """Those that no other thermostat has."""
+        """Persistent numbers of this thermostat alone."""
         return () if self.thermostat is None else self.thermostat.own_numbers
 
 
 class Propagator(Protocol):
-    """Makes the steps of an integrator in a Context; it owns the state between them."""
+    """Performs the steps of an integrator in a Context, and owns the state between them."""
 
     @property
     def sync(self) -> Synchronisation:
@@ -81,25 +81,25 @@ class Propagator(Protocol):
 
     @property
     def updates(self) -> ContextUpdates:
-        """What OpenMM does between steps."""
+        """OpenMM's actions between steps."""
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, if the present state is that at the end of its step.
+        """The states before and after the last heat exchange, if the present state is the end of its step.
 
-        ValueError if the engine does not know them.
+        A ValueError is raised if the engine does not keep them.
         """
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange; arguments are those of `advance`.
+        """Return the total energy (kJ/mol) at the last heat exchange; the arguments are those of `advance`.
 
-        ValueError (`NO_BALANCE`) if the engine does not add up the heat of its thermostat.
+        A ValueError (`NO_BALANCE`) is raised if the engine does not add up the heat of its thermostat.
         """
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
-        """Make n steps; whatever happens, the Context is left at a valid state.
+        """Perform n steps; after any error, the Context contains a valid state.
 
-        settings() is asked for if the `version` of the settings differs from that of the last call; `key` is that of
+        settings() is called if the `version` of the settings differs from that of the last call; `key` is the key of
         the random numbers.
         """
 
@@ -112,20 +112,20 @@ class Engine:
     ----------
     name : str
     unsupported : callable
-        unsupported(settings) -> why the scheme, the rotor or the thermostat is not served, or None.
+        unsupported(settings) -> why the scheme, the rotor or the thermostat is not supported, or None.
     unsupported_in : callable
-        unsupported_in(context, settings) -> why a Context with this System and platform is not served, or None.
+        unsupported_in(context, settings) -> why a Context with this System and platform is not supported, or None.
     advice : callable
-        advice(context, settings) -> whether ``engine="auto"`` takes it where it serves, and the reason.
+        advice(context, settings) -> whether ``engine="auto"`` selects the engine if it is supported, and the reason.
     marks : callable
-        marks(settings) -> values of the first variable of an integrator whose variables hold a state of this engine; it
-        is zero where they hold none. Checkpoints and States show by it who wrote them.
+        marks(settings) -> possible values of the first variable of an integrator that holds a state of this engine;
+        zero means that it holds none. The mark identifies the engine that wrote a checkpoint or State.
     declare : callable
         declare(integrator, settings) gives an integrator without a Context its variables and its program.
     propagator : callable
         propagator(context, integrator, settings, timings) -> Propagator; it prepares Context and integrator.
     information : callable
-        information() -> what ``exactrb info`` shows of it here, a sentence.
+        information() -> a sentence about the engine for ``exactrb info``.
     """
 
     name: str

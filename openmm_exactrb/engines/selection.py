@@ -1,4 +1,4 @@
-"""Which engine carries out the steps of an integrator, and why."""
+"""The choice of the engine that performs the steps of an integrator."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ AUTO = "auto"
 class Selection:
     """The engine of an integrator.
 
-    With "auto" the Context decides, and a checkpoint brings along the engine of its run. Until then the integrator has
-    the variables of the host. ValueError if the engine is unknown, or was asked for and does not serve a setting.
+    With "auto" the Context determines the engine, and a checkpoint that of its run. Until then the integrator has the
+    variables of the host. A ValueError is raised if the engine is unknown, or was requested and does not support a
+    setting.
 
     Attributes
     ----------
     asked : str
         The name of an engine, or "auto".
     engine : Engine
-        Provisional until the Context has decided.
+        The engine; provisional until there is a Context.
     note : str
-        The reason for it, a sentence.
+        The reason for the choice, a sentence.
     marks : tuple of float
-        What the first variable of the integrator can be, with no state or one that this engine wrote.
+        Possible values of the first variable of the integrator, without a state or with one of this engine.
     """
 
     def __init__(self, asked: str, settings: Settings) -> None:
@@ -43,11 +44,11 @@ class Selection:
 
     @property
     def open(self) -> bool:
-        """Whether the Context decides."""
+        """Whether the Context determines the engine."""
         return len(self._candidates) > 1
 
     def settle(self, context: Any, integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-        """Choose the engine for a Context and these settings; ValueError if none serves them."""
+        """Choose the engine for a Context and settings; raise ValueError if none supports them."""
         writer = self._writer(integrator, settings)
         serving, reasons = _serving(self._candidates, lambda engine: engine.unsupported_in(context, settings))
         if not self.open:
@@ -67,9 +68,9 @@ class Selection:
         self.engine, self.note, self.marks = engine, note, (variables.NOTHING, *engine.marks(settings))
 
     def _writer(self, integrator: openmm.CustomIntegrator, settings: Settings) -> Engine | None:
-        """Return the engine that wrote the state in an integrator's variables, None without a state.
+        """Return the engine that wrote the state in an integrator's variables, or None without a state.
 
-        ValueError if another kind of integrator wrote it, or an engine that was not asked for.
+        A ValueError is raised if another kind of integrator wrote it, or an engine that was not requested.
         """
         mark = integrator.getGlobalVariable(0)
         if mark == variables.NOTHING:
@@ -84,7 +85,7 @@ class Selection:
 
 
 def _serving(engines: Sequence[Engine], unsupported: Callable[[Engine], str | None]) -> tuple[list[Engine], list[str]]:
-    """Return the engines that serve, and why others do not; ValueError if none does."""
+    """Return the supported engines, and why others are not; raise ValueError if there are none."""
     answers = [(engine, unsupported(engine)) for engine in engines]
     serving, reasons = [engine for engine, why in answers if not why], [why for _, why in answers if why]
     if not serving:

@@ -38,7 +38,7 @@ def as_completed(
     Parameters
     ----------
     jobs : iterable of Job
-        Equal ones are executed once.
+        Jobs; equal jobs are executed once.
     folder : path
         Stores one JSON file for each successful job. Delete a file to have its job executed again.
     scheduler : str, optional

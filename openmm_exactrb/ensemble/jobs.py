@@ -20,7 +20,7 @@ from openmm_exactrb.support.version import version
 
 
 class Job:
-    """One run of an ensemble: a function and the arguments that it is called with.
+    """One run of an ensemble: a function and its arguments.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ class Job:
     Raises
     ------
     TypeError
-        If the function cannot be found by its name in its module, does not accept the arguments, or one of them is of
-        another type.
+        If the function cannot be found by its name in its module or does not accept the arguments, or if an argument is
+        of another type.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ def sweep(function: Callable[..., Any], axes: Mapping[str, Iterable[Any]], **fix
     Raises
     ------
     TypeError
-        If the values of an axis are a str, or as for a `Job`.
+        As for a `Job`, or if the values of an axis are a str.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def versions() -> list[str]:
 
 
 def _importable_name(function: Any) -> str:
-    """Return the name of a function or class by which a worker finds it."""
+    """Return the name by which a worker finds a function or class."""
     try:
         found = attrgetter(function.__qualname__)(sys.modules[function.__module__])
     except (AttributeError, KeyError):

@@ -77,7 +77,7 @@ def perform(pickled: bytes, wanted: list[str]) -> dict[str, Any]:
 
 
 def _as_from_json(value: Any) -> Any:
-    """Return a value as it is read from JSON, so that new results equal stored ones."""
+    """Return a value as JSON would return it, so that new results equal stored ones."""
 
     def listed(part: Any) -> Any:
         if isinstance(part, (np.ndarray, np.generic)):

@@ -1,9 +1,9 @@
-"""Against roundoff: double-double numbers, and norms that do not drift.
+"""Reduction of roundoff: double-double numbers, and norms that do not drift.
 
-A million small steps of double-doubles round no more than one large one. An array of them is (2, ...): ``x[0]`` is the
-number rounded to float64, ``x[1]`` the rounding error.
+A million small steps of double-doubles have no more roundoff than a single large one. An array of them is (2, ...):
+``x[0]`` is the number rounded to float64, ``x[1]`` the rounding error.
 
-From `two_sum` on are error-free transformations, for arrays, and for scalars in compiled code.
+The functions from `two_sum` on are error-free transformations, for arrays, and for scalars in compiled code.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ def renewed(x: Array, high: Array) -> Array:
 
 
 def keep_norm(m1: Array, m: Array, square: Array) -> Array:
-    """Give momenta m1 (3, N) the norm of m, which they have up to roundoff, in place; `square` is m.m.
+    """Give momenta m1 (3, N), in place, the norm of m, from which theirs differs by roundoff; `square` is m.m.
 
-    The difference of the squares, as (m - m1).(m + m1), is small and its rounding has no bias; what 1 - m1.m1/m.m
-    leaves has one, because floating-point numbers below one are denser than above, and the norm drifts.
+    The difference of the squares, computed as (m - m1).(m + m1), is small and its rounding is unbiased. The rounding of
+    1 - m1.m1/m.m is biased, because floating-point numbers are denser below one than above, and would make the norm
+    drift.
     """
     m1 += m1 * (np.einsum("in,in->n", m - m1, m + m1) * (0.5 / square))
     return m1

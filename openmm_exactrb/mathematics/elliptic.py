@@ -1,7 +1,7 @@
 """Jacobi's elliptic functions and the integral of the third kind that a free rigid body needs.
 
 Everything is expressed by the *complementary* parameter kc² = 1 - k², because near the separatrix of the
-rigid body kc is tiny and k has lost its digits. `scipy.special.ellipj` takes k² and is of no use there.
+rigid body kc is tiny and k has lost its digits. `scipy.special.ellipj` takes k² and cannot be used there.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ def jacobi(v: Array, kc2: Array) -> tuple[Array, Array, Array, Array]:
 def third_kind(v: Array, kc2: Array, c: Array, b: Array, w: Array, cn: Array, dn: Array, half_turns: Array) -> Array:
     """Integrate b w² / (1 + b w²) over v/c, where w = sn(v)/c, from 0 to v, past any number of half periods.
 
-    cn, dn and half_turns are what `jacobi` returned for v and kc2; b and c are not negative. Where c is zero, v is zero
-    and w the limit of sn(v)/c.
+    cn, dn and half_turns are the results of `jacobi` for v and kc2; b and c are not negative. If c is zero, v is zero
+    and w is the limit of sn(v)/c.
 
     Notes
     -----
     Within half a period it is b/3 w³ R_J(cn², dn², 1, 1 + b w²) with Carlson's R_J (DLMF 19.25.14), and it is
-    elementary where kc = 0.
+    elementary if kc = 0.
     """
     separatrix = kc2 == 0.0
     reduced = np.where(cn < 0.0, -w, w)
@@ -107,10 +107,10 @@ def carlson_rj(x: Array | float, y: Array, p: Array) -> Array:
 
     Notes
     -----
-    scipy's, but for two limits. For large p it leaves out the last term of 3/p (R_F - pi/(2 sqrt(p)) + 2 R_G/p), which
-    is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). Where x y is no normal number it is
-    wrong by up to 1e-3; there 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1, p)) is left, R_J(x', x', 1, p) with x' between
-    x and y.
+    The function of scipy, except for two limits. For large p, scipy omits the last term of 3/p (R_F - pi/(2 sqrt(p)) +
+    2 R_G/p), which is up to 1e-13 of the whole; the next one is of order p^-3/2 (DLMF 19.27.11-13). If x y is not a
+    normal number, it is wrong by up to 1e-3; the result is then 3/p (log(4/(sqrt(x) + sqrt(y))) - R_C(1, p)), which is
+    R_J(x', x', 1, p) with x' between x and y.
     """
     from scipy.special import elliprc, elliprf, elliprg, elliprj  # here, for a short import of the package
 
@@ -171,10 +171,10 @@ def sine_short(s: Numbers, x: Numbers, z: Numbers) -> Numbers:
 
 
 def third_kind_legendre(sn: Array, cn: Array, dn: Array, half_turns: Array, kc2: Array, nc: Array) -> Array:
-    """Legendre's incomplete integral of the third kind less its argument, Pi(n; am u, k) - u, past any half period.
+    """Legendre's incomplete integral of the third kind minus its argument, Pi(n; am u, k) - u, for any u.
 
-    That is the integral of n sn² / (1 - n sn²) from 0 to u, for what `jacobi` returns for u and positive kc2 = 1 - k²,
-    and positive nc = 1 - n: n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period (DLMF 19.25.14).
+    This is the integral of n sn² / (1 - n sn²) from 0 to u, from the results of `jacobi` for u and positive kc2 = 1 -
+    k², and for positive nc = 1 - n: n/3 sn³ R_J(cn², dn², 1, 1 - n sn²) within half a period (DLMF 19.25.14).
     """
     sn2, cn2 = sn * sn, cn * cn
     folded = np.where(cn < 0.0, -sn, sn)

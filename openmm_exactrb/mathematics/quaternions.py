@@ -1,6 +1,6 @@
-"""Unit quaternions (..., 4), scalar first: q = (w, x, y, z) turns body coordinates into space coordinates.
+"""Unit quaternions (..., 4), scalar first: q = (w, x, y, z) maps body coordinates to space coordinates.
 
-Inner loops hold them component-first, (4, N): one contiguous row a component.
+Inner loops store them component-first, (4, N), with one contiguous row per component.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def product(
 
 
 def exponential(turn: Array) -> Array:
-    """Return the component-first quaternions (4, N) of turns by the vectors (3, N), in rad about their directions."""
+    """Return the component-first quaternions (4, N) of rotations by vectors (3, N), in rad about their directions."""
     half = 0.5 * np.sqrt(np.einsum("in,in->n", turn, turn))
     return np.concatenate([np.cos(half)[None], 0.5 * np.sinc(half / np.pi) * turn])
 
@@ -54,8 +54,9 @@ def renormalise(x: Array) -> Array:
 def norm_defect(q: Array) -> Array:
     """Return 1 - q.q of component-first unit quaternions (4, N), with an error of 1e-24.
 
-    In float64 the sum has an error of 1e-16 that depends on q: a norm corrected by it, and the force with the norm,
-    would follow it, and the energy drift. The squares of numbers on a grid of 2^-26 are exact, and so is their sum.
+    In float64 the sum has an error of 1e-16 that depends on q. A norm corrected by this sum, and with it the force,
+    would follow the error, and the energy would drift. The squares of numbers on a grid of 2^-26 are exact, and so is
+    their sum.
     """
     coarse = (q + TO_GRID) - TO_GRID
     rest = np.einsum("in,in->n", q - coarse, q + coarse)
@@ -64,7 +65,7 @@ def norm_defect(q: Array) -> Array:
 
 
 def rotation_matrix(q: ArrayLike) -> Array:
-    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4); Q turns body into space.
+    """Return the rotation matrices Q (..., 3, 3) of unit quaternions (..., 4), from body to space coordinates.
 
     Equation (17) of the paper.
     """

@@ -1,4 +1,4 @@
-"""The state of rigid bodies: as it moves (sums high + low) and is shown (float64), its flows, and its last forces."""
+"""The state of rigid bodies, as sums high + low and in float64, its flows, and its last forces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Remembered = tuple[list[Force], list[Force]]
 
 
 class BodyState(NamedTuple):
-    """Positions and momenta of N bodies, the first K of which turn.
+    """Positions and momenta of N bodies, the first K of which rotate.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class BodyState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The same as sums of `openmm_exactrb.mathematics.compensated`, so that no step rounds it: what flows act on.
+    """A state as sums of `openmm_exactrb.mathematics.compensated`, so that steps do not round it; flows act on it.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, rounded: BodyState) -> State:
-        """Return a state that was rounded as sums with nothing in their low parts."""
+        """Return a rounded state as sums with low parts of zero."""
         return cls(*map(exactly, rounded))
 
     @property
@@ -67,20 +67,20 @@ class State(NamedTuple):
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; low parts, and whole arrays, stay where they are what they were."""
+        """Return the state with new high parts; unchanged numbers keep their low parts, unchanged arrays are reused."""
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
 
 
 class ForceMemory:
-    """The forces of the last kicks, the most recent ones first: what the output of a processed scheme is made of.
+    """The forces of the last kicks, most recent first, from which a processed scheme computes its output.
 
     Attributes
     ----------
     forces, differences : deque of (force, torque)
-        At the last positions, and what the forces of the last force-gradient kicks differed by.
+        Forces at the last positions, and differences of the displaced forces of the last force-gradient kicks.
     closed : bool
-        Whether nothing is added: while output is made.
+        Whether additions are ignored, as they are while output is computed.
     """
 
     def __init__(self, forces: int = 0, differences: int = 0) -> None:
@@ -89,31 +89,31 @@ class ForceMemory:
         self.closed = False
 
     def add_force(self, force: Force) -> None:
-        """Remember a force."""
+        """Store a force."""
         if not self.closed:
             self.forces.appendleft(force)
 
     def add_difference(self, difference: Force) -> None:
-        """Remember what a displaced force differed by."""
+        """Store the difference between a displaced and an undisplaced force."""
         if not self.closed:
             self.differences.appendleft(difference)
 
     @property
     def full(self) -> bool:
-        """Whether there are as many as can be remembered."""
+        """Whether the memory is full."""
         return all(len(some) == some.maxlen for some in (self.forces, self.differences))
 
     def clear(self) -> None:
-        """Forget all."""
+        """Delete all forces."""
         self.forces.clear()
         self.differences.clear()
 
     def copy(self) -> Remembered:
-        """Return the forces and the differences, however many there are."""
+        """Return copies of the stored forces and differences."""
         return list(self.forces), list(self.differences)
 
     def restore(self, copy: Remembered) -> None:
-        """Remember what `copy` returned."""
+        """Store what `copy` returned."""
         self.clear()
         self.forces.extend(copy[0][: self.forces.maxlen])
         self.differences.extend(copy[1][: self.differences.maxlen])

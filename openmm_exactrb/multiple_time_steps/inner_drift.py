@@ -1,8 +1,8 @@
 """Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
 
 M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
-outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies that this
-potential does not move have no part in it: their drift is one.
+outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies on which
+this potential does not act have a single drift.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class InnerDrift:
         scheme: Scheme,
         h: float,
     ) -> tuple[Flow[State], Mapping[str, Flow[State]], EvaluatedForces]:
-        """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
+        """Return the drifts with fast forces, and the remaining active forces for kicks.
 
-        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.split``.
-        timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it passes; h
-        (ps) is the step of the scheme.
+        The drifts are those of all bodies and, unless all have inner steps, the drifts of subsets as in
+        ``Kinetic.split``. timed(drift, passes=True) is a drift that moves the positions of the Context and, if
+        `passes`, advances its time; h (ps) is the step of the scheme.
         """
         inner, repetitions = self.fast.inner(scheme).sequence, self.fast.repetitions(scheme, h)
         if self._own is None:
@@ -95,7 +95,7 @@ class InnerDrift:
         inner: Sequence,
         repetitions: Callable[[float], int],
     ) -> tuple[Flow[State], ContextForces]:
-        """Return the drift with inner steps of the bodies of the excerpt, and their fast forces."""
+        """Return the drift with inner steps for the bodies of the excerpt, and their fast forces."""
         terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
         if terms is None:
             fast = ContextForces(own, *of_groups)
@@ -107,7 +107,7 @@ class InnerDrift:
         return inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions), fast
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
-        """Return a drift that is right for bodies outside of the excerpt: that of rigid ones is cheaper."""
+        """Return a drift that is valid for bodies outside of the excerpt; that of rigid bodies is cheaper."""
         clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
         return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift
 
@@ -115,7 +115,7 @@ class InnerDrift:
 def inner_steps(
     drift: Flow[State], fast_kick: Flow[State], sequence: Sequence, repetitions: Callable[[float], int]
 ) -> Flow[State]:
-    """Return a drift made of inner steps, whose scheme is a sequence of drifts and kicks by the fast forces.
+    """Return a drift that consists of inner steps, with a sequence of drifts and kicks by the fast forces.
 
     repetitions(tau) is the number of inner steps in a drift of this time.
     """

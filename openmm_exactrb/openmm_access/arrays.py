@@ -1,7 +1,7 @@
 """Vectors of an OpenMM State as numpy arrays, without units.
 
-`State.getForces(asNumpy=True)` and its like spend some 12 microseconds on units and on looking for attributes, which
-counts where a force evaluation takes 40: the call that they make is made directly.
+`State.getForces(asNumpy=True)` and similar methods spend some 12 microseconds on units and attributes, which matters if
+a force evaluation takes 40: their inner call is made directly.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def forces(state: openmm.State) -> Array:
 
 
 def surroundings(state: openmm.State) -> tuple[tuple[float, ...], dict[str, float]]:
-    """Return the box and the parameters: what forces depend on apart from positions."""
+    """Return the box and the parameters, on which forces depend in addition to positions."""
     return box(state), dict(state.getParameters())
 
 
 def take_parameters(context: openmm.Context, state: openmm.State) -> None:
-    """Give a Context the parameters of a State that both have: forces may have joined a System after its Context."""
+    """Give a Context the parameters of a State that both have, since forces may have been added after its creation."""
     theirs = state.getParameters()
     for name in context.getParameters():
         if name in theirs:
@@ -56,7 +56,7 @@ def box(state: openmm.State) -> tuple[float, ...]:
 
 
 def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
-    """Return the vectors (3, 3) of the periodic box of a Context, or the default of a System, in nm; None without."""
+    """Return the box vectors (3, 3) of a Context, or the default of a System, in nm; None without a periodic box."""
     system = source if isinstance(source, openmm.System) else source.getSystem()
     if not system.usesPeriodicBoundaryConditions():
         return None
@@ -66,7 +66,7 @@ def periodic_box(source: openmm.System | openmm.Context) -> Array | None:
 
 
 def alike(rows: NDArray[Any]) -> tuple[Indices, Indices]:
-    """Return the first of each group of rows with the same bytes, in their order, and the group of each row."""
+    """Return the first of each group of bit-identical rows, in order, and the group of each row."""
     rows = np.ascontiguousarray(rows)
     keys = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1])))[:, 0]
     _, first, group = np.unique(keys, return_index=True, return_inverse=True)

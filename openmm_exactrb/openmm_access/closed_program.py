@@ -1,4 +1,4 @@
-"""The program of an integrator, which this package writes: a user's own computations raise an error."""
+"""The program of an integrator, which only this package writes: a user's own computations raise an error."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import openmm
 
 
 def _closed(name: str) -> Any:
-    """Return a method of CustomIntegrator that raises ValueError once the integrator is made."""
+    """Return a method of CustomIntegrator that raises ValueError once the integrator is complete."""
     method = getattr(openmm.CustomIntegrator, name)
 
     @functools.wraps(method)
@@ -25,7 +25,7 @@ def _closed(name: str) -> Any:
 
 
 class OwnProgram:
-    """Methods of openmm.CustomIntegrator that write programs; only the making of an integrator may call them."""
+    """Methods of openmm.CustomIntegrator that write programs; only the constructor of an integrator may call them."""
 
     _made = False
 

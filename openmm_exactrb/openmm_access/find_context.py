@@ -9,7 +9,7 @@ import openmm
 
 
 def find_context(integrator: openmm.Integrator) -> openmm.Context:
-    """Find the Context that was made with an integrator; ValueError if there is no Context yet."""
+    """Find the Context that was created with an integrator; raise ValueError if it does not exist yet."""
     context = _referring(integrator)
     if context is None and gc.get_freeze_count():  # what is frozen refers to nothing, for the collector
         gc.unfreeze()
@@ -23,7 +23,7 @@ def find_context(integrator: openmm.Integrator) -> openmm.Context:
 
 
 def _referring(integrator: Any) -> Any:
-    """Search what refers to the integrator alone: to hold all objects breaks tuples that other threads are making."""
+    """Search only the referrers of the integrator: a list of all objects breaks tuples that other threads create."""
     for referrer in gc.get_referrers(integrator):
         if isinstance(referrer, openmm.Context):
             return referrer

@@ -1,4 +1,4 @@
-"""Which particles and which bodies are of one molecule."""
+"""The molecules to which particles and bodies belong."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def molecule_of(context: Any, named: Named) -> Indices:
 
 
 def in_flexible_molecules(context: Any, bodies: RigidBodies, named: Named) -> NDArray[np.bool_]:
-    """Return which bodies (N,) are in molecules of more than one body."""
+    """Return a mask (N,) of the bodies in molecules of more than one body."""
     molecule = molecule_of(context, named)[bodies.first_particle]
     flexible: NDArray[np.bool_] = np.bincount(molecule)[molecule] > 1 if len(molecule) else np.zeros(0, dtype=bool)
     return flexible

@@ -1,4 +1,4 @@
-"""Which platform of OpenMM, and in which precision, where the user makes no Context."""
+"""The choice of OpenMM's platform and precision if the user does not create the Context."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _CPU = re.compile(r"\b(cpu|pthread|basic|core\(tm\)|xeon|pentium|celeron|epyc|ry
 
 
 def platforms() -> list[openmm.Platform]:
-    """Return those that are here, the fastest first."""
+    """Return the available platforms, the fastest first."""
     found = [openmm.Platform.getPlatform(i) for i in range(openmm.Platform.getNumPlatforms())]
     return sorted(found, key=lambda platform: -platform.getSpeed())
 
 
 def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
-    """Return a platform: the named one, else that of OPENMM_DEFAULT_PLATFORM, which OpenMM obeys too, else the fastest.
+    """Return the platform with a name, by default that of OPENMM_DEFAULT_PLATFORM, or the fastest.
 
-    The fastest of those that `why_not_by_default` has nothing against.
+    The fastest is chosen from platforms that `why_not_by_default` does not exclude.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def why_not_by_default(name: str) -> str | None:
 
 
 def no_gpu(context: Any) -> str | None:
-    """Return why the platform of a Context is no GPU, or None."""
+    """Return why the platform of a Context is not a GPU, or None."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in DEVICES:
@@ -71,7 +71,7 @@ def no_gpu(context: Any) -> str | None:
 
 
 def mixed(platform: openmm.Platform) -> dict[str, str]:
-    """Return the properties of mixed precision where a platform has a choice: its default loses the energy's digits."""
+    """Return the properties of mixed precision if a platform has it; its default would lose digits of the energy."""
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 

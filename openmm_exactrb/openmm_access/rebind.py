@@ -1,4 +1,4 @@
-"""Another program behind an integrator that has a Context, which OpenMM's own methods do not allow."""
+"""The replacement of the program of an integrator that has a Context, which OpenMM's methods do not allow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def rebind(context: Any, integrator: openmm.CustomIntegrator, program: openmm.Cu
 
     OpenMM's objects are replaced, as by ``reinitialize``; the Python objects stay, and so do all references to them.
     The state of the Context is kept, and the value of every global variable that both programs have. The integrator
-    with the new program, which has no Context, is used up.
+    that provided the new program has no Context, and cannot be used afterwards.
     """
     for name in _SETTINGS:
         getattr(program, f"set{name}")(getattr(integrator, f"get{name}")())

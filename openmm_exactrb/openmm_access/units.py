@@ -1,4 +1,4 @@
-"""Quantities and plain numbers of a user as plain numbers of the package."""
+"""Conversion of a user's Quantities and plain numbers to plain numbers."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ FORCE = unit.kilojoule_per_mole / unit.nanometer
 
 
 def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
-    """Return a finite number in a unit; one without a unit already is.
+    """Return a finite number in a unit; a plain number is assumed to be in it.
 
     Raises
     ------
     ValueError
-        If it is no finite number, or of another kind of unit.
+        If the value is not a finite number, or has an incompatible unit.
     """
     quantity: Any = value
     if unit.is_quantity(value):
@@ -31,13 +31,13 @@ def plain(value: Any, in_unit: unit.Unit, what: str) -> float:
 
 
 def stripped(value: Any, in_unit: unit.Unit) -> Any:
-    """Return a Quantity of this kind as a number in the unit, and everything else as it is, for a check to look at."""
+    """Return a compatible Quantity as a number in the unit, and everything else unchanged, for a later check."""
     fits = unit.is_quantity(value) and value.unit.is_compatible(in_unit)
     return value.value_in_unit(in_unit) if fits else value
 
 
 def picoseconds(size: float | unit.Quantity | None) -> float:
-    """Return a time step in ps, which must not be negative: OpenMM has no steps back."""
+    """Return a time step in ps, which must not be negative: OpenMM has no backward steps."""
     return not_negative(size, unit.picosecond, "a time step")
 
 
@@ -60,7 +60,7 @@ def gas_constant_times(temperature: float | unit.Quantity) -> float:
 
 
 def check_first_arguments(step: Any, scheme: Any) -> None:
-    """Raise ValueError for the arguments of an integrator with a thermostat: temperature, friction, step size."""
+    """Raise ValueError for invalid temperature, friction or step size of an integrator with a thermostat."""
     warm = unit.is_quantity(step) and step.unit.is_compatible(unit.kelvin)
     if warm or unit.is_quantity(scheme) or isinstance(scheme, (int, float)):
         raise ValueError(

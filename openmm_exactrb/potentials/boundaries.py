@@ -1,8 +1,8 @@
 """Boundary conditions of dipoles: none, a dielectric beyond a cutoff, or all periodic images.
 
-A switch S on the energy of pairs of nearest images ends it at the cutoff; that of the spheres is another one, see
+A switch S ends the energy of pairs of nearest images at the cutoff; the spheres have a switch of their own, see
 `openmm_exactrb.potentials.spheres`. S is proportional to the integral of (s (1 - s))^6 from 0 to s, where s runs from 1
-to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, as schemes of order 6 need them.
+to 0 in r² between `switch` and `cutoff`: forces have five continuous derivatives, which schemes of order 6 need.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Open:
             raise ValueError("a box needs periodic boundaries: add boundary=ReactionField() or boundary=Ewald()")
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return that there are no images."""
+        """Return None: there are no images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class _Periodic:
     periodic: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        """Raise ValueError for what fits no box."""
+        """Raise ValueError for settings that are invalid in every box."""
         if self.cutoff is not None:
             checks.positive(self.cutoff, "cutoff", "nm")
         if self.switch is not None:
@@ -67,7 +67,7 @@ class _Periodic:
         reaction(self.dielectric)
 
     def distances(self, box: Edges | None) -> tuple[float, float]:
-        """Return cutoff and begin of the switch (nm); a ValueError if there is no box, or they do not fit it."""
+        """Return cutoff and start of the switch (nm); raise ValueError if there is no box or it is too small."""
         if box is None:
             raise ValueError(f"{self} needs a periodic box: add box=(a, b, c), its edges in nm")
         cutoff = 0.5 * min(box) if self.cutoff is None else _plain(self.cutoff)
@@ -97,7 +97,7 @@ class ReactionField(_Periodic):
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a number is out of range.
     """
 
     def truncation(self, box: Edges | None, n: int = 1) -> Truncation:
@@ -106,25 +106,25 @@ class ReactionField(_Periodic):
         return cutoff, switch, reaction(self.dielectric) / sharp_volume(cutoff, switch)
 
     def images(self, n: int, box: Edges | None) -> None:
-        """Return that images are not summed."""
+        """Return None: images are not summed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ewald(_Periodic):
     """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
-    The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Parameters that are not given
-    are chosen such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of
-    `dipole_fluid` have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is
-    smooth whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to
-    about the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
+    The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Omitted parameters are chosen
+    such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of `dipole_fluid`
+    have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is smooth
+    whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about
+    the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
         Distances at which the energy of a pair ends and its switch begins, in nm. By default the cutoff is the fastest
-        one for a mesh, or half the shortest edge of the box for the direct sum; the switch begins at three quarters of
-        it.
+        for a mesh, or half the shortest edge of the box for the direct sum; the switch begins at three quarters of the
+        cutoff.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
     tolerance : float
@@ -134,13 +134,13 @@ class Ewald(_Periodic):
     mesh : int or (3,) int, optional
         Points of the mesh along each edge, with factors up to 5; implies "mesh".
     order : int, optional
-        Of its B-splines, even, from 4 to 16: forces have order - 4 continuous derivatives. 8 or 10 by default; implies
-        "mesh".
+        Order of the B-splines, even, from 4 to 16: forces have order - 4 continuous derivatives. 8 or 10 by default;
+        implies "mesh".
 
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a number is out of range.
     """
 
     tolerance: float = 1e-4
@@ -149,7 +149,7 @@ class Ewald(_Periodic):
     order: int | None = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError for what fits no box."""
+        """Raise ValueError for settings that are invalid in every box."""
         super().__post_init__()
         if not 1e-13 <= checks.number(self.tolerance, "tolerance") <= 1e-2:
             raise ValueError(f"tolerance must be between 1e-13 and 1e-2, not {self.tolerance!r}")
@@ -174,7 +174,7 @@ class Ewald(_Periodic):
                 raise ValueError(f"a mesh needs at least order + {ewald.LANES} points along an edge, not {self.mesh!r}")
 
     def getParameters(self, n: int, box: Sequence[float]) -> ewald.EwaldParameters:
-        """Return the parameters, given or chosen, of the sum over n dipoles in a box (its edges in nm).
+        """Return the parameters of the sum over n dipoles in a box with given edges (nm).
 
         Raises
         ------
@@ -191,7 +191,7 @@ class Ewald(_Periodic):
         return chosen.cutoff, chosen.switch, 0.0
 
     def images(self, n: int, box: Edges | None) -> Images:
-        """Return how the images of n dipoles are summed."""
+        """Return the parameters of the sum over the images of n dipoles."""
         assert box is not None
         chosen, dielectric = self.getParameters(n, box), _plain(self.dielectric)
         if chosen.method == "direct":
@@ -202,7 +202,7 @@ class Ewald(_Periodic):
 
 @lru_cache
 def _parameters(boundary: Ewald, n: int, edges: Edges) -> ewald.EwaldParameters:
-    """Return the parameters of the fastest sum with what a boundary gives."""
+    """Return the parameters of the fastest sum that has the settings of a boundary."""
     cutoff, switch = boundary.distances(edges)
     by_mesh = boundary.method == "mesh" or not (boundary.mesh is None and boundary.order is None)
     choices = [] if by_mesh else [ewald.direct(n, edges, cutoff, switch, boundary.tolerance)]
@@ -237,14 +237,14 @@ OPEN = Open()
 
 
 def checked(boundary: Boundary) -> Boundary:
-    """Return a boundary; a ValueError for anything else."""
+    """Return a boundary; raise ValueError for anything else."""
     if not isinstance(boundary, Open | ReactionField | Ewald):
         raise ValueError(f"boundary must be one of Open(), ReactionField(...) and Ewald(...), not {boundary!r}")
     return boundary
 
 
 def edges_of(box: Sequence[float]) -> Edges:
-    """Return the edges of a rectangular box (nm) as floats; a ValueError if these are not three positive numbers."""
+    """Return the edges of a rectangular box (nm) as floats; raise ValueError unless they are three positive numbers."""
     if unit.is_quantity(box) or np.shape(box) != (3,):
         raise ValueError(f"box must be three positive edges in nm without a unit, such as (3, 3, 3), not {box!r}")
     a, b, c = (checks.positive(edge, "each edge of the box", "nm") for edge in box)
@@ -252,7 +252,7 @@ def edges_of(box: Sequence[float]) -> Edges:
 
 
 def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") -> None:
-    """Raise a ValueError if a cutoff has more than one nearest image in a box of these edges (nm)."""
+    """Raise ValueError if a cutoff allows more than one nearest image in a box with these edges (nm)."""
     half = 0.5 * min(edges)
     if not cutoff <= half * (1.0 + 1e-12):
         raise ValueError(
@@ -262,7 +262,7 @@ def check_cutoff(cutoff: float, edges: Sequence[float], name: str = "cutoff") ->
 
 
 def _plain(value: float) -> float:
-    """Return a number of Python's: formulas and pickles show which of numpy's it was."""
+    """Return a Python number, because formulas and pickles would show the type of a numpy number."""
     return value.item() if isinstance(value, np.generic) else value
 
 

@@ -64,9 +64,9 @@ def soft_dipole_force(
         Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images. Cutoff and switch of a
         boundary are those of the dipoles.
     sphere_cutoff, sphere_switch : float, optional
-        Where the energy of two spheres in a box ends, and its switch begins, in nm. By default 3 sigma, or half the
-        shortest edge of the box if that is less, and three quarters of the cutoff. A barostat that shrinks the box
-        below twice a cutoff ends the run: pass shorter ones with it.
+        Distances at which the energy of two spheres in a box ends and its switch begins, in nm. The default cutoff is 3
+        sigma, or half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff.
+        A barostat that shrinks the box below twice a cutoff ends the run: pass shorter cutoffs if you use one.
     shifted : bool
         Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
@@ -85,15 +85,15 @@ def soft_dipole_force(
     Raises
     ------
     ValueError
-        If the kernel is unknown, arrows are not pairs of particles, a number is out of its range, box and boundary do
-        not fit each other, or an Ewald sum has too many waves, or another kernel than the compiled one. With "openmm",
-        if cutoff + 2 length reaches half the shortest edge.
+        If the kernel is unknown, arrows are not pairs of particles, a number is out of range, box and boundary are
+        incompatible, or an Ewald sum has too many waves or a kernel other than the compiled one. With "openmm", if
+        cutoff + 2 length reaches half the shortest edge.
 
     Notes
     -----
     With "bonds", the box is given by the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
     change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The latter moves centres and tips
-    to their nearest images individually, hence its condition on the cutoff, which is not checked again if the box
+    to their nearest images individually, hence the condition on the cutoff, which is not checked again if the box
     shrinks. The integrators of this package raise a ValueError for a barostat with "bonds" and "openmm".
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
@@ -130,7 +130,7 @@ def spheres_of(
     shifted: bool,
     wca: bool,
 ) -> SphereCutoff | None:
-    """Return the cutoff of the spheres, None without a box; a ValueError if it does not fit."""
+    """Return the cutoff of the spheres, None without a box; raise ValueError if the box is too small."""
     found = cutoff_in(edges, checks.positive(sigma, "sigma", "nm"), cutoff, switch, shifted=shifted)
     if wca and attraction > 0.0:
         if shifted:
@@ -140,7 +140,7 @@ def spheres_of(
 
 
 def _chosen(kernel: str, *, needs_compiled: bool) -> str:
-    """Return which of "openmm", "bonds" and "compiled" computes the force; an Ewald sum needs the last."""
+    """Return the kernel of the force, "openmm", "bonds" or "compiled"; an Ewald sum needs the last."""
     if kernel not in ("auto", "openmm", "bonds", "compiled"):
         raise ValueError(f"unknown kernel {kernel!r}: choose one of auto, openmm, bonds, compiled")
     if kernel == "auto":
@@ -154,7 +154,7 @@ def _chosen(kernel: str, *, needs_compiled: bool) -> str:
 
 
 def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
-    """Raise a ValueError if the tips of two arrows within the cutoff may be nearer to another image (lengths in nm)."""
+    """Raise ValueError if the tips of two arrows within the cutoff may be nearer to another image (lengths in nm)."""
     half, reach = 0.5 * min(edges), cutoff + 2.0 * length
     if not reach < half:
         raise ValueError(
@@ -164,7 +164,7 @@ def _check_tips(cutoff: float, length: float, edges: Sequence[float]) -> None:
 
 
 def checked_pairs(pairs: Any, name: str = "arrow", ends: str = "centre, tip") -> list[tuple[int, int]]:
-    """Return arrows as pairs of particles, each particle in one of them."""
+    """Return arrows as pairs of particles that share no particle."""
     rows = checks.lists_of_indices(pairs, f"{name}s")
     if not rows:
         raise ValueError(f"soft dipoles need at least one {name} ({ends})")
@@ -207,7 +207,7 @@ class SoftDipoles:
     wca : bool
         Whether the spheres' energy ends at its minimum.
     spheres : SphereCutoff, optional
-        Cutoff of the spheres, with a truncation; by default that of the dipoles.
+        Cutoff of the spheres, for a truncation; by default that of the dipoles.
     """
 
     # Pickles in System XML name this module and the attributes.
@@ -230,14 +230,14 @@ class SoftDipoles:
             self.spheres = spheres.cutoff, spheres.switch, spheres.shifted
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
-        """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and tips in turns."""
+        """Return energy (kJ/mol) and forces (kJ/mol/nm) on alternating centres and tips."""
         box = self.truncation and state.getPeriodicBoxVectors(asNumpy=True)._value
         return self.energy_and_forces(arrays.positions(state), dict(state.getParameters()), box)
 
     def energy_and_forces(
         self, positions: Array, parameters: Mapping[str, float], box: Array | None = None, threads: int | None = None
     ) -> tuple[float, Array]:
-        """Return the energy (kJ/mol) and the forces (2 n, 3) (kJ/mol/nm) on centres and tips in turns.
+        """Return the energy (kJ/mol) and the forces (2 n, 3) (kJ/mol/nm) on alternating centres and tips.
 
         Parameters
         ----------
@@ -249,12 +249,12 @@ class SoftDipoles:
         box : (3, 3) array, optional
             Vectors in nm; for a truncation.
         threads : int, optional
-            By default as many as the pairs are worth. Any number gives the same bits.
+            By default, chosen from the number of pairs. Results are bit-identical for any number.
 
         Raises
         ------
         ValueError
-            If the box is not rectangular or too small, or spheres that end at a minimum do not repel.
+            If the box is not rectangular or too small, or the energy of truncated spheres has no minimum.
         """
         return kernels.load("pairs").soft_dipoles(  # type: ignore[no-any-return]
             positions,
@@ -268,7 +268,7 @@ class SoftDipoles:
         )
 
     def _in_box(self, box: Array | None, parameters: Mapping[str, float]) -> tuple[float, ...]:
-        """Return the truncation as the kernel takes it."""
+        """Return the truncation in the form that the kernel uses."""
         assert self.truncation is not None
         if box is None or np.count_nonzero(box) != 3:
             raise ValueError("soft dipoles need a rectangular box")

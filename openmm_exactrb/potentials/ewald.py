@@ -32,10 +32,10 @@ def splitting(
 ) -> tuple[float, float]:
     """Return the inverse width of the Gaussians, alpha, and the largest wave number (1/nm) for n dipoles.
 
-    The truncation error of either sum is exp(-x²), x = alpha switch or y = k_max/(2 alpha), times powers of x or y and
-    of a, alpha times the distance between dipoles, as sums over random dipoles have them. Their factors are the largest
-    that were measured in liquids and gases of 8 to 256 dipoles. Lengths are in nm; the tolerance is relative to the
-    root mean square of forces and fields.
+    The truncation error of either sum is exp(-x²), with x = alpha switch or x = k_max/(2 alpha), times powers of x and
+    of a, alpha times the distance between dipoles, as for random dipoles. The factors are the largest measured in
+    liquids and gases of 8 to 256 dipoles. Lengths are in nm; the tolerance is relative to the root mean square of
+    forces and fields.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def splitting(
 
 
 class EwaldParameters(NamedTuple):
-    """How an Ewald sum of dipoles is computed; lengths in nm, their inverses in 1/nm."""
+    """Parameters of an Ewald sum of dipoles; lengths in nm, their inverses in 1/nm."""
 
     method: str  #: "direct" (all waves) or "mesh" (smooth particle mesh Ewald)
     cutoff: float  #: where the energy of a pair ends
@@ -79,7 +79,7 @@ def direct(n: int, edges: Edges, cutoff: float, switch: float, tolerance: float)
 
 
 def cost(n: int, edges: Edges, chosen: EwaldParameters) -> float:
-    """Return about how long an evaluation takes, in ns: as it was measured on one core."""
+    """Return the approximate time of an evaluation in ns, as measured on one core."""
     reach = chosen.cutoff / min(edges)
     neighbours = 4.0 / 3.0 * math.pi * chosen.cutoff**3 * n / math.prod(edges)
     pairs = n * (_ROW * n if reach > _WHOLE else _CELL * neighbours)
@@ -97,7 +97,7 @@ def meshes(
     order: int | None = None,
     points: tuple[int, ...] | None = None,
 ) -> Iterator[EwaldParameters]:
-    """Yield meshes of several sizes that meet a tolerance, with what is given."""
+    """Yield meshes of several sizes that meet a tolerance, with the given parameters."""
     distance, half, goal = mean_distance(n, edges), 0.5 * min(edges), tolerance / errors.SAFETY
     part = 0.75 if switch is None or cutoff is None else switch / cutoff
     for p in (8, 10) if order is None else (order,):
@@ -123,7 +123,7 @@ def meshes(
 
 
 def _sizes(edges: Edges, order: int) -> Iterator[tuple[int, ...]]:
-    """Yield numbers of points along the edges that have fast transforms, from few on."""
+    """Yield numbers of points along the edges that have fast transforms, in ascending order."""
     fast_size, shortest, many = kernels.load("mesh").fast_size, min(edges), order + LANES
     while many <= MOST_POINTS:
         many = fast_size(many)

@@ -1,8 +1,8 @@
-"""Root mean square errors of an Ewald sum of dipoles, before it is summed.
+"""A priori root mean square errors of an Ewald sum of dipoles.
 
-Those that dipoles in random places and directions have, as in J. Kolafa and J. W. Perram, Mol. Simul. 9, 351 (1992),
-divided by the forces and fields of random dipoles on a cubic lattice. Liquids have up to 2.4 times these errors, and a
-gas whose cutoff hardly exceeds the distance of its dipoles 3.1 times.
+They are the errors for dipoles with random positions and directions, as in J. Kolafa and J. W. Perram, Mol. Simul. 9,
+351 (1992), divided by the forces and fields of random dipoles on a cubic lattice. The errors of liquids are up to 2.4
+times as large, and 3.1 times for a gas whose cutoff hardly exceeds the distance between dipoles.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NODES = np.polynomial.legendre.leggauss(24)
 
 
 def of_pairs(alpha: float, cutoff: float, switch: float, distance: float) -> float:
-    """Return the error of what is left of screened dipoles beyond the switch; `distance` is that of the dipoles."""
+    """Return the error from screened dipoles beyond the switch; `distance` is that between dipoles."""
     x, weights = _NODES
     bounds = np.array([[switch, cutoff], [cutoff, cutoff + 4.0 / alpha]])
     half = 0.5 * (bounds[:, 1:] - bounds[:, :1])
@@ -53,17 +53,17 @@ def of_pairs(alpha: float, cutoff: float, switch: float, distance: float) -> flo
 
 
 def of_mesh(alpha: float, step: float, order: int, distance: float) -> float:
-    """Return the error of a mesh with this step."""
+    """Return the error of a mesh with a given spacing."""
     return math.exp(np.interp(math.log(alpha * step), _LOGARITHMS, _of_meshes(step, order, distance)))
 
 
 def finest_splitting(step: float, order: int, distance: float, error: float) -> float:
-    """Return the largest alpha for which a mesh has no larger error."""
+    """Return the largest alpha for which a mesh meets an error."""
     return math.exp(np.interp(math.log(error), _of_meshes(step, order, distance), _LOGARITHMS)) / step
 
 
 def _of_meshes(step: float, order: int, distance: float) -> Array:
-    """Return the logarithm of the error for all widths."""
+    """Return the logarithms of the errors for all widths."""
     force, field = _table(order)
     ratio = distance / step
     itself = 1.0 + 0.3 * (_WIDTHS * ratio) ** 3  # waves a dipole: a dipole's force on itself, measured in a gas
@@ -71,9 +71,9 @@ def _of_meshes(step: float, order: int, distance: float) -> Array:
 
 
 def shortest_cutoff(alpha: float, part: float, distance: float, error: float, longest: float) -> float:
-    """Return the shortest cutoff for which pairs have no larger error, or the longest.
+    """Return the shortest cutoff for which pairs meet an error, or the longest.
 
-    The switch begins at a `part` of it.
+    The switch begins at the fraction `part` of the cutoff.
     """
     low, high = min(1.0 / alpha, longest), longest
     if of_pairs(alpha, high, part * high, distance) > error:
@@ -85,7 +85,7 @@ def shortest_cutoff(alpha: float, part: float, distance: float, error: float, lo
 
 
 def widest_splitting(cutoff: float, switch: float, distance: float, error: float) -> float:
-    """Return the smallest alpha for which pairs have no larger error."""
+    """Return the smallest alpha for which pairs meet an error."""
     low, high = 1.0 / cutoff, 30.0 / max(switch, 0.1 * cutoff)
     for _ in range(24):
         middle = 0.5 * (low + high)

@@ -1,4 +1,4 @@
-"""Soft dipoles as formulas of OpenMM's own: a bond for each pair, or donors and acceptors within a cutoff."""
+"""Soft dipoles as formulas of OpenMM: a bond for each pair, or donors and acceptors within a cutoff."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def soft_dipole_bonds(
 ) -> openmm.CustomCompoundBondForce:
     """Return the potential of `soft_dipole_force` with all pairs as bonds.
 
-    With a truncation (cutoff and switch in nm, strength of the reaction field in 1/nm³) of the dipoles, and one of the
-    spheres, the Context parameters include
-    the edges of the box, box_x, box_y and box_z. Products of coordinates, one reciprocal and one square root are three
-    times faster in OpenMM than the same energy in `distance` or in powers of r.
+    With a truncation of the dipoles (cutoff and switch in nm, strength of the reaction field in 1/nm³) and of the
+    spheres, the Context parameters include the edges of the box, box_x, box_y and box_z. Products of coordinates, one
+    reciprocal and one square root are three times faster in OpenMM than the same energy in `distance` or in powers of
+    r.
     """
     force = openmm.CustomCompoundBondForce(
         4,
@@ -52,8 +52,8 @@ def soft_dipole_hbonds(
 ) -> openmm.CustomHbondForce:
     """Return the potential of `soft_dipole_force` with each arrow as donor and as acceptor: no list of pairs.
 
-    Each pair is evaluated twice, with half its energy. What OpenMM knows of a donor and an acceptor are distances of
-    nearest images, from which the products of u, v and r follow by the law of cosines.
+    Each pair is evaluated twice, with half its energy. OpenMM provides distances between nearest images of donors and
+    acceptors, from which the products of u, v and r follow by the law of cosines.
     """
     force = openmm.CustomHbondForce(
         f"0.5*E; E = {_energy(_core(attracts='soft_attraction' in parameters, wca=wca), truncation, spheres)}"
@@ -69,10 +69,10 @@ def soft_dipole_hbonds(
 def soft_rod_energy(
     truncation: Truncation, spheres: SphereCutoff, coupling: float, length: float, *, attracts: bool, wca: bool
 ) -> str:
-    """Return the energy of two spheres less the Coulomb energy of their rods; both are (centre, plus).
+    """Return the energy of two spheres minus the Coulomb energy of their rods; both are (centre, plus).
 
-    u and v are the rods, and the minus ends follow from their length: three particles a donor crash on PoCL. The
-    nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
+    u and v are the rods, and the minus ends follow from their length, because three particles per donor crash on PoCL.
+    The nearest images of centres and of ends may differ beyond the cutoff of the dipoles alone.
     """
     rods = "- dipole_coupling*((uv + 2*vr)/(pp*pm*(pp + pm)) + (uv - 2*vr)/(mm*mp*(mm + mp)))"
     return (
@@ -92,7 +92,7 @@ def add_hbonds(
     parameters: Mapping[str, float],
     cutoff: float,
 ) -> None:
-    """Make each pair of particles a donor and an acceptor, not for itself, by the distance of the first (nm)."""
+    """Make each pair a donor and an acceptor, except for itself, with a cutoff (nm) between first particles."""
     for name, value in parameters.items():
         force.addGlobalParameter(name, value)
     for i, (first, second) in enumerate(pairs):
@@ -112,7 +112,7 @@ def _core(*, attracts: bool, wca: bool) -> str:
 
 
 def _energy(core: str, truncation: Truncation | None, spheres: SphereCutoff | None, more: str = "") -> str:
-    """Return the energy of a pair: of spheres and of dipoles, with `more`, each times its switch where there is one."""
+    """Return the energy of a pair, of spheres, dipoles and `more`, each times its switch if there is one."""
     if truncation is None or spheres is None:
         return f"{core} + dipole_coupling*i3*(uv - 3*i*ur*vr);"
     cutoff, switch, reaction = truncation

@@ -27,13 +27,13 @@ class GayBerne:
     Parameters
     ----------
     kappa, kappa_prime : float
-        Length by diameter, and well depth side by side by that end to end: chi = (kappa² - 1)/(kappa² + 1), and
-        chi' = (sqrt(kappa') - 1)/(sqrt(kappa') + 1).
+        Ratio of length to diameter, and of the well depth side by side to that end to end: chi = (kappa² - 1)/(kappa² +
+        1), and chi' = (sqrt(kappa') - 1)/(sqrt(kappa') + 1).
     sigma, epsilon : float
         Diameter (nm), and well depth of two crossed ellipsoids (kJ/mol). The shift is sigma, or the thickness
         kappa sigma of a disc.
     cutoff, switch : float
-        Distances of the centres (nm).
+        Distances between centres (nm).
     """
 
     # Pickles in System XML name this module and the attributes.
@@ -46,16 +46,16 @@ class GayBerne:
         self.law = (chi, chi_prime, sigma, min(1.0, kappa) * sigma, 4.0 * epsilon, cutoff, switch)
 
     def __call__(self, state: openmm.State) -> tuple[float, Array]:
-        """Return energy (kJ/mol) and forces (kJ/mol/nm) on centres and points of the axes in turns."""
+        """Return energy (kJ/mol) and forces (kJ/mol/nm) on alternating centres and points on the axes."""
         return self.energy_and_forces(arrays.positions(state), state.getPeriodicBoxVectors(asNumpy=True)._value)
 
     def energy_and_forces(self, positions: Array, box: Array) -> tuple[float, Array]:
-        """Return the energy (kJ/mol) and the forces (2 n, 3) (kJ/mol/nm) on centres and points of the axes in turns.
+        """Return the energy (kJ/mol) and the forces (2 n, 3) (kJ/mol/nm) on alternating centres and axis points.
 
         Parameters
         ----------
         positions : (2 n, 3) array
-            In nm: centre and a point of the axis of the first ellipsoid, of the second, ...
+            In nm: centre and a point on the axis of the first ellipsoid, of the second, ...
         box : (3, 3) array
             Vectors of the periodic box in nm.
 
@@ -74,7 +74,7 @@ class GayBerne:
 
 
 def gay_berne_force(axes: Sequence[tuple[int, int]], potential: GayBerne) -> openmm.PythonForce:
-    """Return the potential between ellipsoids, each given by its centre and a point of its axis."""
+    """Return the potential between ellipsoids, each given by its centre and a point on its axis."""
     force = openmm.PythonForce(potential)
     force.setParticles(list(itertools.chain(*axes)))
     force.setUsesPeriodicBoundaryConditions(True)

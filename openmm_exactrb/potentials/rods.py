@@ -40,8 +40,8 @@ def dipole_rod_forces(
 
     Two charges at the ends of a rod represent each dipole in the particle mesh Ewald sum of a `NonbondedForce`. Within
     the cutoff a `CustomHbondForce` adds the spheres, and the difference between point dipoles and the Coulomb energy of
-    the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the rods' octupoles are left: an error of the
-    torques of 0.2 to 0.4 (length/cutoff)².
+    the rods, with the switch of `soft_dipole_force`. Beyond the cutoff the octupoles of the rods remain, which cause
+    errors of the torques of 0.2 to 0.4 (length/cutoff)².
 
     Parameters
     ----------
@@ -52,19 +52,19 @@ def dipole_rod_forces(
     strength : float
         Dipole moment in sqrt(kJ/mol nm³).
     length : float
-        Distance between the ends in nm; `rod_length` has a good one.
+        Distance between the ends in nm; `rod_length` returns a suitable one.
     sigma, epsilon, attraction, wca
-        Of the spheres; see `soft_dipole_force`.
+        Parameters of the spheres; see `soft_dipole_force`.
     box : sequence of three float
         Edges in nm of the rectangular periodic box of the System.
     boundary : Ewald
-        With a dielectric of infinity. Its tolerance, at least 1e-4, determines splitting and mesh in double precision;
-        in single precision errors are 2e-4 at best.
-        The default cutoff is three times the mean distance of the dipoles.
+        An Ewald sum with infinite dielectric constant. Its tolerance, at least 1e-4, determines splitting and mesh in
+        double precision; in single precision errors are 2e-4 at best. The default cutoff is three times the mean
+        distance of the dipoles.
     centres : sequence of int
         Particles or virtual sites in the middle of the rods.
     sphere_cutoff, sphere_switch, shifted
-        Of the spheres; see `soft_dipole_force`.
+        Parameters of the spheres; see `soft_dipole_force`.
 
     Returns
     -------
@@ -75,11 +75,11 @@ def dipole_rod_forces(
     Raises
     ------
     ValueError
-        If rods are no pairs of particles, a number is out of its range, or the boundary is one that rods cannot have.
+        If rods are not pairs of particles, a number is out of range, or rods do not support the boundary.
 
     Notes
     -----
-    Splitting and mesh are chosen by errors that were measured in liquids of 125 and 1000 dipoles. The real-space sum
+    Splitting and mesh are chosen from errors measured in liquids of 125 and 1000 dipoles. The real-space sum
     of the `NonbondedForce` ends at the cutoff without a switch. Unlike with the compiled kernel, the energy has small
     steps there, below which no scheme reduces the energy error.
     """
@@ -119,13 +119,13 @@ def dipole_rod_forces(
 
 
 def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
-    """Return the length (nm) of the rods of n dipoles whose octupoles are worth the tolerance of the boundary."""
+    """Return the length (nm) of n rods at which the errors of octupoles equal the tolerance of the boundary."""
     cutoff, _ = _distances(n, edges_of(box), boundary)
     return cutoff * min(0.1, math.sqrt(2.0 * boundary.tolerance))
 
 
 def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
-    """Return cutoff and begin of the switch (nm); a ValueError if rods cannot have the boundary."""
+    """Return cutoff and start of the switch (nm); raise ValueError if rods do not support the boundary."""
     if not isinstance(boundary, Ewald) or not math.isinf(boundary.dielectric):
         raise ValueError(f"rods of charges need boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:
@@ -141,8 +141,8 @@ def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
 def _mesh(n: int, edges: Edges, cutoff: float, length: float, tolerance: float) -> tuple[float, float]:
     """Return OpenMM's alpha (1/nm) and the largest spacing of its mesh (nm) for an error of the forces.
 
-    With a, the mean distance, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 of the real-space sum, as
-    charges on either side of the cutoff are split, and 0.01 (alpha spacing)³ (alpha a)^4 of the mesh.
+    With the mean distance a, measured errors are exp(-(alpha cutoff)²) (a/length)^1.5 for the real-space sum, because
+    the cutoff separates charges of a rod, and 0.01 (alpha spacing)³ (alpha a)^4 for the mesh.
     """
     a = mean_distance(n, edges)
     alpha = math.sqrt(math.log(max(2.0 / tolerance * (a / length) ** 1.5, math.e))) / cutoff

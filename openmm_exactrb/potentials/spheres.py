@@ -1,11 +1,11 @@
-"""The cutoff of the spheres of dipole fluids, which is part of the model, and what lies beyond it.
+"""The cutoff of the spheres of dipole fluids, which is part of the model, and its long-range correction.
 
-A switch, that of `openmm_exactrb.potentials.switching`, ends the energy of a pair smoothly. What it takes away is added
-in the mean, for spheres that are uniformly distributed where it acts:
+A switch, that of `openmm_exactrb.potentials.switching`, ends the energy of a pair smoothly. The mean of the energy that
+it removes is added, for spheres uniformly distributed in its range:
 
     U = 2 pi N²/V integral (u - S (u - u_c)) r² dr,    P = U/V,
 
-with u_c = u(cutoff) for a shifted potential, and 0 else. So energy and pressure hardly depend on the cutoff.
+with u_c = u(cutoff) for a shifted potential, and 0 otherwise. Energy and pressure then hardly depend on the cutoff.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CUSTOMARY = 3.0
 
 
 class SphereCutoff(NamedTuple):
-    """Where the energy of two spheres ends: distances in nm."""
+    """The cutoff and the switch of the energy of two spheres: distances in nm."""
 
     cutoff: float
     switch: float
@@ -35,7 +35,7 @@ class SphereCutoff(NamedTuple):
 def cutoff_in(
     edges: Sequence[float] | None, sigma: float, cutoff: float | None, switch: float | None, *, shifted: bool
 ) -> SphereCutoff | None:
-    """Return the given or the default cutoff in a box of these edges (nm); ValueError if it does not fit."""
+    """Return the given or default cutoff in a box with these edges (nm); raise ValueError if it is too long."""
     if edges is None:
         if cutoff is not None or switch is not None or shifted:
             raise ValueError(
@@ -53,7 +53,7 @@ def cutoff_in(
 
 
 def check_minimum(spheres: SphereCutoff | None, sigma: float, attraction: float) -> None:
-    """Raise ValueError if spheres that only repel would be cut off before they end, at the minimum of the potential."""
+    """Raise ValueError if repulsive spheres would be truncated before the minimum of their potential."""
     end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
     if spheres is not None and spheres.switch < end:
         raise ValueError(
@@ -77,7 +77,7 @@ def long_range_correction(
     """Return the mean energy of n spheres beyond their cutoff, which depends on the volume alone.
 
     Arguments and Context parameters, `soft_repulsion` and with an attraction `soft_attraction`, are those of
-    `soft_dipole_force`. A ValueError for spheres that have no cutoff.
+    `soft_dipole_force`. A ValueError is raised for spheres without a cutoff.
     """
     spheres = None if wca else cutoff_in(edges, sigma, sphere_cutoff, sphere_switch, shifted=shifted)
     if spheres is None:

@@ -17,7 +17,7 @@ _LONGEST = 100  # characters of a value in a message
 
 
 def identity_of(simulation: Any) -> dict[str, str]:
-    """Return everything that determines the bits of a run, by name; it fixes the shape of bodies named by hand."""
+    """Return everything that determines the bits of a run, by name; this fixes the shape of bodies named by hand."""
     integrator = simulation.integrator
     identity = {
         "openmm": openmm.__version__,
@@ -42,7 +42,7 @@ def _text_of_system(system: openmm.System) -> str:
 
 
 def setting_text(value: Any) -> str:
-    """Return a setting as text; a long one is its name, or its beginning, and a hash."""
+    """Return a setting as text; a long text is replaced by a name or its beginning, and a hash."""
     text = stable_text(value)
     if len(text) <= _LONGEST:
         return text
@@ -61,7 +61,7 @@ def _settings(integrator: ExactRigidBodyIntegrator) -> dict[str, str]:
 
 
 def _settings_of_openmm(integrator: openmm.Integrator) -> dict[str, str]:
-    """Return the settings of an integrator of OpenMM, without the numbers that its steps change."""
+    """Return the settings of an OpenMM integrator, without the numbers that its steps change."""
     tree = ElementTree.fromstring(openmm.XmlSerializer.serialize(integrator))
     tree.attrib.pop("stepSize", None)
     computed = {computation.get("computationVariable") for computation in tree.iter("Computation")}

@@ -129,7 +129,7 @@ def _state(simulation: Any, request: Any) -> Any:
 
 
 def _files_of(reporter: Any) -> Iterator[Any]:
-    """Yield the files that a reporter has open: reporters have no common way to flush and close them."""
+    """Yield the open files of a reporter, because reporters have no common method to flush and close them."""
     for value in vars(reporter).values():
         if isinstance(value, io.IOBase) and value not in (sys.stdout, sys.stderr) and not value.closed:
             yield value

@@ -37,7 +37,7 @@ class Run:
 
     Checkpoints save the state and the lengths of all output files at intervals. A resumed run truncates the files to
     these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform every file is
-    identical, byte for byte, to that of an uninterrupted run, but for the date in the header of a DCD file.
+    identical, byte for byte, to that of an uninterrupted run, except for the date in the header of a DCD file.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ class Run:
         Raises
         ------
         FileExistsError
-            If it exists, and the run neither is resumed nor may overwrite files.
+            If the file exists, and the run is neither resumed nor allowed to overwrite files.
         """
         file = self.folder / name
         if file.exists() and not (self.resuming or self._overwrite):
@@ -175,7 +175,7 @@ class Run:
         ------
         ValueError
             If the checkpoint is of another System, platform, version, integrator or setting, or a file has become
-            shorter. Nothing is changed then.
+            shorter. Nothing is changed in these cases.
         BlockingIOError
             If another process is running in the folder.
         IntegrationError

@@ -1,4 +1,4 @@
-"""The catalogue: tables of coefficients with their sources, and one way to look a scheme up."""
+"""The catalogue: tables of coefficients with their sources, and the lookup of schemes by name."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _PLANETS = "S. Blanes et al., Appl. Numer. Math. 68, 58 (2013), doi:10.1016/j.ap
 
 
 def _kicks_of_pairs(new: float, last: tuple[float, ...], gradients: tuple[float, ...]) -> Sequence:
-    """Return an output's kicks at one place, by forces there, the last forces and the last force-gradient terms.
+    """Return an output's kicks at one position, by forces there, the last forces and the last force-gradient terms.
 
     The terms are those of `TAKAHASHI_IMADA_PAIR`, whose displaced forces are magnified with alternating signs.
     """
@@ -305,19 +305,19 @@ CATALOGUE: Mapping[str, Scheme] = MappingProxyType({scheme.name: scheme for sche
 
 
 def scheme(name: str | Scheme) -> Scheme:
-    """Look a scheme up; a `Scheme` is passed through. ValueError if the catalogue has none of this name."""
+    """Look up a scheme; a `Scheme` is returned unchanged. Raise ValueError if the name is unknown."""
     if name in [*WITH_THERMOSTAT]:
         raise ValueError(f"scheme {name} contains a thermostat: use it with ExactRigidBodyLangevinIntegrator")
     return _found(name, CATALOGUE)
 
 
 def scheme_for_thermostat(name: str | Scheme) -> Scheme:
-    """Look a scheme up in the catalogue, or among those with a thermostat within them; see `scheme`."""
+    """Look up a scheme in the catalogue, or among those that contain a thermostat; see `scheme`."""
     return _found(name, {**WITH_THERMOSTAT, **CATALOGUE})
 
 
 def splitting(name: str | Scheme) -> Scheme:
-    """Look a splitting up that a thermostat can be joined to: one of the catalogue, or one with a thermostat within it.
+    """Look up a splitting for use with a thermostat: one of the catalogue, or one that contains a thermostat.
 
     Raises
     ------
@@ -334,7 +334,7 @@ def splitting(name: str | Scheme) -> Scheme:
 
 
 def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
-    """Return one of some schemes, or one that can be generated; ValueError with the name that was meant otherwise."""
+    """Return one of given schemes, or a generated one; otherwise raise ValueError with the closest name."""
     if isinstance(name, Scheme):
         return name
     if not isinstance(name, str):
@@ -350,7 +350,7 @@ def _found(name: str | Scheme, schemes: Mapping[str, Scheme]) -> Scheme:
 
 
 def _meant(name: str, schemes: Mapping[str, Scheme]) -> str | None:
-    """Return the name that was cut off or misspelt: the cheapest scheme of a family, or else the nearest name."""
+    """Return the name closest to an unknown one: the cheapest scheme of a family, or the most similar name."""
     by_capitals = {known.upper(): known for known in schemes}
     family = [known for capitals, known in by_capitals.items() if capitals.startswith(f"{name.upper()}_")]
     if family and name.upper() not in by_capitals:

@@ -1,11 +1,12 @@
-"""Schemes with force-gradient kicks: by forces at displaced places they need no Hessian, but one force more.
+"""Schemes with force-gradient kicks, which use forces at displaced positions instead of a Hessian.
 
-A kick over b h by the forces at places that the forces themselves have displaced by e h² F/M is that of
-V - (e/2) h² f . M^-1 f up to higher orders: with it, schemes of order 4 need no negative coefficient.
+A kick over b h by the forces at positions displaced by e h² F/M is the kick of V - (e/2) h² f . M^-1 f up to higher
+orders; with it, schemes of order 4 need no negative coefficients.
 
-Those higher orders are no gradient of a potential, and the energy drifts because of them. Here positions are
-displaced by a part of e h² F/M, and the change of the forces is multiplied: the same term, at the same cost, with an
-error that much smaller. Rounding errors of the forces are multiplied too, so that the part is not a small one.
+The terms of higher order are not the gradient of a potential, and make the energy drift. Positions are therefore
+displaced by a fraction of e h² F/M, and the change of the forces is magnified: this gives the same term at the same
+cost, with an error smaller by that factor. Rounding errors of the forces are magnified too, so that the fraction must
+not be small.
 """
 
 from __future__ import annotations
@@ -48,20 +49,22 @@ def force_gradient(
     name, order, reference
         As in `Scheme`.
     pattern : str
-        Of a step, a palindrome such as "BACAB": drifts and kicks by turns, "C" kicks with a force-gradient term.
+        Pattern of a step, a palindrome such as "BACAB" of alternating drifts and kicks; "C" is a kick with a
+        force-gradient term.
     a, b : sequence of float
-        The coefficients of drifts, and of kicks of both sorts, before the one that sum(a) = 1 or sum(b) = 1 decides.
+        The coefficients of drifts, and of kicks of both kinds, that precede the one determined by sum(a) = 1 or sum(b)
+        = 1.
     e : sequence of float
-        Of each "C" of the first half: the kick is that of forces at R + e h² F/M to first order in e.
+        Coefficient of each "C" of the first half: the kick uses forces at R + e h² F/M to first order in e.
     magnification : float
-        Forces are taken at R + e h² F/M / magnification, and by what they differ from those at R is multiplied by it; 1
-        is the kick by forces at displaced places itself.
+        Forces are evaluated at R + e h² F/M / magnification, and their difference from those at R is multiplied by the
+        magnification; with 1, the kick uses the displaced forces themselves.
 
     Raises
     ------
     ValueError
-        If the pattern is no such palindrome, the coefficients are not as many as it leaves free, or the magnification
-        is zero or not finite.
+        If the pattern is not such a palindrome, the number of coefficients is wrong, or the magnification is zero or
+        not finite.
     """
     drifts, kicks = pattern[::2], pattern[1::2]
     if drifts[0] != "A":
@@ -84,7 +87,7 @@ def force_gradient(
 
 
 def _kicks(kind: str, part: float, displacements: Iterator[float], k: float) -> list[tuple[Substep, float]]:
-    """Return the kicks of a place; b f(R + d) by displacements k times shorter is b (1 - k) f(R) + b k f(R + d/k)."""
+    """Return the kicks at one position: b f(R + d) becomes b (1 - k) f(R) + b k f(R + d/k)."""
     if kind == "B":
         return [(KICK, part)]
     strength = next(displacements) / part**2 / k**3

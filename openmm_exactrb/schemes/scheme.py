@@ -1,7 +1,7 @@
-"""A splitting scheme: a sequence of substeps with promises, and the ways to build one from a table of coefficients.
+"""A splitting scheme: a sequence of substeps with its properties, and functions that build one from coefficients.
 
-A step of size h alternates drifts, the flow of T over a_i h, with kicks, the flow of V over b_i h. A table holds the
-free coefficients only: each scheme is a palindrome, and sum(a) = sum(b) = 1 gives the rest.
+A step of size h alternates drifts, the flow of T over a_i h, with kicks, the flow of V over b_i h. A table contains the
+free coefficients only; the others follow because each scheme is a palindrome and sum(a) = sum(b) = 1.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Scheme:
         A cheaper map to the true coordinates, if there is one, for output while the run continues in the inner
         coordinates: its error does not accumulate.
     output_of_rigid : bool
-        Whether the output was fitted to rigid molecules alone. Where drifts have inner steps, the inverse of the
-        processor takes its place.
+        Whether the output was fitted to rigid molecules alone. If drifts have inner steps, the inverse of the processor
+        is used instead.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Scheme:
                 )
 
     def __repr__(self) -> str:
-        """Return a line for people."""
+        """Return a short description."""
         orders = ", ".join(map(str, self.generalised or (self.order,)))
         kind = ", Nyström" if self.kind == "nystroem" else ""
         processed = ", processed" if self.processor else ""
@@ -84,7 +84,7 @@ class Scheme:
 
     @property
     def first(self) -> Outer:
-        """What a step starts and ends with, but for a thermostat."""
+        """The type of the first and last substep, apart from a thermostat."""
         return "drift" if [substep for substep, _ in self._moves()][:1] == [DRIFT] else "kick"
 
     @property
@@ -94,12 +94,12 @@ class Scheme:
 
     @property
     def b(self) -> tuple[float, ...]:
-        """All coefficients of the kicks, in the order of their use: a sum for each place that is kicked."""
+        """All coefficients of the kicks, in the order of their use, summed between drifts."""
         return tuple(math.fsum(part for _, part in kicks) for kicks in self._kicks())
 
     @property
     def c(self) -> tuple[float, ...]:
-        """Coefficients of force-gradient terms that go with the kicks, as f . M^-1 f over c_i h³; empty without any."""
+        """Coefficients c_i of force-gradient terms of the kicks, as f . M^-1 f over c_i h³; may be empty."""
         terms = tuple(math.fsum(map(_gradient_term, kicks)) for kicks in self._kicks())
         return terms if any(terms) else ()
 
@@ -113,54 +113,54 @@ class Scheme:
         return any(isinstance(present, type(substep)) for present, _ in self.sequence)
 
     def _kicks(self) -> list[list[tuple[Substep, float]]]:
-        """Return the kicks of each place: those without a drift between them."""
+        """Return the kicks grouped by position: those without a drift between them."""
         places = itertools.groupby(self._moves(), lambda row: row[0].kicks)
         return [list(group) for kicked, group in places if kicked]
 
     def _moves(self) -> Substeps:
-        """Return the drifts and kicks: forces do not depend on what a thermostat does between them."""
+        """Return the drifts and kicks; a thermostat between them does not affect the forces."""
         return tuple(row for row in self.sequence if row[0] == DRIFT or row[0].kicks)
 
     @property
     def stages(self) -> int:
-        """Places a step at which forces are evaluated, once the outer stages of neighbouring steps are one."""
+        """Positions per step at which forces are evaluated, with outer stages of neighbouring steps merged."""
         moves = self._moves()
         return len(self._kicks()) - (bool(moves) and moves[0][0].kicks and moves[-1][0].kicks)
 
     @property
     def forces(self) -> int:
-        """Force evaluations per step, where the force-gradient kicks take forces at displaced places."""
+        """Force evaluations per step, including those at displaced positions for force-gradient kicks."""
         return self.stages + sum(substep.displaced_forces for substep, _ in self.sequence)
 
     @property
     def postprocessor(self) -> Substeps:
-        """The inverse of the processor, for after the last step."""
+        """The inverse of the processor, applied after the last step."""
         return inverse(self.processor)
 
     @property
     def with_inner_steps(self) -> Scheme:
-        """The scheme as it is where drifts have inner steps: without an output that was fitted to rigid molecules."""
+        """The scheme for drifts with inner steps: without an output that was fitted to rigid molecules."""
         return replace(self, output=()) if self.output_of_rigid else self
 
     @property
     def processing(self) -> int:
-        """Force evaluations that the processor and its inverse cost, once a run."""
+        """Force evaluations of the processor and its inverse, once per run."""
         return 2 * sum(substep.kicks for substep, _ in self.processor)
 
     @property
     def memory(self) -> tuple[int, int]:
-        """How many of the last kicks' forces the output needs, and how many differences of displaced ones."""
+        """Numbers of forces of the last kicks, and of differences of displaced forces, that the output needs."""
         last = [substep for substep, _ in self.output if isinstance(substep, LastForcesKick)]
         return max((len(s.weights) for s in last), default=0), max((len(s.differences) for s in last), default=0)
 
     @property
     def output_forces(self) -> int:
-        """Force evaluations that the output costs, for each call of the integrator's `step`."""
+        """Force evaluations of the output, for each call of the integrator's `step`."""
         return sum(substep.kicks for substep, _ in self.output or self.processor)
 
     @property
     def symmetric(self) -> bool:
-        """Whether a step back is the inverse of a step; a processor is symmetric to first order in V only."""
+        """Whether a backward step is the inverse of a step; a processor is symmetric only to first order in V."""
         return not self.processor and palindromic(self.sequence)
 
 
@@ -188,12 +188,12 @@ def symmetric(
     name, order, stages, kind, first, reference, generalised
         As in `Scheme`.
     a, b : sequence of float
-        The coefficients of drifts and kicks before the one that sum(a) = 1 or sum(b) = 1 decides.
+        The coefficients of drifts and kicks that precede the one determined by sum(a) = 1 or sum(b) = 1.
 
     Raises
     ------
     ValueError
-        If a table has not as many coefficients as the stages leave free, or holds a number that is not finite.
+        If a table has the wrong number of coefficients for the stages, or contains a number that is not finite.
     """
     of_drifts, of_kicks = (stages + 1, stages) if first == "drift" else (stages, stages + 1)
     drifts = [(DRIFT, part) for part in palindrome(name, "a", a, of_drifts)]
@@ -203,7 +203,7 @@ def symmetric(
 
 
 def _alternating(first: Iterable[tuple[Substep, float]], second: Iterable[tuple[Substep, float]]) -> Substeps:
-    """Return rows of two substeps by turns."""
+    """Return rows of two alternating substeps."""
     return tuple(row for pair in itertools.zip_longest(first, second) for row in pair if row)
 
 
@@ -218,10 +218,10 @@ def processed(
     output_of_rigid: bool = False,
     reference: str,
 ) -> Scheme:
-    """Return a scheme of the steps of another one, the kernel, between a processor and its inverse.
+    """Return a scheme with the steps of a kernel between a processor and its inverse.
 
-    Other arguments are those of `Scheme`, for both together. The processor has drifts a and kicks b by turns, a drift
-    first; the last ones, which make both sums zero, are not given.
+    The other arguments are those of `Scheme`, for both together. The processor alternates drifts a and kicks b, drift
+    first; the last of each, which make both sums zero, are omitted.
     """
     drifts, kicks = ([*table, -math.fsum(table)] for table in (a, b))
     processor = _alternating([(DRIFT, part) for part in drifts], [(KICK, part) for part in kicks])
@@ -230,7 +230,7 @@ def processed(
 
 
 def palindrome(name: str, table: str, free: Sequence[float], length: int) -> tuple[float, ...]:
-    """Close a table of free coefficients to a palindrome of the given length whose sum is one."""
+    """Complete free coefficients to a palindrome of the given length whose sum is one."""
     needed = (length - 1) // 2
     if len(free) != needed:
         raise ValueError(

@@ -4,8 +4,8 @@ Next to its heat exchange, a symmetric splitting of steps h conserves
 
     H + h² (alpha v·V''v + beta f·M⁻¹f) + O(h⁴),
 
-and its step ends a drift of y h, with kicks in it, behind the exchange. `openmm_exactrb.averages` makes the error of
-any average of these numbers.
+and its step ends a drift of y h, which may contain kicks, after the exchange. `openmm_exactrb.averages` computes the
+error of any average from these numbers.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from openmm_exactrb.substeps import Drift, GradientKick, HeatExchange, Kick
 
 
 class SecondOrder(NamedTuple):
-    """Coefficients of the second-order error of a splitting, in squares of the step.
+    """Coefficients of the second-order error of a splitting, in units of the squared step.
 
     Attributes
     ----------
     alpha : float
-        Of v·V''v in the conserved energy.
+        Coefficient of v·V''v in the conserved energy.
     beta : float
-        Of f·M⁻¹f in the conserved energy.
+        Coefficient of f·M⁻¹f in the conserved energy.
     late : float
         y, the drifts between the heat exchange and the end of a step.
     pushed : float
@@ -46,16 +46,16 @@ class SecondOrder(NamedTuple):
 
 
 def second_order(scheme: Scheme) -> SecondOrder:
-    """Return the coefficients of a scheme with its heat exchange, as the steps of an integrator have it.
+    """Return the coefficients of a scheme that contains the heat exchange of its integrator.
 
-    Let the kicks have the parts b_j of the step and the times c_j since the heat exchange, as parts of the step. Then
+    Let the kicks have the weights b_j and the times c_j after the heat exchange, both as fractions of the step. Then
     alpha = 1/12 - B/2 and beta = 1/12 - D/2 with B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j), and
     a force-gradient kick of strength s adds -s b³/2 to beta.
 
     Raises
     ------
     ValueError
-        If a step has not one place of heat exchange between drifts and kicks of all forces that mirror each other.
+        If a step does not have exactly one heat exchange, between mirror-symmetric drifts and kicks of all forces.
     """
     behind, before = _around_exchange(scheme)
     cycle = behind + before
@@ -75,7 +75,7 @@ def second_order(scheme: Scheme) -> SecondOrder:
 
 
 def _around_exchange(scheme: Scheme) -> tuple[Sequence, Sequence]:
-    """Return the drifts and kicks behind the heat exchange up to the end of a step, and those before it."""
+    """Return the drifts and kicks from the heat exchange to the end of a step, and those before it."""
     rows = scheme.sequence
     if isinstance(rows[0][0], HeatExchange) and isinstance(rows[-1][0], HeatExchange) and len(rows) > 1:
         rows = rows[1:]  # the halves of one exchange

@@ -1,4 +1,4 @@
-"""Sequences: a step is a row of substeps, each with its part of the step."""
+"""Sequences: a step is a row of substeps, each with its fraction of the step."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ _S = TypeVar("_S")
 
 
 def inverse(sequence: Sequence) -> Sequence:
-    """Return the sequence that undoes another one."""
+    """Return the inverse of a sequence."""
     return tuple((substep, -part) for substep, part in reversed(sequence))
 
 
 def palindromic(sequence: Sequence) -> bool:
-    """Return whether a sequence is its own mirror image, up to the order of neighbouring kicks, which commute."""
+    """Return whether a sequence is a palindrome, up to the order of neighbouring kicks, which commute."""
     pairs = zip(_in_order(sequence), _in_order(sequence[::-1]), strict=True)
     return all(a == b and math.isclose(i, j, rel_tol=1e-14) for (a, i), (b, j) in pairs)
 
 
 def _in_order(sequence: Sequence) -> Sequence:
-    """Return a sequence with kicks at one place in one order."""
+    """Return a sequence with neighbouring kicks in a canonical order."""
     places = ((kicks, list(some)) for kicks, some in itertools.groupby(sequence, lambda row: row[0].kicks))
     by_name = lambda row: (repr(row[0]), row[1])  # noqa: E731
     return tuple(itertools.chain(*(sorted(some, key=by_name) if kicks else some for kicks, some in places)))
 
 
 def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
-    """Return a sequence in which equal neighbours are one where they add up."""
+    """Return a sequence with equal additive neighbours merged."""
     rows: list[tuple[Substep, float]] = []
     for substep, part in sequence:
         if rows and rows[-1][0] == substep and substep.additive:
@@ -43,12 +43,12 @@ def merged(sequence: Iterable[tuple[Substep, float]]) -> Sequence:
 
 
 def repeated(sequence: Sequence, n: int) -> Sequence:
-    """Return n steps, where neighbouring steps share their outer substep."""
+    """Return n steps, with the outer substeps of neighbouring steps merged."""
     return merged(sequence * n)
 
 
 def spelled(text: str) -> Sequence:
-    """Return the sequence of a text such as "B A O A B": every substep has an equal share of the step.
+    """Return the sequence of a text such as "B A O A B"; substeps of the same kind have equal fractions of the step.
 
     Raises
     ------
@@ -67,12 +67,12 @@ def bound(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], h: float) -> li
 
 
 def through(rows: Iterable[tuple[Flow[_S], float]], state: _S) -> _S:
-    """Return a state after flows with their times, one after the other: the loop of every step."""
+    """Return a state after successive flows with their times: the loop of every step."""
     for flow, tau in rows:
         state = flow(state, tau)
     return state
 
 
 def run(sequence: Sequence, flows: Mapping[Substep, Flow[_S]], state: _S, h: float) -> _S:
-    """Return a state after a sequence with a step of size h, with these flows of its substeps."""
+    """Return a state after a step of size h of a sequence, with given flows of its substeps."""
     return through(bound(sequence, flows, h), state)

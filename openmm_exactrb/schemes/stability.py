@@ -1,4 +1,4 @@
-"""What a scheme makes of a harmonic oscillator: how long a step it bears, and which energy it keeps."""
+"""The behaviour of a scheme for a harmonic oscillator: its stability limit and its conserved energy."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _RESOLUTION, _AT_ONCE = 1e-4, 10_000
 
 
 def stability_limit(scheme: Scheme) -> float:
-    """Return the step, in units of 1/omega, up to which a harmonic oscillator stays bounded.
+    """Return the largest step, in units of 1/omega, for which a harmonic oscillator is stable.
 
-    It is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. A touch of the bounds by
-    less than 1e-6, where two stable intervals meet, is passed over.
+    It is the last multiple of 1e-4 before the trace of the matrix of a step leaves [-2, 2]. Points where two stable
+    intervals meet, with an excess below 1e-6, are ignored.
 
     Raises
     ------
     ValueError
-        If the drifts or the kicks of a step do not last for the step.
+        If the fractions of the drifts or of the kicks do not add up to a step.
     """
     if not all(math.isclose(math.fsum(parts), 1.0, rel_tol=1e-6) for parts in (scheme.a, scheme.b)):
         raise ValueError(
@@ -43,7 +43,7 @@ def stability_limit(scheme: Scheme) -> float:
 
 
 class Shadow(NamedTuple):
-    """The energy kinetic p²/2 + potential q²/2 that a symmetric scheme keeps at the ends of steps of p²/2 + q²/2.
+    """The energy kinetic p²/2 + potential q²/2 that a symmetric scheme conserves for the Hamiltonian p²/2 + q²/2.
 
     Both numbers are 1 for the exact flow.
     """
@@ -53,18 +53,19 @@ class Shadow(NamedTuple):
 
 
 def shadow(scheme: Scheme, step: float) -> Shadow:
-    """Return what the energy that a scheme keeps exactly makes of its states, at the ends of steps.
+    """Return the coefficients of the energy that a scheme conserves exactly at the ends of its steps.
 
-    A step turns the plane of q and p along ellipses. So a state of temperature T' has <p²> = kT'/kinetic and
-    <q²> = kT'/potential: in a liquid, where fast and slow modes exchange this energy, those with a larger `kinetic`
-    look colder. Of a symmetric scheme they are 1 + 2 b step² and 1 + 2 a step² up to step², where b and a belong to the
-    commutators of two kinetic and one potential energy, and of one and two. A thermostat within the step is left out.
+    A step moves points of the plane of q and p along ellipses. A mode at temperature T' therefore has <p²> =
+    kT'/kinetic and <q²> = kT'/potential: in a liquid, in which fast and slow modes exchange this energy, modes with a
+    larger `kinetic` appear colder. For a symmetric scheme the coefficients are 1 + 2 b step² and 1 + 2 a step² up to
+    step², where b and a belong to the commutators of two kinetic and one potential energy, and of one and two. A
+    thermostat within the step is ignored.
 
     Parameters
     ----------
     scheme : Scheme
     step : float
-        In units of 1/omega, above zero; it is taken to turn the oscillator once at most.
+        Step size in units of 1/omega, above zero and at most one period.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def shadow(scheme: Scheme, step: float) -> Shadow:
 def oscillated(sequence: Sequence, h: Any) -> Matrix:
     """Return the matrix of a sequence for q'' = -q: ((dq/dq, dq/dp), (dp/dq, dp/dp)).
 
-    Step sizes h, a number or an array, are in units of 1/omega; entries have their shape.
+    Step sizes h, a number or an array, are in units of 1/omega; entries have the shape of h.
     """
     zero = 0.0 * h
     (qq, qp), (pq, pp) = (1.0 + zero, zero), (zero, 1.0 + zero)

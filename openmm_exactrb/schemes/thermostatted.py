@@ -1,4 +1,4 @@
-"""Schemes with a thermostat: those that have it within them, and how it is joined to the others."""
+"""Schemes with a thermostat: those that contain one, and the addition of a thermostat to the others."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _CANONICAL = "openmm-exactrb, for equipartition and the density of rigid water a
 
 
 def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
-    """Return how far behind the thermostat positions are to be read, as a part of the step.
+    """Return the time after the thermostat at which positions are read, as a fraction of the step.
 
-    A step from one heat exchange to the next takes (q, p) of an oscillator of the frequency w to
-    (.. + (1 - B h² w²) h p, .. - (1 - D h² w²) h w² q) up to h³, where B = sum_j b_j c_j (1 - c_j) and
-    D = sum_{j<k} b_j b_k (c_k - c_j). So next to the thermostat w² <q²> / <p²> is 1 - (B - D) h² w², and a drift over
-    y h, which leaves momenta alone, adds y² h² w²: with y² = B - D places are canonical up to h⁴, as momenta are.
+    A step from one heat exchange to the next takes (q, p) of an oscillator of the frequency w to (.. + (1 - B h² w²) h
+    p, .. - (1 - D h² w²) h w² q) up to h³, where B = sum_j b_j c_j (1 - c_j) and D = sum_{j<k} b_j b_k (c_k - c_j).
+    Next to the thermostat, w² <q²> / <p²> is therefore 1 - (B - D) h² w², and a drift over y h, which leaves momenta
+    unchanged, adds y² h² w²: with y² = B - D, positions are canonical up to h⁴, like momenta.
 
     Parameters
     ----------
     kicks : iterable of (float, float)
-        The part b_j of each kick and its place c_j, the time since the thermostat, in units of the step.
+        The weight b_j of each kick and its time c_j after the thermostat, in units of the step.
     """
     kicks = sorted(kicks, key=operator.itemgetter(1))
     late = math.fsum(b * c * (1.0 - c) for b, c in kicks)
@@ -38,10 +38,10 @@ def reading_point(kicks: Iterable[tuple[float, float]]) -> float:
 
 
 def _three_kicks(outer: float) -> Sequence:
-    """Return three kicks about a drift with a thermostat in it; a step ends where positions are to be read.
+    """Return three kicks around drifts that contain a thermostat; a step ends where positions are read.
 
-    Of the drifts `outer` is the one on each side of the thermostat. Of the kicks the middle one has the part with which
-    the step touches the bound of stability at half a period of an oscillator, and does not cross it.
+    `outer` is the drift on each side of the thermostat. The weight of the middle kick is such that the step touches the
+    stability bound at half a period of an oscillator, and does not cross it.
     """
     inner, middle = 0.5 - outer, (1.0 - 4.0 * outer) / (2.0 - 6.0 * outer)
     kick = 0.5 * (1.0 - middle)
@@ -68,17 +68,16 @@ WITH_THERMOSTAT: Mapping[str, Scheme] = MappingProxyType(
 
 
 def with_thermostat(scheme: Scheme) -> Scheme:
-    """Return a scheme with a thermostat: half of it before and half after each step, unless it is within."""
+    """Return a scheme with half a heat exchange at each end of a step, unless the step already contains one."""
     return _numbered(scheme, scheme.sequence if scheme.has(HEAT_EXCHANGE) else _between_halves(scheme.sequence))
 
 
 def canonical_momenta(sequence: Sequence) -> Sequence:
-    """Return the sequence of a step at whose end the momenta of bodies with inner steps are those of a heat exchange.
+    """Return the sequence of a step after which the momenta of bodies with inner steps are those of a heat exchange.
 
-    A drift between the last heat exchange and the end of a step leaves momenta as they are, but not those of bodies
-    with inner steps: for its time t fast forces act without the slow ones that balance them, which adds
-    -t² <f_fast M^-1 f_slow> to twice the mean kinetic energy. These bodies make that drift at the begin of the next
-    step.
+    A drift between the last heat exchange and the end of a step preserves momenta, except for those of bodies with
+    inner steps: during its time t, fast forces act without the slow forces that balance them, which adds -t² <f_fast
+    M^-1 f_slow> to twice the mean kinetic energy. These bodies perform that drift at the start of the next step.
     """
     if len(sequence) < 2 or not isinstance(sequence[-2][0], HeatExchange) or sequence[-1][0] != DRIFT:
         return sequence
@@ -90,10 +89,10 @@ def canonical_momenta(sequence: Sequence) -> Sequence:
 
 
 def behind_exchange(sequence: Sequence) -> Sequence:
-    """Return the drifts with which a step ends behind its last heat exchange; none if it ends otherwise.
+    """Return the drifts after the last heat exchange if a step ends with them, or none.
 
     From one heat exchange to the next a step is symmetric in time, so that the errors of the energy there are of order
-    2. At the end of the step, places are ahead of momenta, and the errors of the sum of the energies are of order 1.
+    2. At the end of the step, positions are ahead of momenta, and the errors of the total energy are of order 1.
     """
     rows: list[tuple[Substep, float]] = []
     for substep, part in reversed(sequence):
@@ -115,16 +114,16 @@ def _between_halves(sequence: Sequence) -> Sequence:
 
 
 def _numbered(scheme: Scheme, sequence: Sequence) -> Scheme:
-    """Return a scheme with this sequence, each heat exchange numbered: no two of a step get the same noise."""
+    """Return a scheme with this sequence and numbered heat exchanges, which receive different noise."""
     numbers = itertools.count()
     rows = ((HeatExchange(next(numbers)) if isinstance(s, HeatExchange) else s, part) for s, part in sequence)
     return replace(scheme, sequence=tuple(rows))
 
 
 def proposal(scheme: Scheme, steps: int) -> Scheme:
-    """Return a scheme whose step is made of so many steps of another one.
+    """Return a scheme whose step consists of a number of steps of another scheme.
 
-    ValueError if it is not symmetric in time or has a thermostat in it, which Metropolis's rule does not allow.
+    A ValueError is raised if it is not symmetric in time or contains a thermostat, as Metropolis's rule requires.
     """
     if scheme.has(HEAT_EXCHANGE):
         raise ValueError(f"{scheme.name} contains a thermostat, but a proposal must not: choose a scheme such as S2_2")

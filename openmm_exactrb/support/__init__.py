@@ -1,1 +1,1 @@
-"""Support that has nothing to do with mechanics: checks of arguments, files, copies, the version."""
+"""Support functions that do not concern mechanics: checks of arguments, files, copies, the version."""

@@ -1,4 +1,4 @@
-"""Checks of numbers from a user, each with a message of one sentence."""
+"""Checks of a user's numbers, each with a message of one sentence."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from openmm_exactrb.support.types import Array, Indices
 
 
 def number(value: Any, name: str, of: str = "") -> float:
-    """Return a finite number as a float; a ValueError with its name and unit (`of`) otherwise."""
+    """Return a finite number as a float; otherwise raise a ValueError with its name and unit (`of`)."""
     return _checked(value, name, of, "a finite number{}", lambda x: True)
 
 
@@ -37,7 +37,7 @@ def whole(value: Any, name: str, least: int = 1, of: str = "") -> int:
 
 
 def force_groups(value: Any) -> int:
-    """Return force groups, in a set or by bits, as bits; ValueError for anything else."""
+    """Return force groups, given as a set or as bits, as bits; raise ValueError for anything else."""
     if _index(value) and -(2**31) <= value < 2**32:
         return int(value)
     groups: list[Any] = [*value] if _iterable(value) else [None]
@@ -47,7 +47,7 @@ def force_groups(value: Any) -> int:
 
 
 def switch(value: Any, name: str) -> bool:
-    """Return True or False; ValueError for anything else."""
+    """Return True or False; raise ValueError for anything else."""
     if not isinstance(value, bool):
         raise ValueError(f"{name} must be True or False, not {reprlib.repr(value)}")
     return value
@@ -59,7 +59,7 @@ def array(value: Any, name: str, asked: str = "real numbers in rows of equal len
     Raises
     ------
     ValueError
-        If it is complex, text, a Quantity, or in rows of different lengths; the message says what is `asked`.
+        If the value is complex, text, a Quantity, or has rows of different lengths; the message contains `asked`.
     """
     with contextlib.suppress(TypeError, ValueError, OverflowError):
         given = np.asarray(value)
@@ -71,7 +71,7 @@ def array(value: Any, name: str, asked: str = "real numbers in rows of equal len
 
 
 def lists_of_indices(value: Any, name: str) -> list[list[int]]:
-    """Return lists of numbers of particles as lists of int; iterators are walked once. See `number`."""
+    """Return lists of particle indices as lists of int; iterators are consumed once. See `number`."""
     rows = [list(row) if _iterable(row) else None for row in value] if _iterable(value) else [None]
     fits = [row for row in rows if row is not None and all(map(_index, row))]
     if len(fits) < len(rows):
@@ -81,9 +81,9 @@ def lists_of_indices(value: Any, name: str) -> list[list[int]]:
 
 
 def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indices:
-    """Return the number of the body that names each particle (n_particles,), -1 for none.
+    """Return the index of the body that names each particle (n_particles,), -1 for none.
 
-    ValueError if there is no such particle, or two bodies name one.
+    A ValueError is raised if a particle does not exist, or two bodies name it.
     """
     owner = np.full(n_particles, -1)
     for number, body in enumerate(bodies):

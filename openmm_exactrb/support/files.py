@@ -19,7 +19,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
     mode : str, optional
         "w" or "wb".
     part : str, optional
-        Suffix of its name until it is complete. Processes that may write the same file need different ones.
+        Suffix of the name until the file is complete. Processes that may write the same file need different suffixes.
 
     Yields
     ------
@@ -28,7 +28,7 @@ def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".p
     Raises
     ------
     OSError
-        If it cannot be written; an existing file is unchanged.
+        If the file cannot be written; an existing file is unchanged.
     """
     path = Path(file)
     draft = path.with_name(path.name + part)

@@ -21,7 +21,7 @@ _SERIALISABLE = (openmm.System, openmm.State, openmm.Force, openmm.Integrator)
 
 
 def digest(content: bytes) -> str:
-    """Return the first half of the SHA-256 of some bytes, in hexadecimal."""
+    """Return the first half of the SHA-256 of bytes, in hexadecimal."""
     return hashlib.sha256(content).hexdigest()[:32]
 
 

@@ -1,4 +1,4 @@
-"""Systems ready to run, and changes of the masses and exclusions of a System."""
+"""Ready-made Systems, and changes to the masses and exclusions of a System."""
 
 from openmm_exactrb.systems.ellipsoid_fluid import ellipsoids
 from openmm_exactrb.systems.exclusions import exclude_within

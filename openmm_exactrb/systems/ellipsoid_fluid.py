@@ -61,8 +61,8 @@ def ellipsoids(
     density : float, optional
         Ellipsoids per nm³; by default 0.9/(kappa sigma³).
     cutoff, switch : float, optional
-        Distances of the centres at which the energy of a pair ends and its switch begins, in nm. By default sigma more
-        than the longest diameter, and 0.9 of the cutoff.
+        Distances between centres at which the energy of a pair ends and its switch begins, in nm. By default the
+        longest diameter plus sigma, and 0.9 of the cutoff.
 
     Returns
     -------
@@ -78,8 +78,8 @@ def ellipsoids(
     Raises
     ------
     ValueError
-        If a number is out of its range, a unit does not fit, the cutoff is more than half the box, or the ellipsoids do
-        not fit on the lattice.
+        If a number is out of range, a unit is incompatible, the cutoff exceeds half the box, or the ellipsoids do not
+        fit on the lattice.
 
     Notes
     -----
@@ -116,7 +116,7 @@ def ellipsoids(
 
 
 def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma: float) -> tuple[float, float]:
-    """Return cutoff and begin of the switch (nm)."""
+    """Return the cutoff and the start of the switch (nm)."""
     cutoff = (max(1.0, kappa) + 1.0) * sigma if cutoff is None else checks.positive(cutoff, "cutoff", "nm")
     switch = 0.9 * cutoff if switch is None else checks.not_negative(switch, "switch")
     if switch >= cutoff:
@@ -125,9 +125,10 @@ def _truncation(cutoff: float | None, switch: float | None, kappa: float, sigma:
 
 
 def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Array:
-    """Return n places (n, 3) in a cube of edge 1 on the close-packed lattice with most room, holes chosen at random.
+    """Return n sites (n, 3) in a unit cube on the roomiest close-packed lattice, with random vacancies.
 
-    Distances are measured in diameters, along z in lengths: ellipsoids that touch are then at a distance of 1.
+    Distances are in units of the diameter, and along z of the length, so that touching ellipsoids are at a distance of
+    1.
     """
     layers = [(k, -(-n // (4 * k * k))) for k in range(1, n + 1)]
     room = [_closest(box / k, box / (kappa * m)) for k, m in layers]
@@ -143,7 +144,7 @@ def _lattice(n: int, rng: np.random.Generator, box: float, kappa: float) -> Arra
 
 
 def _closest(x: float, z: float) -> float:
-    """Return the shortest distance of a close-packed lattice with the edges x, x and z of its cell."""
+    """Return the shortest distance in a close-packed lattice with cell edges x, x and z."""
     return float(min(x / 2.0**0.5, np.hypot(x, z) / 2.0, x, z))
 
 

@@ -1,4 +1,4 @@
-"""Pairs within rigid bodies that no force need compute."""
+"""Exclusion of pairs within rigid bodies, which need no forces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
     Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
     the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
-    bodies, and their parameter offsets, become zero. Call it before the Context is created.
+    bodies, and their parameter offsets, become zero. Call this function before the Context is created.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
 
 
 def _except(force: Any, within: list[Pair]) -> None:
-    """Give a force exceptions of zero: charge, size and depth, or size and depth of a GayBerneForce."""
+    """Give a force exceptions of zero: charge, size and depth, or for a GayBerneForce size and depth."""
     numbers = (0.0, 1.0, 0.0) if isinstance(force, openmm.NonbondedForce) else (1.0, 0.0)
     present = {_sorted(force.getExceptionParameters(i)[:2]): i for i in range(force.getNumExceptions())}
     for pair in within:

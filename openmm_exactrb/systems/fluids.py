@@ -1,4 +1,4 @@
-"""Systems ready to run: (topology, system, positions)."""
+"""Ready-made Systems: (topology, system, positions)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], 
 
 
 def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity) -> Array:
-    """Place equal masses so that they have exactly these principal moments of inertia.
+    """Place equal masses with exactly these principal moments of inertia.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def rigid_sites(mass: float | unit.Quantity, inertia: ArrayLike | unit.Quantity)
     Returns
     -------
     (3, 3) or (4, 3) array
-        A triangle for a planar body, whose largest moment is the sum of the others, else a tetrahedron; equal masses
-        mass/3 or mass/4, the centre of mass in the origin, the principal axes along the coordinates.
+        A triangle for a planar body, whose largest moment is the sum of the others, otherwise a tetrahedron. The masses
+        are mass/3 or mass/4, the centre of mass is the origin, and the principal axes are the coordinate axes.
 
     Raises
     ------
@@ -135,16 +135,16 @@ def dipole_fluid(
     density : float, optional
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     sphere_cutoff, sphere_switch : float, optional
-        Where the energy of two spheres in the box ends, and its switch begins, in nm. By default 3 sigma, or half the
-        box if that is less, and three quarters of the cutoff. They do not depend on the cutoff of the dipoles, which
-        belongs to the boundary.
+        Distances at which the energy of two spheres in the box ends and its switch begins, in nm. The default cutoff is
+        3 sigma, or half the box if that is less; the switch begins at three quarters of the cutoff. Both are
+        independent of the cutoff of the dipoles, which belongs to the boundary.
     shifted : bool
         Whether the energy of two spheres at their cutoff is subtracted from it.
     long_range_correction : bool, optional
         Whether energy and pressure have the mean contribution of spheres beyond the cutoff, by a second force. By
         default they have it, unless the potential is shifted or ends at its minimum (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" takes the two forces of
+        Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
 
     Returns
@@ -160,7 +160,7 @@ def dipole_fluid(
     Raises
     ------
     ValueError
-        If a number is out of its range, a unit does not fit, or an option does not apply to the boundary.
+        If a number is out of range, a unit is incompatible, or an option does not apply to the boundary.
     """
     sigma, spacing = stripped(sigma, unit.nanometer), stripped(spacing, unit.nanometer)
     mass, epsilon = stripped(mass, unit.dalton), stripped(epsilon, unit.kilojoule_per_mole)
@@ -213,7 +213,7 @@ def _direction_and_strength(dipole: ArrayLike) -> tuple[Array, float]:
 def _sphere_forces(
     added: Sequence[Sequence[int]], particles: int, rod: float, kernel: str, spheres: dict[str, Any]
 ) -> Iterable[openmm.Force]:
-    """Return the forces on molecules with these virtual sites: the ends of a rod of that length, if any, C and D."""
+    """Return the forces on molecules with these virtual sites: C, D and, if there is one, the ends of a rod."""
     if not rod:
         arrows = [(centre, tip) for centre, tip in added]
         return [soft_dipole_force(arrows, length=0.5 * spheres["sigma"], kernel=kernel, **spheres)]
@@ -222,7 +222,7 @@ def _sphere_forces(
 
 
 def _turned(rng: np.random.Generator, centres: Array, shape: Array) -> unit.Quantity:
-    """Return the positions of molecules with this shape (k, 3) at these centres, each turned at random."""
+    """Return the positions of molecules of a given shape (k, 3) at given centres, with random orientations."""
     Q = quaternions.rotation_matrix(quaternions.random(rng, len(centres)))
     positions = centres[:, None] + np.einsum("nij,sj->nsi", Q, shape)
     return unit.Quantity(positions.reshape(-1, 3), unit.nanometer)
@@ -258,7 +258,7 @@ def add_molecule(
     sites: Array,
     places: Mapping[str, Array],
 ) -> tuple[int, ...]:
-    """Add a rigid molecule with virtual sites at places; return their particles. The last two are bound."""
+    """Add a rigid molecule with virtual sites at given positions, the last two of them bonded; return the particles."""
     first, k = system.getNumParticles(), len(sites)
     particles = list(range(first, first + k))
     residue = topology.addResidue(name, chain)
@@ -278,7 +278,7 @@ def add_molecule(
 def _body_fixed_site(particles: list[int], sites: Array, place: Array) -> openmm.OutOfPlaneSite:
     """Return a virtual site at a position in the principal axes of the body.
 
-    It costs OpenMM a third of the time of a LocalCoordinatesSite.
+    It takes OpenMM a third of the time of a LocalCoordinatesSite.
     """
     to_second, to_third = sites[1] - sites[0], sites[2] - sites[0]
     normal, place = np.cross(to_second, to_third), place - sites[0]
@@ -333,7 +333,7 @@ def rigid_water(
     Raises
     ------
     ValueError
-        If the model is unknown, a number is out of its range, or TIP4P/2005 is requested with ``rigidWater=False``,
+        If the model is unknown, a number is out of range, or TIP4P/2005 is requested with ``rigidWater=False``,
         since it has no force constants of bonds and angles.
     """
     if model not in _WATER_MODELS:

@@ -1,4 +1,4 @@
-"""Places for molecules to start from."""
+"""Lattices of starting positions for molecules."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ _MANY = 100
 
 
 def places_a_side(n: int) -> int:
-    """Return how many lattice sites an edge of the smallest cube with n sites has."""
+    """Return the number of lattice sites along an edge of the smallest cube with n sites."""
     return next(k for k in range(1, n + 1) if k**3 >= n)
 
 
 def cubic_lattice(n: int) -> Array:
-    """Return the first n places (n, 3) of a cubic lattice of constant 1."""
+    """Return the first n sites (n, 3) of a cubic lattice with constant 1."""
     return np.argwhere(np.ones(3 * (places_a_side(n),)))[:n].astype(np.float64)
 
 
 def filling(n: int) -> tuple[Array, float]:
-    """Return n places (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
+    """Return n sites (n, 3) that fill a periodic cube without vacancies at density 1, and the edge of the cube.
 
-    They are a cubic lattice where n is a cube; else the multiples of a vector (1, a, b)/n of the edge, the first ones
-    found that are as far apart as in a cubic lattice, or the farthest. With many places b = a² is taken (N. M. Korobov;
-    I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
+    They form a cubic lattice if n is a cube; otherwise they are the multiples of a vector (1, a, b)/n of the edge: the
+    first found with distances as large as in a cubic lattice, or the one with the largest. For large n, b = a² is used
+    (N. M. Korobov; I. H. Sloan and S. Joe, Lattice Methods for Multiple Integration, 1994).
     """
     k = places_a_side(n)
     if k**3 == n:

@@ -1,4 +1,4 @@
-"""Heavier hydrogens: mass that is moved within molecules, so that longer steps are stable."""
+"""Heavier hydrogens: mass repartitioned within molecules, so that longer steps are stable."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def heavy_hydrogens(
 ) -> None:
     """Change the mass of hydrogens; the difference is taken from the heavier atom to which each is bonded.
 
-    Call it before the Context is created, or call ``context.reinitialize(preserveState=True)`` afterwards. The mass of
-    each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower, which
-    allows longer steps.
+    Call this function before the Context is created, or call ``context.reinitialize(preserveState=True)`` afterwards.
+    The mass of each molecule does not change. Librations of water and vibrations of angles with hydrogen become slower,
+    which allows longer steps.
 
-    The dynamics changes: rotation, because the moments of inertia change, vibrations with hydrogen, and by several
-    percent diffusion and viscosity. Averages of positions do not depend on masses, neither for rigid molecules nor for
+    The dynamics changes: rotation, because the moments of inertia change; vibrations of hydrogen; and, by several
+    percent, diffusion and viscosity. Averages of positions do not depend on masses, neither for rigid molecules nor for
     atoms without constraints. There is a small exception if several bonds of one atom are constrained, as with HBonds:
-    the angles between these bonds have a weight sqrt(det(J M^-1 J^T)) that depends on masses. For two bonds of a carbon
-    with hydrogens of 3 amu, it amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
+    the angles between these bonds have a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For two bonds of a
+    carbon with hydrogens of 3 amu, it amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def heavy_hydrogens(
     ------
     ValueError
         If the Topology has no hydrogens, a heavier atom would become lighter than its hydrogens, a hydrogen is not
-        bonded to a heavier atom, or System and Topology do not belong together. No mass is changed then.
+        bonded to a heavier atom, or System and Topology do not belong together. In these cases no mass is changed.
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(
@@ -93,7 +93,7 @@ def heavy_hydrogens(
 
 
 def _bearers(topology: app.Topology) -> dict[int, app.topology.Atom]:
-    """Return the heavier atom that each hydrogen is bonded to, by the hydrogen's number."""
+    """Return the heavier atom to which each hydrogen is bonded, by the index of the hydrogen."""
     pairs = [(a, b) for bond in topology.bonds() for a, b in (bond[:2], bond[1::-1])]
     return {a.index: b for a, b in reversed(pairs) if _is_hydrogen(a) and b.element and not _is_hydrogen(b)}
 

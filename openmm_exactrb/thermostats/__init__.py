@@ -1,4 +1,4 @@
-"""Thermostats, and the integrators that have one: each file has both.
+"""Thermostats and the integrators that use them, one file for each thermostat.
 
 `Langevin`, `StochasticRescaling`, `NoseHooverChain` and `HybridMonteCarlo` are values of the argument ``thermostat`` of
 `openmm_exactrb.ExactRigidBodyIntegrator`; `momenta` draws all momenta at intervals.

@@ -1,4 +1,4 @@
-"""What the integrators with a thermostat have in common: its temperature and its noise."""
+"""The common parts of the integrators with a thermostat: temperature and noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from openmm_exactrb.thermostat import Thermostat
 
 
 class Options(TypedDict, total=False):
-    """Arguments that all integrators take by name; see `ExactRigidBodyIntegrator`."""
+    """Keyword arguments of all integrators; see `ExactRigidBodyIntegrator`."""
 
     bodies: Sequence[Sequence[int]] | None
     fast: str | Sequence[int] | None
@@ -30,10 +30,10 @@ class Options(TypedDict, total=False):
 
 
 class ThermostattedIntegrator(ExactRigidBodyIntegrator):
-    """An `ExactRigidBodyIntegrator` with a thermostat of the package.
+    """An `ExactRigidBodyIntegrator` with a thermostat of this package.
 
     Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are
-    settings, which a new process has to set again.
+    settings, which must be set again in a new process.
 
     Parameters
     ----------
@@ -64,20 +64,20 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         Raises
         ------
         ValueError
-            If it is negative, not finite or has a unit that does not fit.
+            If the temperature is negative, not finite or has an incompatible unit.
         """
         self._change(temperature=temperature)
 
     def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return the translational and rotational temperatures, means of those before and after the last heat exchange.
+        """Return translational and rotational temperatures, means over before and after the last heat exchange.
 
         With "BAOAB" and "ABOBA" the thermostat acts in the middle of a step, where momenta are closer to canonical than
-        at its end. There `temperatures`, like the velocities of the Context, is biased.
+        at its end. At the end, `temperatures` and the velocities of the Context are biased.
 
         Raises
         ------
         ValueError
-            If the state of the bodies is not that after a step of this integrator.
+            If the bodies are not in the state after a step of this integrator.
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
@@ -101,7 +101,7 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
 
 class HeatedIntegrator(ThermostattedIntegrator):
-    """An integrator whose thermostat exchanges heat with the bodies, which is added up."""
+    """An integrator that adds up the heat its thermostat exchanges with the bodies."""
 
     def heat(self) -> unit.Quantity:
         """Return the energy that the thermostat has added to the bodies since the integrator was created.
@@ -109,20 +109,20 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            With friction on the device, which does not add it up.
+            With friction on the device, which does not add up the heat.
         """
         if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
-        """Return the total energy at the last heat exchange less the heat: the energy balance of the run.
+        """Return the total energy at the last heat exchange minus the heat, which a run conserves.
 
-        Its drift and noise are the error of the step, of the order of the scheme. `totalEnergy` is that at the end of
-        the step. With a scheme that ends with a drift behind the heat exchange, such as the default, momenta there lag
-        behind the positions, and the sum of the energies fluctuates by an amount proportional to the step size. A
-        barostat, a ``CMMotionRemover``, positions or velocities that are set, and with such a scheme also another step
-        size, change the effective energy too.
+        Its drift and noise are errors of the step, of the order of the scheme. `totalEnergy` is the energy at the end
+        of the step. With a scheme that ends with a drift after the heat exchange, such as the default, momenta lag
+        behind positions there, and the total energy fluctuates by an amount proportional to the step size. The
+        effective energy also changes with a barostat, with a ``CMMotionRemover``, when positions or velocities are set
+        and, with such a scheme, when the step size is set.
 
         Raises
         ------

@@ -1,8 +1,9 @@
-"""Generalised hybrid Monte Carlo of rigid bodies: the canonical distribution at any step.
+"""Generalised hybrid Monte Carlo of rigid bodies: the canonical distribution at any step size.
 
-A splitting proposes, Metropolis decides, and momenta turn round where the answer is no: A. M. Horowitz (1991),
-doi:10.1016/0370-2693(91)90812-5. With a thermostat that keeps the canonical distribution between the proposals the
-distribution is right at any step. The splitting must be symmetric in time and keep the volume of phase space.
+A splitting makes a proposal, Metropolis's rule accepts or rejects it, and momenta are reversed on rejection: A. M.
+Horowitz (1991), doi:10.1016/0370-2693(91)90812-5. With a thermostat that preserves the canonical distribution between
+the proposals, the distribution is correct at any step size. The splitting must be symmetric in time and preserve the
+volume of phase space.
 """
 
 from __future__ import annotations
@@ -28,21 +29,21 @@ from openmm_exactrb.thermostats.langevin import ExactRigidBodyLangevinIntegrator
 
 
 class Tally(NamedTuple):
-    """How many proposals there were, and how many were taken."""
+    """The numbers of proposals and of accepted proposals."""
 
     accepted: int = 0
     proposed: int = 0
 
     @property
     def rate(self) -> float:
-        """The part that was taken; nan before the first."""
+        """The accepted fraction; nan before the first proposal."""
         return self.accepted / self.proposed if self.proposed else math.nan
 
 
 def accepts(rise: float, kT: float, u: float) -> bool:
-    """Return whether Metropolis's rule takes a proposal that raises the total energy so much; u is uniform on (0, 1).
+    """Return whether Metropolis's rule accepts a given rise of the total energy; u is uniform on (0, 1).
 
-    A rise that is not a number is rejected.
+    A rise of nan is rejected.
     """
     return bool(rise <= 0.0 or u < math.exp(-rise / kT))
 
@@ -65,7 +66,7 @@ class Metropolis(Substep):
     symbol: ClassVar[str] = "X"
 
     def bind(self, environment: Environment) -> Flow[State]:
-        """Return the flow that proposes and decides."""
+        """Return the flow of a proposal and its acceptance test."""
         kT, numbers = gas_constant_times(self.temperature), environment.numbers
         bodies, forces, clock = environment.bodies, environment.forces(), environment.clock
         forces.with_energies()
@@ -75,7 +76,7 @@ class Metropolis(Substep):
             return float(sum(bodies.kinetic_energies(state.rounded)) + forces.energy(state))
 
         def proposed(state: State, tau: float) -> tuple[State, float]:
-            """Return a proposal and its rise of the energy: infinite if it diverges."""
+            """Return a proposal and the rise of the energy, infinite if the proposal diverges."""
             before = energy(state)
             try:
                 new = propose(state, tau)
@@ -120,7 +121,7 @@ class HybridMonteCarlo(Langevin):
         whole(self.stepsPerProposal, "stepsPerProposal")
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> None:  # type: ignore[override]
-        """Return nothing: Metropolis's rule needs energies on the host."""
+        """Return None: Metropolis's rule needs energies on the host."""
 
     def steps(self, scheme: Scheme) -> Scheme:
         """Return a proposal between two halves of Langevin's flow."""
@@ -187,7 +188,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
         return self._thermostat.splitting(self._scheme)[0].forces
 
     def tally(self) -> Tally:
-        """Return the numbers of accepted proposals and of all proposals since `resetTally` or the beginning."""
+        """Return the numbers of accepted and of all proposals since the start or the last `resetTally`."""
         return Tally(*(int(variables.get(self, name)) for name in (variables.ACCEPTED, variables.PROPOSED)))
 
     def acceptanceRate(self) -> float:

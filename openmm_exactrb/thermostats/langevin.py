@@ -47,12 +47,12 @@ class Langevin(Thermostat):
     temperature : float or Quantity
         In K if it has no unit.
     friction : float or Quantity
-        Of translation, in 1/ps if it has no unit.
+        Friction of translation, in 1/ps if it has no unit.
     rotationalFriction : float or Quantity, optional
-        Of rotation, in 1/ps if it has no unit; by default that of translation.
+        Friction of rotation, in 1/ps if it has no unit; by default that of translation.
     flexibleFriction : float or Quantity, optional
-        Of translation and rotation of all bodies in molecules that consist of more than one, such as a protein, in 1/ps
-        if it has no unit; by default they have the frictions of the others.
+        Friction of translation and rotation of all bodies in molecules of more than one body, such as a protein, in
+        1/ps if it has no unit; by default the frictions of the other bodies.
     """
 
     temperature: float
@@ -77,12 +77,12 @@ class Langevin(Thermostat):
 
     @property
     def flexible_frictions(self) -> tuple[float, float]:
-        """The same of bodies in molecules of more than one."""
+        """The frictions of bodies in molecules of more than one body."""
         return self.frictions if self.flexibleFriction is None else (self.flexibleFriction, self.flexibleFriction)
 
     @property
     def relaxation(self) -> float | None:
-        """The time in ps of the smallest friction that is not 0."""
+        """The inverse (ps) of the smallest nonzero friction."""
         rates = [rate for rate in (*self.frictions, *self.flexible_frictions) if rate > 0.0]
         return 1.0 / min(rates) if rates else None
 
@@ -113,23 +113,23 @@ def _rate(friction: Any) -> float:
 def ornstein_uhlenbeck(
     mass: Array, moments: Array, kT: float, friction: float | Array, rotational_friction: float | Array
 ) -> Exchange:
-    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and the same of m with I and a friction of its own.
+    """Prepare the exact flow of dP = -g P dt + sqrt(2 g M kT) dW, and of m with I and a friction of its own.
 
-    It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two flows one after the other are one of both times,
-    and the Maxwell-Boltzmann distribution is invariant. For splittings with it see B. Leimkuhler and C. Matthews
-    (2013), doi:10.1063/1.4802990.
+    It is P <- a P + sqrt((1 - a²) kT M) xi with a = exp(-g tau). Two successive flows equal one over the sum of their
+    times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see B. Leimkuhler and C.
+    Matthews (2013), doi:10.1063/1.4802990.
 
     Parameters
     ----------
     mass : (N,) array
-        Bodies without mass get no noise.
+        Massless bodies receive no noise.
     moments : (3, K) array
-        Principal moments: zero along the axis of a linear body, which gets no noise there.
+        Principal moments: zero along the axis of a linear body, which receives no noise there.
     kT : float
         Boltzmann's constant times temperature, in the unit of energy.
     friction, rotational_friction : float, or arrays (N,) and (K,)
-        In the unit of 1/time, of all bodies or of each. If all are 0 the momenta are returned as they came; else time
-        must not run back.
+        In units of 1/time, for all bodies or for each. If all are 0, the momenta are returned unchanged; otherwise
+        times must not be negative.
     """
     kT = not_negative(kT, "kT")
     width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
@@ -159,9 +159,9 @@ _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
 def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
-    """Return what gives exp(-g tau) - 1 and the standard deviation of the noise of a time tau; None if nothing changes.
+    """Return a function of tau for exp(-g tau) - 1 and the standard deviation of the noise; None if nothing changes.
 
-    The factor less 1, for as a change of momenta rounding fades together with the friction.
+    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction.
     """
     rates = np.asarray(friction, dtype=np.float64)
     for rate in np.unique(rates):
@@ -187,8 +187,8 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
 
     Friction and noise act on linear momenta and on angular momenta in the principal axes of each body, for as many
     degrees of freedom as a particle or a linear molecule has. Everything else is as in `ExactRigidBodyIntegrator`. A
-    scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow: without friction it gives the
-    trajectory of `ExactRigidBodyIntegrator`, bit for bit.
+    scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow; without friction the trajectory is
+    bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------
@@ -216,9 +216,9 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
-        As in `ExactRigidBodyIntegrator`. With the same seed, the device draws other random numbers than the host; there
-        too the noise of a step depends only on the seed and the number of the step. `temperaturesAroundThermostat` is
-        not available on the device.
+        As in `ExactRigidBodyIntegrator`. With the same seed, the device draws different random numbers than the host;
+        there too, the noise of a step depends only on the seed and the number of the step.
+        `temperaturesAroundThermostat` is not available on the device.
 
     Raises
     ------
@@ -230,7 +230,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     -----
     `step` raises a ValueError if the System also has a thermostat, or a barostat of another temperature.
 
-    The noise depends only on the seed and the number of the step: a second trajectory needs another seed.
+    The noise depends only on the seed and the number of the step: an independent trajectory needs another seed.
     """
 
     _thermostat: Langevin
@@ -266,7 +266,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         self._change(rotationalFriction=coeff)
 
     def getFlexibleFriction(self) -> unit.Quantity:
-        """Return the friction of molecules of more than one body, of translation."""
+        """Return the translational friction of molecules of more than one body."""
         return self._thermostat.flexible_frictions[0] * _RATE
 
     def setFlexibleFriction(self, coeff: float | unit.Quantity | None) -> None:

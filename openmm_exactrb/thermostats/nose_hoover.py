@@ -1,10 +1,10 @@
-"""Nosé-Hoover chains for bodies that rotate: deterministic, time-reversible, with a conserved quantity.
+"""Nosé-Hoover chains for rigid bodies: deterministic, time-reversible, with a conserved quantity.
 
-Translation and rotation have a chain each, or one together: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
+Translation and rotation have a chain each, or share one: G. J. Martyna, M. L. Klein and M. Tuckerman, J. Chem. Phys.
 97, 2635 (1992), doi:10.1063/1.463940. The flow of the chain and of the kinetic energy that it scales is the
 time-reversible splitting of G. J. Martyna, M. E. Tuckerman, D. J. Tobias and M. L. Klein, Mol. Phys. 87, 1117 (1996),
-doi:10.1080/00268979600100761. It needs nothing of a body but its kinetic energies, so that rotation takes part with
-angular momenta as translation does with linear ones.
+doi:10.1080/00268979600100761. It needs only the kinetic energies of the bodies, so that angular momenta are scaled in
+the same way as linear momenta.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class NoseHooverChain(Thermostat):
     temperature : float or Quantity
         In K if it has no unit; above zero.
     collisionFrequency : float or Quantity
-        Of the chain, in 1/ps if it has no unit; above zero.
+        Collision frequency of the chain, in 1/ps if it has no unit; above zero.
     chainLength : int, optional
     numMTS : int, optional
         Repetitions of a substep of the chain.
@@ -113,7 +113,7 @@ class NoseHooverChain(Thermostat):
         return Factors("nose_hoover", (*sizes, ("WEIGHTS", ", ".join(map(repr, weights)))), len(self.own_numbers))
 
     def kernel_exchange(self, tau: float, freedom: tuple[int, int]) -> tuple[float, ...]:
-        """Return kT, the frequency, the degrees of freedom, and whether one chain is for all."""
+        """Return kT, the frequency, the degrees of freedom, and whether all momenta share one chain."""
         return self._kT, self.collisionFrequency, *map(float, freedom), float(self.together)
 
     def bind(self, environment: Environment) -> Exchange:
@@ -140,11 +140,12 @@ class NoseHooverChain(Thermostat):
         return exchange
 
     def moved(self, chain: Array, kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
-        """Return the number that multiplies momenta over a time (ps), and the chain behind it.
+        """Return the factor that multiplies momenta over a time (ps), and the chain afterwards.
 
-        The order of the substeps is the same from its end, so that the time -tau leads back. Volume changes as in the
-        equations of motion, by what the coordinates moved: the measure of the extended phase space is kept exactly. A
-        chain (2, chainLength) has coordinates, and velocities in 1/ps. Without degrees of freedom nothing happens.
+        The order of the substeps is palindromic, so that a flow over -tau is the inverse. Volume changes as in the
+        equations of motion, by the displacement of the coordinates: the measure of the extended phase space is
+        preserved exactly. A chain (2, chainLength) consists of coordinates, and of velocities in 1/ps. Without degrees
+        of freedom nothing changes.
         """
         if not freedom:
             return 1.0, chain
@@ -191,9 +192,9 @@ class NoseHooverChain(Thermostat):
         return np.array([freedom * link, *[link] * (self.chainLength - 1)])
 
     def energy(self, values: Mapping[str, float], freedoms: tuple[int, int]) -> float:
-        """Return the energy (kJ/mol) of the chains, which with that of the bodies is conserved.
+        """Return the energy (kJ/mol) of the chains; its sum with that of the bodies is conserved.
 
-        It is that of the values of `own_numbers`, for the degrees of freedom of translation and of rotation.
+        It is computed from the values of `own_numbers`, for given translational and rotational degrees of freedom.
         """
         kT, total = self._kT, 0.0
         for chain, freedom in enumerate([sum(freedoms)] if self.together else freedoms):
@@ -209,15 +210,16 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     Parameters
     ----------
     temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
-        As in `NoseHooverChain`; the three numbers have the meaning that they have in OpenMM's NoseHooverIntegrator.
+        As in `NoseHooverChain`; the three numbers have the same meaning as in OpenMM's NoseHooverIntegrator.
     stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
 
     Notes
     -----
     The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a
-    step are half a kick from the chains, and `temperatures` is lower than the temperature of the chains by a part that
-    is proportional to the square of the step. `temperaturesAroundThermostat` is that of the chains.
+    step are half a kick away from those that the chains scale, and `temperatures` is lower than the temperature of the
+    chains by an amount proportional to the square of the step. `temperaturesAroundThermostat` is the temperature of the
+    chains.
 
     Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. A run continues only
     from a checkpoint or State of the same chain length. Small or stiff systems may not be ergodic; a harmonic
@@ -253,8 +255,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     def conservedEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange plus that of the chains.
 
-        It is as constant as the total energy of the scheme without a thermostat. A barostat, a ``CMMotionRemover`` and
-        positions or velocities that are set change it too.
+        It is as constant as the total energy of the scheme without a thermostat. It also changes with a barostat, with
+        a ``CMMotionRemover``, and when positions or velocities are set.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

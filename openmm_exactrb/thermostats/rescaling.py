@@ -45,7 +45,7 @@ class StochasticRescaling(Thermostat):
     relaxationTime : float or Quantity
         Of the kinetic energy, in ps if it has no unit.
     together : bool, optional
-        Whether one number multiplies all momenta; if not, translation and rotation get one each.
+        Whether one number multiplies all momenta; otherwise translation and rotation have one each.
     """
 
     temperature: float
@@ -88,7 +88,7 @@ def rescaling(
     """Prepare the exact flow of stochastic velocity rescaling: rescale(P, m, tau, at) -> (P, m, heat).
 
     The total energy less the sum of all heat is the paper's effective energy: it is as constant as the total energy of
-    the splitting without a thermostat. Momenta that are all zero have no direction and stay.
+    the splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
 
     Parameters
     ----------
@@ -100,9 +100,9 @@ def rescaling(
     time : float
         Relaxation time of the kinetic energy, the paper's tau.
     freedom : (int, int)
-        Translational and rotational degrees of freedom. Where the total momentum is kept at zero they are three fewer.
+        Translational and rotational degrees of freedom, three fewer if the total momentum is kept at zero.
     together : bool, optional
-        Whether one number multiplies all momenta; if not, translation and rotation get one each.
+        Whether one number multiplies all momenta; otherwise translation and rotation have one each.
     """
     kT, time = not_negative(kT, "kT"), positive(time, "the relaxation time")
     of_P, of_m = (whole(f, "a number of degrees of freedom", 0) for f in freedom)
@@ -135,13 +135,14 @@ def kinetic_energy(x: Array, rate: Array) -> float:
 
 
 def scaling(kinetic: float, kT: float, elapsed: float, along: float, across: float) -> float:
-    """Return the number that multiplies momenta of a kinetic energy: the paper's appendix.
+    """Return the factor for momenta with a given kinetic energy, by the paper's appendix.
 
     In units where kT is one the momenta are a vector of length r, whose every component relaxes as
-    `openmm_exactrb.thermostats.langevin` has it. The component along the vector is r before, the others are zero: the
-    number is the vector's length afterwards, over r. Its sign is that of the first component: G. Bussi and M.
-    Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` a standard
-    normal, and `across` the sum of the squares of as many normals as there are other degrees of freedom.
+    `openmm_exactrb.thermostats.langevin` has it. Before, the component along the vector is r and the others are zero;
+    the factor is the length of the vector afterwards divided by r. Its sign is that of the first component: G. Bussi
+    and M. Parrinello (2008), doi:10.1016/j.cpc.2008.01.006. The time `elapsed` is in relaxation times, `along` is a
+    standard normal variate, and `across` is the sum of the squares of as many variates as there are other degrees of
+    freedom.
     """
     noise = -math.expm1(-elapsed) * kT / (2.0 * kinetic)
     first = math.exp(-0.5 * elapsed) + math.sqrt(noise) * along
@@ -154,7 +155,7 @@ def reciprocal(x: Array) -> Array:
 
 
 def scaled(x: Array, factor: float) -> Array:
-    """Return a sum (2, ...) times a number next to one."""
+    """Return a sum (2, ...) times a number close to one."""
     return x if factor == 1.0 else add(x, (factor - 1.0) * x[0])
 
 

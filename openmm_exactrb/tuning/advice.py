@@ -64,18 +64,18 @@ def tune(
     """Find the cheapest scheme and step for an energy error, by measuring schemes on a system.
 
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
-    (rigid bodies and single particles). What limits it whatever the scheme is reported first: the rest of the work is
-    saved if the target is clearly below that. Survey runs are as long as `duration`, and their errors are extrapolated
+    (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is clearly
+    below them, the remaining work is skipped. Survey runs are as long as `duration`, and their errors are extrapolated
     from the growth of the variance with the length of the run. The recommended setting is then run over the whole
-    horizon from three starts: the given one, and others of its temperature. What is promised is the largest of their
-    errors, raised where the error grows so steeply with the step that another start may differ more. Costs are those of
+    horizon from three starts: the given one, and others of its temperature. The promised error is the largest of the
+    three, increased if the error grows so steeply with the step that another start may differ more. Costs are those of
     `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
     constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
     ----------
     system : openmm.System or openmm.app.Simulation
-        A Simulation also provides its state, box, parameters, platform, force groups that act and bodies named by hand.
+        A Simulation also provides its state, box, parameters, platform, active force groups and bodies named by hand.
         Errors are measured without its thermostats, barostats and motion removers, costs with them.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
@@ -84,8 +84,8 @@ def tune(
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
         By default `CANDIDATES`, or the first of them if the budget allows no more. A scheme of your own needs a name
-        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; where it
-        fails, that is its result.
+        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it
+        fails, the result states the failure.
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
@@ -110,7 +110,7 @@ def tune(
     levels : int, optional
         Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
     seed : int, optional
-        Of the momenta.
+        Seed of the momenta.
     report : callable, optional
         Called with a line of text per run; by default it is written to stderr. None for no output.
 
@@ -153,7 +153,7 @@ def tune(
 def _in_motion(
     state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
 ) -> InitialState:
-    """Say what limits the error of a state, and bring it to the temperature if one is given."""
+    """Report the limits of the error of a state, and bring it to the temperature if one is given."""
     for line in limits(state.system):
         tell(line)
     at_rest = not state.velocities.any()
@@ -173,7 +173,7 @@ def _in_motion(
 
 
 class _Plan(NamedTuple):
-    """What the budget allows."""
+    """The methods and lengths of runs that the budget allows."""
 
     methods: list[Method]
     #: Lengths of survey and production runs in ps.
@@ -187,7 +187,7 @@ class _Plan(NamedTuple):
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
 ) -> _Plan:
-    """Return methods and lengths of runs that fit into the budget; what was named is kept."""
+    """Return methods and lengths of runs that fit into the budget; those that the user named are kept."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
     deep = sum(RATIO**level / COARSE for level in range(_DEEP))  # evaluations of a method a characteristic time

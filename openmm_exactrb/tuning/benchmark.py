@@ -1,4 +1,4 @@
-"""The methods that are compared, and their runs from some starts: energies, and the time that they take."""
+"""The methods that are compared, and their runs from several starts: energies and times."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Method:
 
     @property
     def own_scheme(self) -> Scheme | None:
-        """The scheme if it is the user's own, that is, if its name does not say which one it is."""
+        """The scheme if it is the user's own, so that its name does not identify it."""
         return None if self.scheme is None or CATALOGUE.get(self.scheme.name) == self.scheme else self.scheme
 
 
@@ -115,7 +115,7 @@ def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
 
 
 class Energies(NamedTuple):
-    """The total energies of a run, and what it took."""
+    """The total energies of a run, and its cost."""
 
     #: In kJ/mol per body, at equal times.
     values: NDArray[np.float64]
@@ -141,7 +141,7 @@ class SchemeUnderTest:
             self.context = replace(state, system=own).context(self.integrator)
 
     def begin(self, h: float, start: InitialState) -> None:
-        """Go to a start, with a step in ps."""
+        """Set a start, and a step in ps."""
         self.integrator.setStepSize(h)
         self.context.setPositions(start.positions)
         self.context.setVelocities(start.velocities)
@@ -157,7 +157,7 @@ class SchemeUnderTest:
         return timings.total, timings.evaluations, timings.fast_evaluations / max(1, timings.evaluations)
 
     def step(self, steps: int) -> None:
-        """Make steps."""
+        """Perform steps."""
         self.integrator.step(steps)
 
 
@@ -172,7 +172,7 @@ class VerletUnderTest:
         self._inverse_masses = np.array([[1.0 / m if m > 0.0 else 0.0] for m in masses])
 
     def begin(self, h: float, start: InitialState) -> None:
-        """Go to the positions of a start, with the velocities half a step earlier."""
+        """Set the positions of a start, and the velocities half a step earlier."""
         self._seconds, self._steps = 0.0, 0
         self.integrator.setStepSize(h)
         self.context.setPositions(start.positions)
@@ -191,7 +191,7 @@ class VerletUnderTest:
         return self._seconds, self._steps, 0.0
 
     def step(self, steps: int) -> None:
-        """Make steps, and wait for platforms that compute asynchronously."""
+        """Perform steps, and wait for platforms that compute asynchronously."""
         begun = time.perf_counter()
         self.integrator.step(steps)
         self.context.getState(positions=True)
@@ -200,7 +200,7 @@ class VerletUnderTest:
 
 
 class Benchmark:
-    """Runs methods of a System that conserves its energy, from some starts and within a budget."""
+    """Runs methods on a System that conserves its energy, from several starts and within a budget."""
 
     def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()
@@ -218,7 +218,7 @@ class Benchmark:
 
     @functools.cached_property
     def starts(self) -> list[InitialState]:
-        """The initial state, and others of its temperature."""
+        """The initial state, and others at its temperature."""
         self.budget.require()
         return others(self.state, STARTS, self._seed)
 
@@ -238,14 +238,14 @@ class Benchmark:
         return True
 
     def evaluations_left(self) -> float:
-        """Return the force evaluations that the budget allows, after a few to see how long they take."""
+        """Return the number of force evaluations that the budget allows, after timing a few."""
         step = _BRIEF * self.characteristics.time
         for _ in range(2):  # the first compiles kernels
             self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
         return self.budget.left / self.processor
 
     def under_test(self, method: Method) -> SchemeUnderTest | VerletUnderTest:
-        """Return what runs a method."""
+        """Return the object that runs a method."""
         if method.name not in self._under_test:
             made = VerletUnderTest(self.state) if method.scheme is None else SchemeUnderTest(self.state, method)
             self._under_test[method.name] = made
@@ -254,8 +254,8 @@ class Benchmark:
     def run(self, method: Method, step: float, duration: float, start: InitialState) -> Energies | None:
         """Run a method for a duration, both in ps.
 
-        Return None if the run diverges or changes the energy by a tenth of the kinetic one, or OpenMM's integrator
-        fails. BudgetSpentError is raised before a run that the budget does not allow, or within it.
+        Return None if the run diverges or changes the energy by a tenth of the kinetic energy, or OpenMM's integrator
+        fails. BudgetSpentError is raised before or during a run that the budget does not allow.
         """
         self.budget.require(self.processor * method.stages * duration / step)
         begun, tested = time.process_time(), self.under_test(method)

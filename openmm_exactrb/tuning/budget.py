@@ -9,11 +9,11 @@ _KEPT = 0.03
 
 
 class BudgetSpentError(RuntimeError):
-    """The budget does not allow the run that was to follow."""
+    """The budget does not allow the next run."""
 
 
 class Budget:
-    """Seconds of processor time of this process, all threads together, from now on."""
+    """Seconds of processor time of this process, over all threads, counted from the creation of the object."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -21,10 +21,10 @@ class Budget:
 
     @property
     def left(self) -> float:
-        """Seconds that are left, but for a reserve."""
+        """Remaining seconds, without a reserve."""
         return (1.0 - _KEPT) * self.seconds - (time.process_time() - self._begun)
 
     def require(self, seconds: float = 0.0) -> None:
-        """Raise BudgetSpentError if less is left."""
+        """Raise BudgetSpentError if less time is left."""
         if self.left < seconds:
             raise BudgetSpentError(f"the budget of {self.seconds:g} s of processor time is spent")

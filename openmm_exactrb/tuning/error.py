@@ -1,4 +1,4 @@
-"""The energy error of a run, and how it grows in a longer one."""
+"""The energy error of a run, and its growth with the length of the run."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
     Parameters
     ----------
     energies : (n,) array
-        At equal intervals; n is 16 or more.
+        Energies at equal intervals; n is 16 or more.
     interval, horizon : float
-        Time between two of them, and length of the longer run, in one unit.
+        Time between two energies, and length of the longer run, in the same unit.
     """
     n, longer = len(energies), max(horizon / (len(energies) * interval), 1.0)
     drift = _drift(energies)
@@ -50,7 +50,7 @@ def expected_error(energies: Array, interval: float, horizon: float) -> float:
 def _drift(energies: Array) -> float:
     """Return the drift of an energy over all of a run, zero if it is not significant.
 
-    The standard error of the slope is that of independent means or that of a random walk, whichever they resemble.
+    The standard error of the slope is that of independent means or of a random walk, whichever fits the data.
     """
     m = len(energies) // _PARTS
     t = (np.arange(_PARTS) - 0.5 * (_PARTS - 1)) / _PARTS

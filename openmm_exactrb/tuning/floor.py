@@ -1,4 +1,4 @@
-"""What sets the energy error below which no integrator gets: forces that are not the gradient of the energy."""
+"""The lower bound of the energy error of all integrators: forces that are not the gradient of the energy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ TIGHT = 1e-5
 
 
 def causes(system: openmm.System) -> Iterator[str]:
-    """Yield the settings of a System that put a floor under the energy error of every integrator, with the remedy."""
+    """Yield the settings of a System that limit the energy error of every integrator, with the remedy."""
     for force in system.getForces():
         if not isinstance(force, (openmm.NonbondedForce, openmm.CustomNonbondedForce)):
             continue
@@ -30,11 +30,11 @@ def causes(system: openmm.System) -> Iterator[str]:
 
 
 def limits(system: openmm.System) -> Iterator[str]:
-    """Yield what limits the energy error of every integrator, a sentence each."""
+    """Yield a sentence for each limit of the energy error of every integrator."""
     yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
 
 
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
-    """Return the parameters of PME if a user set them himself, which the tolerance does not touch, or zeros."""
+    """Return the parameters of PME if the user set them, so that the tolerance has no effect, or zeros."""
     alpha, *grid = force.getPMEParameters()
     return (alpha._value if hasattr(alpha, "_value") else alpha, *grid)

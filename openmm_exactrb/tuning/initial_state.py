@@ -51,7 +51,7 @@ class InitialState:
     properties: Mapping[str, str] = field(default_factory=dict)
     #: Particles of bodies named by hand.
     bodies: list[list[int]] | None = None
-    #: Bits of the force groups that act.
+    #: Bits of the active force groups.
     groups: int = -1
     #: Steps between two moves of each barostat of the user's System, which `system` lacks.
     periods: tuple[int, ...] = ()
@@ -70,7 +70,7 @@ class InitialState:
         return context
 
     def updated(self, context: openmm.Context) -> InitialState:
-        """Return this with the positions and velocities of a Context."""
+        """Return a copy with the positions and velocities of a Context."""
         now = context.getState(positions=True, velocities=True)
         positions, velocities = now.getPositions(asNumpy=True)._value, now.getVelocities(asNumpy=True)._value
         return replace(self, positions=positions, velocities=velocities)
@@ -106,7 +106,7 @@ def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
 def initial_state(
     system: Any, start: Any, velocities: Any, platform: Any, properties: Any, bodies: Any
 ) -> tuple[InitialState, list[str]]:
-    """Return the initial state that arguments of `tune` describe, and notes; ValueError if something does not fit."""
+    """Return the initial state for the arguments of `tune`, and notes; raise ValueError if they are inconsistent."""
     box: Any = None
     parameters: dict[str, float] = {}
     groups = -1
@@ -161,7 +161,7 @@ def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: s
 
 
 def thermalised(state: InitialState, temperature: float, seed: int, minimised: bool, budget: Budget) -> InitialState:
-    """Bring a state to a temperature in K, within a third of the budget; ValueError if it does not get there."""
+    """Bring a state to a temperature in K, within a third of the budget; raise ValueError if it is not reached."""
     integrator, context = state.langevin(temperature, seed)
     if minimised:
         minimise(integrator)
@@ -178,9 +178,9 @@ def thermalised(state: InitialState, temperature: float, seed: int, minimised: b
 
 
 def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
-    """Return a state and others of its temperature, apart from each other by a short run with friction.
+    """Return a state and others at its temperature, separated by short runs with friction.
 
-    ValueError if no part of such a run succeeds.
+    A ValueError is raised if no part of such a run succeeds.
     """
     probe, _context = state.probe()
     bodies, now = probe.bodyState()

@@ -40,8 +40,7 @@ class Point:
 def stable_curve(points: Sequence[Point], method: str) -> list[Point]:
     """Return the points of a method with steps below its smallest unstable one, cheapest first.
 
-    Left out are those that a longer run with no larger step but a larger error contradicts: they did not show that
-    error.
+    Points are omitted if a longer run with no larger step has a larger error, which they did not show.
     """
     own = [p for p in points if p.method == method]
     limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
@@ -70,10 +69,10 @@ def step_at(curve: Sequence[Point], cost: float) -> float:
 
 
 class Measurements:
-    """Points of methods, each run on request and kept.
+    """Points of methods, which are measured on request and kept.
 
-    The baseline is added to the methods if it moves the same bodies. Survey runs take `duration`, production runs the
-    `horizon`, in ps. `report` gets a line of text per point.
+    The baseline is added to the methods if it moves the same bodies. Survey runs last `duration` and production runs
+    `horizon`, in ps. `report` receives a line of text per point.
     """
 
     def __init__(
@@ -92,12 +91,12 @@ class Measurements:
 
     @property
     def points(self) -> list[Point]:
-        """All points, with their costs as far as they are known by now."""
+        """All points, with the costs measured so far."""
         return [replace(p, cost=self._cost(p)) for p in self._points]
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Wall time of a force evaluation in s by method, with nested ones at its shortest step."""
+        """Wall time of a force evaluation in s by method, including nested evaluations at its shortest step."""
         shortest = dict(sorted(self._taken, reverse=True))
         return {name: self._seconds(name, step) for name, step in shortest.items()}
 
@@ -111,8 +110,8 @@ class Measurements:
     def promised(self, name: str, step: float, target: float) -> Point:
         """Return the point of the production runs: their largest error, with a margin where the curve is steep.
 
-        They end with the first that misses the target. Where the budget ends them, the errors that are missing have
-        another margin.
+        The runs end with the first that misses the target. If the budget ends them, a margin replaces the missing
+        errors.
         """
         steeper = max(self.slope(name, step) - self.methods[name].order, 0.0)
         errors, margin = [0.0], _LONGER**steeper
@@ -150,9 +149,9 @@ class Measurements:
         return self._seconds(point.method, point.step) * self.evaluations[point.method] / point.step
 
     def _seconds(self, name: str, step: float) -> float:
-        """Return the wall time of a force evaluation: it is the same work in all schemes, and so is a nested one.
+        """Return the wall times of a force evaluation and of a nested one, which are the same work in all schemes.
 
-        What is more than the least that was found is what else the machine did.
+        The minimum is used, because any excess is due to other work of the machine.
         """
         own = [seconds for (other, _), (seconds, _) in self._taken.items() if other == name]
         if name == VERLET:
@@ -173,7 +172,7 @@ class Measurements:
     def slope(self, name: str, step: float | None = None) -> float:
         """Return the power of the step in the error of the survey around a step, by default the smallest.
 
-        It is that of the two nearest steps on either side, and the order of the method if there is one alone.
+        It is computed from the two nearest steps on either side; with a single step it is the order of the method.
         """
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 2:
@@ -183,7 +182,7 @@ class Measurements:
         return math.log(a.error / b.error) / math.log(a.step / b.step)
 
     def is_flat(self, name: str) -> bool:
-        """Return whether the survey's error stopped falling: by less than a third of the order, over two step sizes."""
+        """Return whether the survey's error stopped falling: its power over two steps is below a third of the order."""
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 3:
             return False

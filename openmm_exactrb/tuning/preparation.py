@@ -1,6 +1,6 @@
-"""From positions to an equilibrated start, by the minimiser and the integrator of this package.
+"""The preparation of an equilibrated start from positions, by the minimiser and integrator of this package.
 
-OpenMM's own lose rigid molecules that have more constraints than they need, such as CO2 or CH4.
+OpenMM's own minimiser and integrators fail for rigid molecules with redundant constraints, such as CO2 or CH4.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Characteristics(NamedTuple):
 
 
 def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Context) -> Characteristics:
-    """Return size and characteristic times of the system in a Context; ValueError if nothing moves."""
+    """Return size and characteristic times of the system in a Context; raise ValueError if nothing moves."""
     bodies, state = integrator.bodyState()
     context.computeVirtualSites()
     groups = integrator.getIntegrationForceGroups()
@@ -76,7 +76,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
 
 
 def _free_time(bodies: RigidBodies, kinetic: float) -> float:
-    """Return the time of a turn by a radian or a flight over an extent: 1/rms of the inverse times."""
+    """Return the time in which bodies turn by a radian or cross their extent: 1/rms of the inverse times."""
     kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
     moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
     moments = moments[moments > 0.0]
@@ -86,7 +86,7 @@ def _free_time(bodies: RigidBodies, kinetic: float) -> float:
 
 @contextlib.contextmanager
 def diverging() -> Iterator[None]:
-    """Turn OpenMM's exception for coordinates that are NaN into NonFiniteError; other exceptions pass."""
+    """Turn OpenMM's exception for NaN coordinates into NonFiniteError; other exceptions pass."""
     try:
         yield
     except openmm.OpenMMException as error:
@@ -96,7 +96,7 @@ def diverging() -> Iterator[None]:
 
 
 def minimise(integrator: ExactRigidBodyIntegrator) -> None:
-    """Remove the overlaps of a start; what is left of them is for the first short steps of `heat`."""
+    """Remove the overlaps of a start; the first short steps of `heat` remove the rest."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", MinimisationWarning)
         try:
@@ -113,10 +113,10 @@ def heat(
     length: float | None = None,
     may_continue: Callable[[], bool] = lambda: True,
 ) -> Iterator[float]:
-    """Perform Langevin dynamics for a length in ps, by default in `PARTS` parts; yield the kinetic energy after each.
+    """Perform Langevin dynamics for a time in ps, by default in `PARTS` parts; yield the kinetic energy after each.
 
-    The step follows the forces, so that a start far from equilibrium is no obstacle. It is halved where bodies collide
-    that are still without forces when the step is chosen.
+    The step is chosen from the forces, which allows starts far from equilibrium. It is halved if bodies collide that
+    had no forces when it was chosen.
     """
     left, least = (math.inf, 0.0) if length is None else (length, _RELAXED / (length or math.inf))
     part, halvings = 0, 0

@@ -1,4 +1,4 @@
-"""The result of tuning: all measurements, and the settings that follow from them."""
+"""The result of tuning: all measurements, and the recommended settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The search: all methods at ever smaller step sizes, then runs of the production length near the target."""
+"""The search: all methods at decreasing step sizes, then runs of the production length near the target."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TRIED, _RUNS, _RISE, _AIM = 3, 5, 1.05, 0.8
 
 @dataclass
 class Outcome:
-    """What a search found until it ended."""
+    """The outcome of a search."""
 
     #: The cheapest point that meets the target.
     chosen: Point | None = None
@@ -40,7 +40,7 @@ class Outcome:
 
 
 def search(measured: Measurements, target: float | None, levels: int) -> Outcome:
-    """Measure all methods at so many step sizes, until the target is met, nothing is gained or the budget is spent."""
+    """Measure all methods at decreasing steps, until the target is met, errors stop falling or the budget is spent."""
     outcome = Outcome()
     try:
         _descend(measured, target, levels, outcome)
@@ -52,9 +52,9 @@ def search(measured: Measurements, target: float | None, levels: int) -> Outcome
 
 
 def probed(measured: Measurements) -> float | None:
-    """Return the error that the noise of the forces makes, in two runs that leave little else; None if it is less.
+    """Return the error due to the noise of the forces, from two runs at short steps; None if it is smaller.
 
-    The steps are so short that the error of the scheme alone would fall to a quarter from the first to the second.
+    From the first to the second step, the error of the scheme alone would fall to a quarter.
     """
     benchmark, errors = measured.benchmark, []
     method, duration = Method(CATALOGUE[_PROBE]), _PROBED * measured.duration
@@ -94,7 +94,7 @@ def _descend(measured: Measurements, target: float | None, levels: int, outcome:
 
 
 def _survivors(measured: Measurements, live: set[str]) -> set[str]:
-    """Return the methods that are worth smaller steps: all but those far behind one of their order or above."""
+    """Return the methods to try at smaller steps: all but those far behind one of the same or higher order."""
     finest = {name: curve[-1].error for name in live - {VERLET} if len(curve := measured.curve(name)) > 2}
     methods = measured.methods
     behind = {

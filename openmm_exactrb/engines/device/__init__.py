@@ -1,1 +1,1 @@
-"""The device engine: programs of fused kernels, carried out by an integrator of OpenMM that knows no physics."""
+"""The device engine: programs of fused kernels, executed by an integrator of OpenMM that contains no physics."""

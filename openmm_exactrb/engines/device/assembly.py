@@ -1,4 +1,4 @@
-"""A program for the bodies of a Context: what its scheme and thermostat demand, its parts, and its sequences."""
+"""A program for the bodies of a Context: the demands of its scheme and thermostat, its parts and its sequences."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXCHANGE_NUMBERS = 8
 
 
 class Assembly:
-    """The program of a scheme for some bodies.
+    """The program of a scheme for given bodies.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Assembly:
     fast_evaluations : int
         Evaluations of fast forces in a step.
     evaluated : int
-        Those of them that OpenMM makes.
+        Evaluations of fast forces by OpenMM in a step.
     """
 
     def __init__(
@@ -85,13 +85,13 @@ class Assembly:
             part.declare(to)
 
     def _factors(self, factors: Factors) -> Callable[[int], Launch]:
-        """Return what launches the kernel of factors for a row of the table."""
+        """Return the launch of the kernel of factors for a row of the table."""
         source = Source(("random.cl", "thermostats.cl"), factors.defines)
         arrays = "totals", "factors", "thermostat", Table.MOVES, Table.NUMBERS
         return lambda row: Launch(source, factors.kernel, 1, (*arrays, row, "#step", "$key"), 1)
 
     def cheap(self, turns: float) -> bool:
-        """Return whether the output is made of remembered forces: after so many steps there are enough."""
+        """Return whether the output uses stored forces, of which there are enough after a number of steps."""
         pairs = (self._demands.memory, self._demands.differences)
         return bool(self.scheme.output) and all(turns * per_step >= size for size, per_step in pairs)
 

@@ -1,8 +1,8 @@
-"""The library of the device engine: found, or compiled once into the user's cache, and loaded.
+"""The library of the device engine: found or compiled once into the user's cache, and loaded.
 
-A wheel has the library for one minor version of OpenMM next to this file. Without it, or with another OpenMM, a
-compiler makes it in some seconds, as numba makes its kernels: the name of the file carries a hash of the source, of
-OpenMM's version and of the compiler, and it is moved into place in one step, for two processes may compile at once.
+A wheel contains the library for one minor version of OpenMM next to this file. Without it, or with another OpenMM, it
+is compiled within seconds, like numba's kernels. The name of the file contains a hash of the source, of OpenMM's
+version and of the compiler, and the file is moved into place in one step, because two processes may compile at once.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ _SYSTEMS = ("Linux", "Darwin")
 
 
 class MissingLibraryError(RuntimeError):
-    """The library cannot be had here; the text says why, and how to get it."""
+    """The library is not available; the message states the reason and the remedy."""
 
 
 class Library:
-    """The functions of a loaded library, by which an integrator is made and controlled.
+    """The functions of a loaded library, which create and control an integrator.
 
     Attributes
     ----------
@@ -64,15 +64,15 @@ class Library:
             raise MissingLibraryError(f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}")
 
     def make(self) -> Any:
-        """Return a new integrator without a program: an openmm.CustomIntegrator, for all that Python knows."""
+        """Return a new integrator without a program; in Python it is an openmm.CustomIntegrator."""
         return openmm.XmlSerializer.deserialize('<Integrator type="ProgramIntegrator" version="1" stepSize="0"/>')
 
     def owns(self, integrator: Any) -> bool:
-        """Return whether an integrator is one that this library made."""
+        """Return whether this library created an integrator."""
         return bool(self._functions.pi_owns(ctypes.c_void_p(int(integrator.this))))
 
     def call(self, function: str, integrator: Any, *arguments: Any) -> None:
-        """Call a function of the library, without Python's lock; OpenMMException if it fails."""
+        """Call a function of the library, without Python's lock; raise OpenMMException if it fails."""
         pointer = ctypes.c_void_p(int(integrator.this))
         if getattr(self._functions, f"pi_{function}")(pointer, *arguments):
             raise openmm.OpenMMException(self._functions.pi_error().decode())
@@ -84,7 +84,7 @@ class Device:
     Parameters
     ----------
     integrator : openmm.CustomIntegrator
-        One that `Library.make` returned, or what took its place behind another Python object.
+        An integrator that `Library.make` returned, or the Python object that represents it.
     """
 
     def __init__(self, library: Library, integrator: Any) -> None:
@@ -94,16 +94,16 @@ class Device:
         self._library.call(function, self._integrator, *arguments)
 
     def load(self, program: str) -> None:
-        """Give it a program: the text of `openmm_exactrb.engines.device.program.Program`."""
+        """Load a program: the text of `openmm_exactrb.engines.device.program.Program`."""
         self._call("program", program.encode())
 
     def upload(self, name: str, values: NDArray[Any]) -> None:
-        """Write an array of the program; as many bytes as it has."""
+        """Write an array of the program, of the same number of bytes."""
         values = np.ascontiguousarray(values)
         self._call("upload", name.encode(), ctypes.c_void_p(values.ctypes.data), ctypes.c_size_t(values.nbytes))
 
     def download(self, name: str, out: NDArray[Any]) -> NDArray[Any]:
-        """Read an array of the program into a contiguous one of as many bytes."""
+        """Read an array of the program into a contiguous one of the same number of bytes."""
         self._call("download", name.encode(), ctypes.c_void_p(out.ctypes.data), ctypes.c_size_t(out.nbytes))
         return out
 
@@ -118,35 +118,35 @@ class Device:
         return value.value
 
     def step(self, steps: int) -> None:
-        """Make steps."""
+        """Perform steps."""
         self._call("steps", steps)
 
     def run(self, sequence: str) -> None:
-        """Carry out a sequence that is no part of a step."""
+        """Execute a sequence outside of a step."""
         self._call("run", sequence.encode())
 
     def keep(self) -> None:
-        """Keep the state of the Context and of the program."""
+        """Save the state of the Context and of the program."""
         self._call("keep")
 
     def restore(self) -> None:
-        """Return to the state that was kept."""
+        """Restore the saved state."""
         self._call("restore")
 
     @property
     def launches(self) -> int:
-        """Kernels that the program has started, without those of forces."""
+        """Number of kernels launched by the program, excluding those of forces."""
         return self._count(0)
 
     @property
     def evaluations(self) -> int:
-        """Evaluations of forces by the program."""
+        """Number of force evaluations by the program."""
         return self._count(1)
 
     def changes(self, clear: int = 0) -> int:
-        """Return what others changed, as bits, and clear some of them.
+        """Return external changes as bits, and clear some of them.
 
-        1: positions, 2: velocities, 4: what else forces depend on, 8: a checkpoint or State was loaded.
+        1: positions, 2: velocities, 4: other quantities on which forces depend, 8: a checkpoint or State was loaded.
         """
         value = ctypes.c_int()
         self._call("changes", clear, ctypes.byref(value))
@@ -160,7 +160,7 @@ class Device:
 
 @cache
 def library() -> Library:
-    """Return the library; MissingLibraryError if it cannot be had."""
+    """Return the library; raise MissingLibraryError if it is not available."""
     return Library(_found() or compiled())
 
 
@@ -177,7 +177,7 @@ def _minor(version: str) -> list[str]:
 
 
 def describe() -> str:
-    """Say which library serves the device engine here, or what is missing; nothing is compiled."""
+    """Describe the library of the device engine, or what is missing, without compiling anything."""
     try:
         path = _found() or cached()
         if not path.exists():
@@ -188,7 +188,7 @@ def describe() -> str:
 
 
 def cached() -> Path:
-    """Return where the library is in the user's cache."""
+    """Return the path of the library in the user's cache."""
     found = compiler()
     what = (SOURCE.read_bytes(), openmm.__version__.encode(), _told(found, "--version").encode(), found.encode())
     digest = hashlib.sha256(b"\0".join(what)).hexdigest()[:16]
@@ -196,7 +196,7 @@ def cached() -> Path:
 
 
 def compiled() -> Path:
-    """Return the library in the user's cache, compiled if it is not there."""
+    """Return the library in the user's cache, and compile it if it is missing."""
     path = cached()
     if not path.exists():
         _log.warning("compiling the device engine for OpenMM %s, once: some seconds", openmm.__version__)
@@ -206,7 +206,7 @@ def compiled() -> Path:
 
 
 def compiler() -> str:
-    """Return the path of a C++ compiler; MissingLibraryError without one."""
+    """Return the path of a C++ compiler; raise MissingLibraryError without one."""
     if platform.system() not in _SYSTEMS:
         raise MissingLibraryError(f"the device engine is not available on {platform.system()}")
     names = (os.environ.get(COMPILER), *_COMPILERS)
@@ -224,9 +224,9 @@ def _told(command: str, *arguments: str) -> str:
 
 
 def openmm_folder() -> Path:
-    """Return the folder with OpenMM's headers and its library, in include and lib; MissingLibraryError without headers.
+    """Return the folder with OpenMM's include and lib; raise MissingLibraryError without headers.
 
-    It is that of its wheel, or the prefix of a conda environment.
+    The folder is that of OpenMM's wheel, or the prefix of a conda environment.
     """
     package = Path(openmm.__file__).parent
     candidates = (package.parent / "OpenMM.libs", *package.parents)
@@ -240,7 +240,7 @@ def openmm_folder() -> Path:
 
 
 def build(path: Path, command: str | None = None) -> None:
-    """Compile the library and move it to a path; MissingLibraryError with the compiler's first error if that fails."""
+    """Compile the library to a path; raise MissingLibraryError with the compiler's first error if that fails."""
     command, folder = command or compiler(), openmm_folder()
     handle, temporary = tempfile.mkstemp(suffix=".so", dir=path.parent)
     os.close(handle)
@@ -258,7 +258,7 @@ def build(path: Path, command: str | None = None) -> None:
 
 
 def private_folder() -> Path:
-    """Return the user's own folder of compiled libraries; MissingLibraryError if others can write there."""
+    """Return the user's folder of compiled libraries; raise MissingLibraryError if others can write there."""
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     folder = Path(os.environ.get(CACHE) or home / "openmm-exactrb")
     try:
@@ -270,7 +270,7 @@ def private_folder() -> Path:
 
 
 def _check_owner(path: Path) -> None:
-    """Raise MissingLibraryError for a file or folder that is not the user's alone: code is loaded from it."""
+    """Raise MissingLibraryError for a file or folder that others can access, because code is loaded from it."""
     if sys.platform == "win32":
         return  # a home folder there is its user's alone
     status = path.stat()

@@ -1,4 +1,4 @@
-"""Programs for the integrator of program_integrator.cpp: a typed description that becomes its lines."""
+"""Programs for the integrator of program_integrator.cpp: a typed description that is written as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ KERNELS = Path(__file__).parent / "kernels"
 
 @dataclass(frozen=True)
 class Array:
-    """An array on the device; what is `saved` belongs to checkpoints, and is kept in case a call fails."""
+    """An array on the device; `saved` arrays belong to checkpoints, and are restored if a call fails."""
 
     name: str
     size: int
@@ -27,9 +27,9 @@ class Source:
     Parameters
     ----------
     pieces : tuple of str
-        Names of files in the folder `kernels` (NAME.cl), or text, in their order.
+        Names of files in the folder `kernels` (NAME.cl), or texts, in order.
     defines : tuple of (str, object)
-        Written in front of them.
+        Definitions that precede the pieces.
     """
 
     pieces: tuple[str, ...]
@@ -37,7 +37,7 @@ class Source:
 
     @property
     def text(self) -> str:
-        """The text as it is compiled."""
+        """The text that is compiled."""
         defines = [f"#define {name} {value}\n" for name, value in self.defines]
         return "\n".join(["".join(defines), *map(_piece, self.pieces)])
 
@@ -62,17 +62,17 @@ class Launch:
     block: int = -1
 
     def __str__(self) -> str:
-        """Return what the line of its kernel has behind the name."""
+        """Return the text that follows the name in the line of the kernel."""
         return " ".join(map(str, (self.function, self.threads, self.block, *self.arguments)))
 
 
 def forces(groups: int) -> str:
-    """Return the operation that evaluates forces of groups (bits, -1: all that act) at the present positions."""
+    """Return the operation that evaluates forces of groups (bits; -1: all active) at the present positions."""
     return f"forces {groups if groups < 1 << 31 else groups - (1 << 32)}"
 
 
 def clock(part: float) -> str:
-    """Return the operation that sets the time to that of a part of the step."""
+    """Return the operation that sets the time to that of a fraction of the step."""
     return f"clock {part!r}"
 
 
@@ -82,7 +82,7 @@ def add(scalar: str, value: float) -> str:
 
 
 def copy(array: str, to: str) -> str:
-    """Return the operation that copies an array to another one of its size."""
+    """Return the operation that copies an array to another of the same size."""
     return f"copy {array} {to}"
 
 
@@ -100,9 +100,9 @@ Operation = Launch | str
 class Program:
     """Arrays, scalars and sequences of operations.
 
-    All scalars are saved. The integrator reads "interval", the number of steps after which barostats or thermostats of
-    the System act, and "removal", of which a step's number is a multiple where its removers do; 0 is never. It counts
-    steps since then in "waiting", and since OpenMM last updated the Context in "calls".
+    All scalars are saved. The integrator reads "interval" and "removal", the numbers of steps between actions of
+    barostats or thermostats of the System, and between removals of motion; 0 is never. It counts steps since then in
+    "waiting", and since OpenMM last updated the Context in "calls".
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
@@ -110,7 +110,7 @@ class Program:
     sequences: dict[str, list[Operation]] = field(default_factory=dict)
 
     def array(self, name: str, size: int, element: int = 8, saved: bool = False) -> str:
-        """Declare an array of elements of so many bytes (at least one), and return its name."""
+        """Declare an array with elements of a given size in bytes (at least one element), and return its name."""
         self.arrays[name] = Array(name, max(size, 1), element, saved)
         return name
 
@@ -120,7 +120,7 @@ class Program:
 
     @property
     def launches(self) -> list[Launch]:
-        """All launches, each once, those of one source together."""
+        """All distinct launches, grouped by source."""
         every = (o for operations in self.sequences.values() for o in operations if isinstance(o, Launch))
         by_source: dict[Source, dict[Launch, None]] = {}
         for launch in every:
@@ -129,7 +129,7 @@ class Program:
 
     @property
     def text(self) -> str:
-        """The lines, as program_integrator.cpp reads them."""
+        """The text that program_integrator.cpp reads."""
         lines = [
             f"array {a.name} {a.element} {a.size} {'saved' if a.saved else 'scratch'}" for a in self.arrays.values()
         ]

@@ -1,4 +1,4 @@
-"""The propagator on the device: has the integrator carry out the program of a scheme, and checks the result."""
+"""The propagator on the device: lets the integrator execute the program of a scheme, and checks the result."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _NAMED = 5
 
 
 class DevicePropagator:
-    """Makes the steps of an integrator in its Context by a program, which the integrator carries out.
+    """Performs the steps of an integrator in its Context by a program, which the integrator executes.
 
     Parameters
     ----------
     context : openmm.Context
     integrator : openmm.CustomIntegrator
-        Behind which there is a program integrator of the library.
+        The Python object of a program integrator of the library.
     settings : Settings
     timings : Timings
 
@@ -121,7 +121,7 @@ class DevicePropagator:
         return bool(self._settings.scheme.processor)
 
     def _bind(self, settings: Any) -> None:
-        """Bring the program to new settings: its numbers, or all of it."""
+        """Update the program to new settings: its numbers, or all of it."""
         self._leave(settings)
         before, self._settings = (self._settings.h, self._settings.groups), settings
         nested = self._fast is not None and before != (settings.h, settings.groups)
@@ -145,7 +145,7 @@ class DevicePropagator:
         return None if thermostat is None else thermostat.factors
 
     def _exchange(self, tau: float) -> tuple[float, ...]:
-        """Return the numbers of a heat exchange, as many as the table has room for."""
+        """Return the numbers of a heat exchange, padded to the size of the table."""
         numbers = self._settings.thermostat.kernel_exchange(tau, self.updates.freedom(self.sync.bodies))
         return (*numbers, *(0.0,) * (EXCHANGE_NUMBERS - len(numbers)))
 
@@ -165,14 +165,14 @@ class DevicePropagator:
     # -- calls -----------------------------------------------------------------------------------------------------
 
     def advance(self, version: object, settings: Callable[[], Any], key: int, n: int) -> None:
-        """Make n steps. After an error the Context holds what it held before.
+        """Perform n steps. After an error the Context has its earlier contents.
 
-        Arguments are those of the propagator of the host.
+        The arguments are those of the host's propagator.
 
         Raises
         ------
         NonFiniteError
-            If numbers become infinite, or a body faster than light.
+            If numbers become infinite, or a body becomes faster than light.
         IntegrationError
             If the total energy rises by integration errors.
         """
@@ -201,7 +201,7 @@ class DevicePropagator:
             self._surroundings = self._present_surroundings()
 
     def _make(self, n: int) -> None:
-        """Make n steps; IntegrationError if they diverge."""
+        """Perform n steps; raise IntegrationError if they diverge."""
         self._step(n)
         kinetic, bad = self._report()
         if bad:
@@ -218,7 +218,7 @@ class DevicePropagator:
         self.sync.moved_on()
 
     def _step(self, n: int) -> None:
-        """Make n steps, and show the result."""
+        """Perform n steps, and show the result in the Context."""
         device, before = self.device, self.device.evaluations
         try:
             if self._processed and n:
@@ -237,14 +237,14 @@ class DevicePropagator:
             self.sync.moved_on()
 
     def _report(self) -> tuple[float, bool]:
-        """Return the kinetic energy (kJ/mol), and whether a body is lost."""
+        """Return the kinetic energy (kJ/mol), and whether the state of a body is invalid."""
         self.device.run("report")
         translation, rotation, lost_bodies = self.device.download("totals", np.empty(3))
         kinetic = float(translation + rotation)
         return kinetic, bool(lost_bodies) or not math.isfinite(kinetic)
 
     def _refuse(self, n: int) -> None:
-        """Raise NonFiniteError with the bodies that are lost."""
+        """Raise NonFiniteError with the names of the invalid bodies."""
         self.sync.pull()
         bodies = self.sync.bodies
         which = np.flatnonzero(lost(bodies, self.sync.state.rounded))
@@ -261,14 +261,14 @@ class DevicePropagator:
 
     @property
     def _thermal(self) -> float:
-        """The kinetic energy (kJ/mol) that thermostats account for: twice the canonical mean, and 20 kT more."""
+        """The kinetic energy (kJ/mol) that thermostats can explain: twice the canonical mean plus 20 kT."""
         thermostat, bodies = self._settings.thermostat, self.sync.bodies
         kT = 0.0 if thermostat is None else gas_constant_times(thermostat.temperature)
         kT = max(kT, self.updates.hottest(self.sync.context))
         return kT * (bodies.translational_freedom + bodies.rotational_freedom + 20)
 
     def _compare(self, kinetic: float, n: int) -> None:
-        """Return to the state before n steps; IntegrationError if the total energy was far lower there."""
+        """Return to the state before n steps; raise IntegrationError if its total energy was far lower."""
         energy = kinetic + self._potential()
         self._restore()
         kinetic_before = self._report()[0]
@@ -284,7 +284,7 @@ class DevicePropagator:
     # -- inner coordinates of a processed scheme -----------------------------------------------------------------------
 
     def _enter(self) -> None:
-        """Come to inner coordinates from the state that is shown, unless they are those of the present settings."""
+        """Compute inner coordinates from the shown state, unless they are those of the present settings."""
         mark = inner_mark(self._settings.scheme, self._settings.h)
         if self._coordinates != mark:
             self.device.run("enter")
@@ -292,7 +292,7 @@ class DevicePropagator:
             self._coordinates = mark
 
     def _leave(self, settings: Any) -> None:
-        """Bring the state out of inner coordinates that are not those of new settings, by the exact way back."""
+        """Leave inner coordinates that are not those of new settings, by the exact inverse."""
         if self._coordinates and self._coordinates != inner_mark(settings.scheme, settings.h):
             if self._version is not None:  # else the coordinates are of another program
                 self.device.run("postprocess")
@@ -301,7 +301,7 @@ class DevicePropagator:
 
     @property
     def _coordinates(self) -> float:
-        """The mark of the inner coordinates, 0 without any."""
+        """The mark of the inner coordinates, 0 if there are none."""
         return variables.get(self._integrator(), variables.COORDINATES)
 
     @_coordinates.setter

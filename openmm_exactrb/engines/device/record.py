@@ -1,4 +1,4 @@
-"""The device engine, as the rest of the package sees it, and what it prepares."""
+"""The record of the device engine, and the preparation of its integrators."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ROTORS = ("exact", "exact_numpy", "exact_compiled")
 
 
 def _unsupported(settings: Settings) -> str | None:
-    """Return why the rotor, the thermostat or a substep is not served."""
+    """Return why the rotor, the thermostat or a substep is not supported."""
     thermostat, rotor, scheme = settings.thermostat, settings.rotor, settings.scheme
     if thermostat is not None and thermostat.kernel_exchange(0.0, (0, 0)) is None:
         return f"the device does not support {type(thermostat).__name__}"
@@ -39,7 +39,7 @@ def _unsupported(settings: Settings) -> str | None:
 
 
 def _unsupported_in(context: Any, settings: Settings) -> str | None:
-    """Return why a Context is not served."""
+    """Return why a Context is not supported."""
     platform = context.getPlatform()
     name = platform.getName()
     if name not in platforms.DEVICES:
@@ -59,7 +59,7 @@ def _unsupported_in(context: Any, settings: Settings) -> str | None:
 
 
 def _unsupported_beside_molecules(settings: Settings) -> str | None:
-    """Return what the kernels of flexible molecules do not have."""
+    """Return what the kernels of flexible molecules do not support."""
     if settings.scheme.has_gradients:
         return f"the device has no force-gradient kicks of flexible molecules, which {settings.outer.name} needs"
     for substep, part in settings.scheme.sequence:
@@ -83,7 +83,7 @@ def _marks(settings: Settings) -> tuple[float, ...]:
 
 
 def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
-    """Put an integrator of the library behind this one, with the numbers of the package."""
+    """Replace the integrator behind the Python object by one of the library, with the numbers of the package."""
     try:
         made = library().make()
     except MissingLibraryError as error:
@@ -95,7 +95,7 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 
 
 def _propagator(context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings) -> Propagator:
-    """Return a propagator, with an integrator of the library behind the Python object."""
+    """Return a propagator for a Python object whose integrator is of the library."""
     if not library().owns(integrator):
         if integrator.getGlobalVariable(0) in _marks(settings):
             warn(

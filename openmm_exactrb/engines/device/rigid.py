@@ -41,22 +41,22 @@ _HAS_FORCES, _MOVES_PARTICLES, _SHOWS_VELOCITIES, _IS_DISPLACED = 1, 2, 4, 8
 
 @dataclass(frozen=True)
 class Demands:
-    """What a scheme and its thermostat demand of kernels.
+    """The demands of a scheme and its thermostat on kernels.
 
     Attributes
     ----------
     memory : tuple of int
-        How many forces are remembered, and how many of them in a step.
+        Numbers of stored forces: in total, and per step.
     differences : tuple of int
-        The same of the differences of displaced forces.
+        The numbers for differences of displaced forces.
     copied : bool
-        Whether a copy of the bodies is shown.
+        Whether a copy of the bodies is shown in the Context.
     displaces : bool
         Whether there are force-gradient kicks.
     scales : bool
-        Whether heat exchanges multiply momenta by numbers for all.
+        Whether heat exchanges multiply all momenta by common factors.
     own : tuple of str
-        Texts of the moves of users, in the order of their numbers.
+        Texts of the users' moves, in the order of their numbers.
     """
 
     memory: tuple[int, int] = (0, 1)
@@ -68,7 +68,7 @@ class Demands:
 
 
 def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = None) -> list[RigidPart]:
-    """Return the parts of a program for all bodies but some others (k,): with a thread for each, and with a group."""
+    """Return the parts of a program for all bodies but given ones (k,), with a thread or a group for each body."""
     chosen = np.ones(len(bodies), dtype=bool)
     chosen[[] if others is None else others] = False
     small = [kind for kind in bodies.kinds if kind.particles.shape[1] <= LARGE]
@@ -78,7 +78,7 @@ def parts_of(bodies: RigidBodies, demands: Demands, others: Indices | None = Non
 
 
 class RigidPart:
-    """Some kinds of rigid bodies; the names of their arrays begin with a prefix, and `lanes` threads share a body."""
+    """Given kinds of rigid bodies, with a prefix for the names of their arrays and `lanes` threads per body."""
 
     def __init__(
         self,
@@ -135,7 +135,7 @@ class RigidPart:
         return self._named(*(f"inner_{name}" if inner else name for name in _STATE))
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and what is remembered."""
+        """Declare tables, the state, and stored forces."""
         tables = self.tables()
         for name, values in tables.items():
             to.array(name, values.size, element=values.itemsize)
@@ -173,25 +173,25 @@ class RigidPart:
         return Launch(self._source, function, threads or self.n * lanes, arguments, lanes if lanes > 1 else BLOCK)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return what writes the kinetic energies to "totals", or adds them."""
+        """Return the operations that write the kinetic energies to "totals", or add them."""
         sums, threads = self._named("kinetic")[0], min(self.n, BLOCK * GROUPS)
         tables = self._named("kind", "kinds", "constants")
         kinetic = Launch(self._source, "kinetic", threads, (*tables, *self.state(copied), sums), BLOCK)
         return [kinetic, Launch(self._source, "total", BLOCK, (sums, "totals", int(adds)), BLOCK)]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
+        """Return the operations that add changes of shown velocities to the momenta of that or the other state."""
         _, P, _, L = self.state(to_copy)
         return [self._launch("pushed", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied), P, L))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return what reads positions that were changed."""
+        """Return the operations that read changed positions."""
         return [self._launch("moved", (*_CONTEXT, *self._named(*_TABLES), *self.state(copied)))]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
     def tables(self) -> dict[str, NDArray[Any]]:
-        """Return what does not change, by the names of arrays, but for which bodies are in flexible molecules."""
+        """Return the constant arrays by name, except for the flags of flexible molecules."""
         rows, atoms, sites, masses, of_bodies = [], [], [], [], []
         kind_of = np.concatenate([np.full(len(k.particles), number) for number, k in enumerate(self._kinds)])
         first = counts = n_sites = n_masses = n_constants = 0
@@ -218,7 +218,7 @@ class RigidPart:
         return {self._prefix + name: array for name, array in values.items()}
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write which of all bodies (N,) are in flexible molecules."""
+        """Write the flags (N,) of bodies in flexible molecules."""
         index = np.stack([self.columns, flexible[self.columns]])
         device.upload(self._prefix + "index", index.astype(np.int32))
 
@@ -233,7 +233,7 @@ class RigidPart:
             device.upload(name, array)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all."""
+        """Read the state of these bodies into that of all bodies."""
         R, P, q, L = (
             device.download(name, np.empty((_ROWS[of], self.n)))
             for name, of in zip(self.state(copied), _STATE, strict=True)
@@ -259,7 +259,7 @@ def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:
 
 
 def _own(number: int, text: str) -> tuple[str, str]:
-    """Return the text of a user's move, with names of functions that no other text has, and its case."""
+    """Return the text of a user's move, with unique names of functions, and its case."""
     names = dict.fromkeys(_FUNCTION.findall(text))
     move = MOVE.findall(text)[-1]
     renamed = [f"#define {name} {name}_{number}" for name in names], [f"#undef {name}" for name in names]

@@ -1,12 +1,12 @@
-"""Segments: a scheme divided at its force evaluations, and the sequences of a program that carries it out.
+"""Segments: a scheme divided at its force evaluations, and the sequences of the program that executes it.
 
-What happens between two evaluations is a segment: a row of moves, which each part of a program (rigid bodies, flexible
-molecules) carries out for its own bodies in as few launches as it can. A step is
+A segment is the part of a step between two evaluations: a row of moves, which each part of a program (rigid bodies,
+flexible molecules) performs for its own bodies in as few launches as possible. A step is
 
     open | evaluate, body ... | evaluate, close
 
-where "open" is what comes before the first evaluation and "close" what comes after the last one. "between" is the end
-of a step and the begin of the next one in one segment.
+where "open" precedes the first evaluation and "close" follows the last one. "between" joins the end of a step and the
+start of the next one in one segment.
 """
 
 from __future__ import annotations
@@ -41,21 +41,21 @@ class Segment:
     ----------
     moves : tuple of Move
     groups : int or None
-        The force groups (bits) whose forces are evaluated before it; None if none are.
+        The force groups (bits) whose forces are evaluated before it, or None.
     time : float
-        The time of the evaluation, as a part of the step.
+        The time of the evaluation, as a fraction of the step.
     reduces : bool
-        Whether the thermostat has to know the kinetic energy before it.
+        Whether the thermostat needs the kinetic energy before it.
     shows : bool
-        Whether the velocities are shown behind it, because a step ends that somebody may look at.
+        Whether velocities are written to the Context after it, at the end of a step.
     behind : float
-        The part of the drift of bodies with inner steps that ends here, and whose last inner kick is due, or 0.
+        The fraction of the drift of bodies with inner steps that ends here with its last inner kick due, or 0.
     leaves : bool
-        Whether that of its own last drift is due in the next segment.
+        Whether the last inner kick of its own last drift is due in the next segment.
     places : bool
-        Whether positions are placed though nothing moves.
+        Whether positions are written although nothing moves.
     copied : bool
-        Whether it moves the copy of the bodies that is shown, and not those of a processed scheme's inner coordinates.
+        Whether it moves the shown copy of the bodies instead of the inner coordinates of a processed scheme.
     """
 
     moves: tuple[Move, ...] = ()
@@ -69,24 +69,24 @@ class Segment:
     places: bool = False
 
     def has(self, *ops: Op) -> bool:
-        """Return whether one of the moves is of these."""
+        """Return whether one of the moves is of these kinds."""
         return any(move.op in ops for move in self.moves)
 
 
 def divided(
     rows: Rows, known: int | None = None, splits_exchanges: bool = False, remembered: int | None = None
 ) -> list[Segment]:
-    """Divide substeps with their parts of a step at the force evaluations.
+    """Divide substeps with their fractions of a step at the force evaluations.
 
     Parameters
     ----------
     rows : iterable of (Substep, float)
     known : int, optional
-        The groups of the forces that are known before.
+        The groups whose forces are known at the start.
     splits_exchanges : bool, optional
         Whether heat exchanges need the kinetic energy.
     remembered : int, optional
-        The groups whose forces are remembered, None for none.
+        The groups whose forces are stored, or None.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def merged(moves: Iterable[Move]) -> tuple[Move, ...]:
 
 
 def known_after(segments: Sequence[Segment], known: int | None = None) -> int | None:
-    """Return the groups of the forces that are known behind segments, at the positions there."""
+    """Return the groups whose forces are known after segments, at the positions there."""
     for segment in segments:
         known = segment.groups if segment.groups is not None else known
         for move in segment.moves:
@@ -144,7 +144,7 @@ def known_after(segments: Sequence[Segment], known: int | None = None) -> int | 
 
 
 def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return segments of a step where the last inner kick of a drift at the end of one is due in the next one."""
+    """Return segments in which the last inner kick of a drift at the end of one is due in the next."""
     joined, behind = [], 0.0
     for number, segment in enumerate(segments):
         before = behind
@@ -161,14 +161,14 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
 
 @dataclass(frozen=True)
 class Step:
-    """The segments of a step: the first needs forces that are known, the last ends it."""
+    """The segments of a step; the first one uses known forces."""
 
     segments: tuple[Segment, ...]
     needs: int | None  # the groups whose forces the first one needs
 
     @classmethod
     def of(cls, rows: Rows, splits_exchanges: bool = False, remembered: int | None = None) -> Step:
-        """Return those of a scheme's sequence; arguments are those of `divided`."""
+        """Return the segments of a scheme's sequence; the arguments are those of `divided`."""
         rows = tuple(rows)
         known = known_after(divided(rows))
         segments = divided(rows, known, splits_exchanges, remembered)
@@ -181,26 +181,27 @@ class Step:
 
     @property
     def between(self) -> Segment:
-        """The last segment of a step and the first one of the next in one."""
+        """The last segment of a step joined with the first one of the next."""
         first, last = self.segments[0], self.segments[-1]
         late = tuple(replace(move, late=True) for move in first.moves)
         return replace(last, moves=last.moves + late, shows=False, leaves=first.leaves)
 
     def evaluations(self, groups: int) -> int:
-        """Return how often the forces of these groups are evaluated."""
+        """Return the number of evaluations of the forces of these groups."""
         return sum(segment.groups == groups for segment in self.segments)
 
     @property
     def remembered(self) -> tuple[int, int]:
-        """How many forces a step remembers, and how many differences of displaced ones."""
+        """The numbers of forces and of differences of displaced forces that a step stores."""
         ops = [move.op for segment in self.segments for move in segment.moves]
         return ops.count(Op.REMEMBER), ops.count(Op.DISPLACED_KICK)
 
 
 class Table:
-    """The moves of all segments, as kernels read them: rows of integers, and numbers that depend on the settings.
+    """The moves of all segments for kernels: rows of integers, and numbers that depend on the settings.
 
-    A row has the op, the number of the move with 2^16 where it is late, the place of its first number, and how many.
+    A row contains the op, the number of the move (plus 2^16 if it is late), the index of its first number, and their
+    count.
     """
 
     #: The names of the arrays.
@@ -212,14 +213,14 @@ class Table:
         self._places: dict[tuple[Move, ...], int] = {}
 
     def rows(self, moves: tuple[Move, ...]) -> tuple[int, int]:
-        """Return the first row of some moves, and how many they are."""
+        """Return the first row and the number of rows of moves."""
         if moves not in self._places:
             self._places[moves] = len(self._moves)
             self._moves += moves
         return self._places[moves], len(moves)
 
     def values(self, h: float, exchange: Exchange | None) -> tuple[NDArray[np.int32], Array]:
-        """Return the arrays for steps of h (ps), and what a heat exchange needs."""
+        """Return the arrays for steps of h (ps), and the numbers of a heat exchange."""
         numbers = [move.numbers(h, exchange) for move in self._moves]
         starts = np.cumsum([0, *map(len, numbers)])
         rows = [
@@ -230,39 +231,39 @@ class Table:
         return np.array(rows, dtype=np.int32).reshape(-1, _COLUMNS), np.array(flat, dtype=np.float64)
 
     def _number(self, move: Move) -> int:
-        """Return the number of the op in kernels: those of users in the order of their texts."""
+        """Return the number of the op in kernels; users' ops are numbered in the order of their texts."""
         return move.op + self.own.index(move.text) if move.op == Op.OWN else move.op
 
     def declare(self, to: Program, exchange_numbers: int) -> None:
-        """Declare the arrays, when all segments have been asked for; a heat exchange has so many numbers and tau."""
+        """Declare the arrays after all segments are known; a heat exchange has a given count of numbers, and tau."""
         _, numbers = self.values(1.0, lambda tau: (0.0,) * exchange_numbers)
         to.array(self.MOVES, _COLUMNS * len(self._moves), element=4)
         to.array(self.NUMBERS, len(numbers))
 
 
 class Part(Protocol):
-    """Some of the bodies of a program: their arrays, and the launches of a segment for them.
+    """A subset of the bodies of a program, with its arrays and the launches of a segment.
 
-    Where a state is meant, `copied` is the one that is shown of a processed scheme, and not that in inner coordinates.
+    With `copied`, methods act on the shown state of a processed scheme instead of that in inner coordinates.
     """
 
     def declare(self, to: Program) -> None:
         """Declare arrays."""
 
     def launches(self, segment: Segment, table: Table) -> Sequence[Operation]:
-        """Return what carries a segment out: forces are in "force", and positions are placed in "posq" behind it."""
+        """Return the launches of a segment: it reads forces from "force", and writes positions to "posq" at its end."""
 
     def state(self, copied: bool) -> Sequence[str]:
         """Return the names of the arrays of a state."""
 
     def reductions(self, copied: bool, adds: bool) -> Sequence[Operation]:
-        """Return what writes kinetic energies and the number of lost bodies to "totals", or adds them."""
+        """Return the operations that write kinetic energies and the number of invalid bodies to "totals"."""
 
     def pushed(self, copied: bool, to_copy: bool) -> Sequence[Operation]:
-        """Return what adds the changes of velocities that show one state to the momenta of it, or of the other one."""
+        """Return the operations that add changes of shown velocities to the momenta of that or the other state."""
 
     def moved(self, copied: bool) -> Sequence[Operation]:
-        """Return what reads positions that were changed."""
+        """Return the operations that read changed positions."""
 
 
 @dataclass
@@ -274,7 +275,7 @@ class Sequences:
     sites : bool
         Whether the System has virtual sites.
     factors : callable, optional
-        factors(row) -> what makes the factors of the heat exchange in a row of the table out of the energies.
+        factors(row) -> the launch that computes the factors of the heat exchange in a row from the energies.
     """
 
     parts: Sequence[Part]
@@ -283,7 +284,7 @@ class Sequences:
     factors: Callable[[int], Operation] | None = None
 
     def carried_out(self, segments: Iterable[Segment]) -> list[Operation]:
-        """Return the operations of segments, each behind the evaluation that it needs."""
+        """Return the operations of segments, each after the evaluation that it needs."""
         return [operation for segment in segments for operation in (*self.before(segment), *self.moved(segment))]
 
     def before(self, segment: Segment) -> list[Operation]:
@@ -295,11 +296,11 @@ class Sequences:
         return [] if segment.groups is None else self.evaluation(segment.groups, segment.time)
 
     def reductions(self, copied: bool = False) -> list[Operation]:
-        """Return what writes the kinetic energies of all parts to "totals"."""
+        """Return the operations that write the kinetic energies of all parts to "totals"."""
         return [operation for k, part in enumerate(self.parts) for operation in part.reductions(copied, k > 0)]
 
     def evaluation(self, groups: int, time: float) -> list[Operation]:
-        """Return the evaluation of forces where the particles are."""
+        """Return the evaluation of forces at the present positions."""
         return [*self._sites, program.REORDER, program.clock(time), program.forces(groups)]
 
     @property
@@ -329,7 +330,7 @@ class Sequences:
         to.sequence("report", self.reductions(copied=True))
 
     def write_processor(self, to: Program, scheme: Scheme) -> None:
-        """Write "enter", the way to inner coordinates, and the ways back: "output" and the exact "postprocess"."""
+        """Write "enter", the map to inner coordinates, and the maps back: "output" and the exact "postprocess"."""
         to.sequence("enter", [*self._copies(shown=False), *self._way(scheme.processor, copied=False)])
         placed = self.moved(Segment(places=True, copied=True))  # for its forces, where a copy was shown before
         to.sequence("postprocess", [*self._copies(shown=True), *placed, *self._way(scheme.postprocessor, copied=True)])
@@ -341,13 +342,13 @@ class Sequences:
         return [program.copy(*names) for names in itertools.chain(*pairs)]
 
     def _way(self, rows: Rows, copied: bool) -> list[Operation]:
-        """Return the operations of substeps that are no part of a step; behind them the state is shown."""
+        """Return the operations of substeps outside of a step, after which the state is shown."""
         some = [replace(segment, copied=copied, time=0.0) for segment in divided(rows)]
         some[-1] = replace(some[-1], shows=True, places=True)
         return [*self.carried_out(some), *self._sites]
 
     def write_updates(self, to: Program, updates: Any, processed: bool) -> None:
-        """Write what surrounds OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`."""
+        """Write the sequences around OpenMM's updates of the Context, whose kinds are flags of `ContextUpdates`."""
         velocities = updates.pushes or updates.removes_motion
         if not processed:
             to.sequence("pushed", self._each("pushed", False, False) if velocities else [])

@@ -1,4 +1,4 @@
-"""The bodies of a Context whose state is in arrays of a program on the device."""
+"""The bodies of a Context whose state is in arrays on the device."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _SINGLE, _SINGLE_PART = 1e-5, 1e-6
 
 
 class DeviceState(Synchronisation):
-    """A `Synchronisation` that reads the state only where it is asked for: the device does not need it on the host.
+    """A `Synchronisation` that reads the state only on request: the device does not need it on the host.
 
-    OpenMM's integrator notices what others set in the Context, so that nothing is compared.
+    OpenMM's integrator detects external changes to the Context, so that nothing is compared.
     """
 
     _behind = False  # whether the device has moved on since `state` was read
@@ -37,7 +37,7 @@ class DeviceState(Synchronisation):
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
 
     def pull(self) -> bool:
-        """Bring the state up to date with the device, and both with what was set in the Context."""
+        """Update the state from the device, and both with changes to the Context."""
         changes = self._device.changes()
         if not changes & (SET | LOADED):
             if self._behind:
@@ -57,21 +57,21 @@ class DeviceState(Synchronisation):
         return True
 
     def settle(self) -> bool:
-        """Pull if there is anything to be pulled; return whether the state is another one."""
+        """Pull if there are changes; return whether the state changed."""
         return self.pull() if self._device.changes() & (SET | LOADED) else False
 
     def moved_on(self) -> None:
-        """Note that the device has moved the bodies, or was brought back."""
+        """Record that the device has moved the bodies, or was restored."""
         self._behind = True
 
     @functools.cached_property
     def _fixed(self) -> NDArray[np.intp]:
-        """The particles without mass that are no virtual sites."""
+        """The massless particles that are not virtual sites."""
         system = self.context.getSystem()
         return np.array([i for i in np.flatnonzero(self.bodies.owner < 0) if not system.isVirtualSite(int(i))], np.intp)
 
     def _take(self, known: State | None, state: State, elsewhere: bool) -> None:
-        """Take a state: the device follows if it is another one, or particles without mass are `elsewhere`."""
+        """Use a state, and write it to the device if it changed or massless particles are `elsewhere`."""
         self.state, self._behind = state, False
         if elsewhere or state is not known:
             self.inner = None if known is None or not self._processed else self._inner()
@@ -82,7 +82,7 @@ class DeviceState(Synchronisation):
         self._device.changes(clear=SET | LOADED)
 
     def mark(self) -> None:
-        """Mark the integrator's variables: there is a state."""
+        """Mark the integrator's variables as containing a state."""
         integrator = self._integrator()
         variables.mark(integrator, variables.device(variables.own_numbers(integrator)))
 
@@ -101,7 +101,7 @@ class DeviceState(Synchronisation):
         return self._read(copied=False)
 
     def _read(self, copied: bool = True) -> State:
-        """Read the state that is shown, or the one in inner coordinates."""
+        """Read the shown state, or the one in inner coordinates."""
         n, turning = len(self.bodies), self.bodies.n_turning
         out = BodyState(np.empty((3, n)), np.empty((3, n)), np.empty((4, turning)), np.empty((3, turning)))
         for part in self._parts:
@@ -118,7 +118,7 @@ class DeviceState(Synchronisation):
         self._device.changes(clear=SET | LOADED)
 
     def replace(self, state: State) -> None:
-        """Give the bodies another state and push it."""
+        """Replace the state of the bodies and push it."""
         self.state, self.inner, self._behind = state, None, False
         self.push()
 

@@ -1,1 +1,1 @@
-"""The engine of kernels on the host: the propagator and what substeps are bound to."""
+"""The engine of kernels on the host: its propagator and its environment of substeps."""

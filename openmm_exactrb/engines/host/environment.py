@@ -1,4 +1,4 @@
-"""What the substeps of a scheme are bound to in a Context."""
+"""The environment to which the substeps of a scheme are bound in a Context."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class HostEnvironment:
         return self.slow if group is None else self.all_forces.of(1 << group)
 
     def exchange_of(self, number: int) -> Flow[State]:
-        """Return the flow of the thermostat at its n-th place in a step."""
+        """Return the flow of the n-th heat exchange in a step."""
         if self.settings.thermostat is None:
             raise ValueError(
                 f"scheme {self.settings.scheme.name} contains a thermostat, but the integrator has none: pass one as "
@@ -61,11 +61,11 @@ class HostEnvironment:
         return self.settings.thermostat.flow(self, number)
 
     def moved(self) -> None:
-        """Note that positions are others than those of the last substep."""
+        """Mark the positions as changed since the last substep."""
         self.positions.version += 1
 
     def flexible(self) -> NDArray[np.bool_]:
-        """Return which bodies (N,) are in molecules of more than one body."""
+        """Return a mask (N,) of the bodies in molecules of more than one body."""
         return in_flexible_molecules(self.positions.context, self.bodies, self.settings.named)
 
     @property
@@ -82,7 +82,7 @@ class HostEnvironment:
         return bound(sequence, flows, h)
 
     def _flow_of(self, substep: Substep) -> Flow[State]:
-        """Return the flow of a substep, behind which positions have a new version if it may have changed them."""
+        """Return the flow of a substep, which increases the version of positions if it may change them."""
         flow = substep.bind(self)
         if not substep.moves or isinstance(substep, Drift):  # drifts of the propagator count versions
             return flow

@@ -1,8 +1,8 @@
-"""The propagator: makes the steps of an integrator in its Context, with forces from OpenMM.
+"""The propagator, which performs the steps of an integrator in its Context with forces from OpenMM.
 
-It is built once for a Context and bound to the settings of the integrator, and bound again when these have changed. It
-owns the state. That of a processed scheme stays in inner coordinates from call to call: the Context shows a copy that
-went through the post-processor.
+It is created once for a Context, and bound to the settings of the integrator whenever these have changed. It owns the
+state, which for a processed scheme remains in inner coordinates from call to call: the Context shows a copy that has
+passed through the post-processor.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from openmm_exactrb.schemes.thermostatted import behind_exchange, canonical_mome
 
 
 class Clock:
-    """The number of steps and the time (ps) of a Context within a call: some forces depend on them.
+    """The number of steps and the time (ps) of a Context within a call, on which some forces depend.
 
-    Time passes with the drifts. A force that depends on it keeps a scheme's order, as if time were a coordinate.
+    Time advances in the drifts. Schemes keep their order with time-dependent forces, as if time were a coordinate.
     """
 
     def __init__(self, context: openmm.Context) -> None:
@@ -49,14 +49,14 @@ class Clock:
         self.begin()
 
     def begin(self) -> None:
-        """Read them from the Context."""
+        """Read number and time from the Context."""
         context: Any = self._context()
         self.number, self.time = context.getStepCount(), context.getTime().value_in_unit(unit.picosecond)
         self._drifted = 0.0
         self.keep()
 
     def drift(self, tau: float) -> None:
-        """Let time pass within a step."""
+        """Advance the time within a step."""
         self._drifted += tau
         context: Any = self._context()
         context.setTime(self.time + self._drifted)
@@ -70,11 +70,11 @@ class Clock:
         self._kept = self.number, self.time
 
     def restore(self) -> None:
-        """Return to the number and time that were kept."""
+        """Restore the kept number and time."""
         self._set(*self._kept)
 
     def update(self, integrator: openmm.CustomIntegrator, n: int) -> None:
-        """Have OpenMM make n steps of its own that end now."""
+        """Let OpenMM perform n steps of its own that end at the present time."""
         openmm.Context.setStepCount(self._context(), self.number - n)
         variables.step_openmm(integrator, n)
         self._set(self.number, self.time)  # OpenMM's clock ignores a new step size where no computation uses dt
@@ -87,7 +87,7 @@ class Clock:
 
 
 class HostPropagator:
-    """Makes the steps of an integrator in a Context, as `openmm_exactrb.engines.engine.Propagator` says."""
+    """Performs the steps of an integrator in a Context; see `openmm_exactrb.engines.engine.Propagator`."""
 
     def __init__(
         self, context: openmm.Context, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
@@ -113,15 +113,15 @@ class HostPropagator:
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:
-        """The states before and after the last heat exchange, if the present state is that at the end of its step."""
+        """The states before and after the last heat exchange, if the present state is the end of its step."""
         return self.environment.last_exchange if self._left is self.sync.state else None
 
     def advance(self, version: object, settings: Callable[[], Settings], key: int, n: int) -> None:
-        """Make n steps. Whatever happens, the Context is left at the last valid state.
+        """Perform n steps. After any error, the Context contains the last valid state.
 
         Substeps are bound to settings() again if the `version` of the settings differs from that of the last call;
-        `key` is that of the random numbers. IntegrationError if a step diverges: a processed scheme leaves the state
-        before the call.
+        `key` is the key of the random numbers. An IntegrationError is raised if a step diverges; with a processed
+        scheme, the Context then has the state before the call.
         """
         self._left = None
         self._settle(version, settings)
@@ -146,9 +146,9 @@ class HostPropagator:
             self._left = self.sync.state
 
     def energy_at_exchange(self, version: object, settings: Callable[[], Settings]) -> float:
-        """Return the total energy (kJ/mol) at the last heat exchange, where its errors are of the scheme's order.
+        """Return the total energy (kJ/mol) at the last heat exchange, where its errors have the scheme's order.
 
-        The drifts behind it are undone for as long as it takes. Arguments are those of `advance`.
+        The drifts after it are temporarily undone. The arguments are those of `advance`.
         """
         self._settle(version, settings)
         try:
@@ -162,7 +162,7 @@ class HostPropagator:
             self.sync.push()
 
     def _settle(self, version: object, settings: Callable[[], Settings]) -> None:
-        """Bring the state and the substeps up to date with what was set in the Context and in the integrator."""
+        """Update the state and the substeps with changes to the Context and the integrator."""
         changed = self.sync.pull()
         if self._processed and self._surroundings != self._present_surroundings():
             self.sync.keep(None)  # inner coordinates are those of other forces
@@ -180,7 +180,7 @@ class HostPropagator:
         return arrays.surroundings(self.sync.context.getState(parameters=True))
 
     def _make(self, n: int) -> None:
-        """Make n steps from the present state."""
+        """Perform n steps from the present state."""
         check, clock = self.environment.divergence, self._clock
         check.enter(clock.number + 1, clock.time, self.sync.state)
         state = self._entered()
@@ -198,7 +198,7 @@ class HostPropagator:
             self.sync.keep(state, self._coordinates, self._memory.copy())
 
     def _keep(self, state: State) -> None:
-        """Take a state, and what belongs to it, for valid."""
+        """Accept a state and the data that belong to it as valid."""
         self.sync.state = state
         self._clock.keep()
         self.environment.numbers.keep()
@@ -216,7 +216,7 @@ class HostPropagator:
         return inner
 
     def _processed_from(self, state: State) -> State:
-        """Return the inner state of a true one, whose positions are the present ones."""
+        """Return the inner state of a true state at the present positions."""
         check = self.environment.divergence
         check.keep_from(state)
         inner = through(self._processor, state)
@@ -225,16 +225,16 @@ class HostPropagator:
         return inner
 
     def _true(self, inner: State) -> State:
-        """Return the true state of an inner one, whose positions are the present ones, by the inverse processor."""
+        """Return the true state of an inner state at the present positions, by the inverse processor."""
         return self._copied(self._postprocessor, inner)
 
     def _shown(self, inner: State) -> State:
-        """Return what is shown of an inner state: a copy, so that the error of the output does not accumulate."""
+        """Return the output of an inner state, a copy, so that the error of the output does not accumulate."""
         cheap = self._output and self._memory.full
         return self._copied(self._output if cheap else self._postprocessor, inner)
 
     def _copied(self, substeps: Bound, inner: State) -> State:
-        """Return a copy of the inner state behind substeps, whose forces are not remembered."""
+        """Return a copy of the inner state after substeps whose forces are not stored."""
         self._memory.closed = True
         try:
             return through(substeps, inner)
@@ -305,7 +305,7 @@ class HostPropagator:
         )
 
     def _watch(self, settings: Settings) -> Overheating | None:
-        """Return what watches the temperature, where a thermostat with friction should hold it."""
+        """Return the monitor of the temperature for a thermostat with friction."""
         thermostat = settings.thermostat
         if thermostat is None or thermostat.relaxation is None or not (self._conserves and settings.check):
             return None
@@ -313,7 +313,7 @@ class HostPropagator:
         return Overheating(self.sync.bodies, kT, thermostat.relaxation)
 
     def _leave_coordinates(self, settings: Settings) -> None:
-        """Bring the state out of inner coordinates that are not those of the settings."""
+        """Leave inner coordinates that are not those of the settings."""
         inner = self.sync.inner_in(self._coordinates)
         if inner is not None and inner_mark(settings.scheme, settings.h) != self._coordinates:
             self.sync.state = self._true(inner)
@@ -322,7 +322,7 @@ class HostPropagator:
     def _split(
         self, settings: Settings, forces: ContextForces, divergence: DivergenceCheck
     ) -> tuple[Kinetic, EvaluatedForces]:
-        """Return free motion, with the fast forces within it where there are some, and the forces of kicks."""
+        """Return the free motion, including fast forces if there are any, and the forces of kicks."""
         kinetic, clusters, check = self._kinetic, bool(len(self.sync.bodies.clusters)), divergence.finite
         displaced = _checked(kinetic.displaced, check) if clusters else kinetic.displaced
         inner, scheme = self._inner_drift, settings.splitting
@@ -354,7 +354,7 @@ class HostPropagator:
 
 
 def _checked(flow: Callable[[State, Any], State], check: Callable[[State], Any]) -> Callable[[State, Any], State]:
-    """Return a flow that raises NonFiniteError before OpenMM is asked for forces at such positions."""
+    """Return a flow that raises NonFiniteError before OpenMM evaluates forces at non-finite positions."""
 
     def checked(state: State, argument: Any) -> State:
         after = flow(state, argument)

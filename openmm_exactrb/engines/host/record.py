@@ -1,4 +1,4 @@
-"""The engine of kernels on the host, as the rest of the package sees it."""
+"""The record of the host engine."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _declare(integrator: openmm.CustomIntegrator, settings: Settings) -> None:
 def _propagator(
     context: Any, integrator: openmm.CustomIntegrator, settings: Settings, timings: Timings
 ) -> HostPropagator:
-    """Return a propagator for an integrator, whose variables become the host's unless they are."""
+    """Return a propagator for an integrator, and give it the variables of the host if necessary."""
     own = (variables.NOTHING, *_marks(settings))
     if not variables.declared(integrator) or integrator.getGlobalVariable(0) not in own:
         program = openmm.CustomIntegrator(0.0)

@@ -1,4 +1,4 @@
-"""Which atoms of flexible molecules a block of threads has."""
+"""The division of flexible molecules into blocks of threads."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ COST_OF_BLOCK, COST_OF_MOLECULE = 1200, 3200
 
 
 class Group(NamedTuple):
-    """Clusters of one graph of constraints: single atoms have none.
+    """Clusters with the same constraint graph; that of single atoms is empty.
 
     Attributes
     ----------
@@ -34,29 +34,29 @@ class Group(NamedTuple):
 
     @property
     def star(self) -> bool:
-        """Whether constraints hold all other members to the first one, in their order."""
+        """Whether the constraints connect the first member to all others, in order."""
         n = self.particles.shape[1]
         return bool(np.array_equal(self.pairs, [(0, i) for i in range(1, n)])) if n > 1 else True
 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Atoms in the order of blocks, and within these of clusters.
+    """Atoms ordered by block, and within a block by cluster.
 
     Attributes
     ----------
     particles : (n,) array
-        Which particle each atom is.
+        The particle of each atom.
     atom_of : (n_particles,) array
-        Which atom each particle is; -1 for others.
+        The atom of each particle; -1 for particles of other molecules.
     block_of : (n,) array
         The block of each atom.
     starts, sizes : (c,) arrays
-        Where the atoms of each cluster begin, and how many they are.
+        First atom and number of atoms of each cluster.
     groups : list of (Group, (N,) array)
-        Clusters of a graph, and which they are.
+        Clusters of a graph, and their indices.
     first_cluster, first_atom : (b + 1,) arrays
-        Where blocks begin.
+        First cluster and first atom of each block.
     """
 
     particles: Indices
@@ -74,7 +74,7 @@ class Blocks:
 
 
 def blocks_of(groups: Sequence[Group], terms: Sequence[Indices], n_particles: int) -> Blocks:
-    """Divide clusters into blocks of about equal cost, so that few terms (., k) of particles cross their borders."""
+    """Divide clusters into blocks of about equal cost, so that few terms (., k) cross their borders."""
     count = sum(len(group.particles) for group in groups)
     cluster_of, sizes, smallest = np.full(n_particles, -1), np.zeros(count, int), np.zeros(count, int)
     number: list[Indices] = []
@@ -114,7 +114,7 @@ def _costs(members: Sequence[Indices], sizes: Indices) -> Indices:
 
 
 def _molecules(members: Sequence[Indices], count: int) -> Indices:
-    """Return the molecule of each of so many clusters, as far as terms connect them."""
+    """Return the molecule of each cluster, as connected by terms."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -125,7 +125,7 @@ def _molecules(members: Sequence[Indices], count: int) -> Indices:
 
 
 def _divided(cost: Indices, molecule: Indices, smallest: Indices) -> Indices:
-    """Return the block of each cluster: some whole molecules, or a part of a large one.
+    """Return the block of each cluster; a block contains whole molecules, or part of a large one.
 
     Clusters of a molecule are in the order of their particles, which follows the chain of a protein.
     """

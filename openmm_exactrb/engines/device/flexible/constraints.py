@@ -1,4 +1,4 @@
-"""The clusters of flexible molecules as tables of the kernel, and its text for the graphs that there are."""
+"""The clusters of flexible molecules as tables of the kernel, and its text for their graphs."""
 
 from __future__ import annotations
 
@@ -56,12 +56,12 @@ def arrays(blocks: Blocks) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
 
 
 def is_star(group: Group) -> bool:
-    """Return whether the kernel has a cluster in private memory."""
+    """Return whether the kernel holds a cluster in private memory."""
     return group.star and group.particles.shape[1] <= RAYS + 1
 
 
 def files(blocks: Blocks) -> tuple[str, ...]:
-    """Return the files of the functions by which clusters move."""
+    """Return the files of the functions that move clusters."""
     stars = max((group.particles.shape[1] for group, _ in blocks.groups if is_star(group)), default=1)
     any_graph = not all(is_star(group) for group, _ in blocks.groups)
     return ("star.cl", "constraints.cl") * (stars - 1) + ("graph.cl", "constraints.cl") * any_graph

@@ -1,4 +1,4 @@
-"""Inner steps whose fast forces OpenMM evaluates, where there is no kernel for them: they are written into a scheme."""
+"""Inner steps whose fast forces OpenMM evaluates for lack of a kernel: they are written into a scheme."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ALL = 0xFFFFFFFF
 
 @dataclass(frozen=True)
 class GroupsKick(Substep):
-    """A kick by the forces of some groups (bits)."""
+    """A kick by the forces of given groups (bits)."""
 
     groups: int
 
@@ -33,7 +33,7 @@ class GroupsKick(Substep):
 
 
 class Evaluated(NamedTuple):
-    """Fast force groups (bits) that OpenMM evaluates in inner steps, since the kernels do not have `what`."""
+    """Fast force groups (bits) that OpenMM evaluates in inner steps, because the kernels do not support `what`."""
 
     groups: int
     inner: InnerSteps
@@ -46,7 +46,7 @@ class Evaluated(NamedTuple):
 
     @property
     def warning(self) -> str:
-        """What the user should know."""
+        """The warning for the user."""
         groups = ", ".join(str(group) for group in range(32) if self.groups >> group & 1)
         return (
             f"the device has no kernel for {self.what}: OpenMM evaluates all forces of the fast groups ({groups}) at "
@@ -54,15 +54,15 @@ class Evaluated(NamedTuple):
         )
 
     def within(self, scheme: Scheme) -> Scheme:
-        """Return a scheme of all bodies, in whose drifts the inner steps are."""
+        """Return a scheme of all bodies with the inner steps in its drifts."""
         rows = (self._rows(some) for some in (scheme.sequence, scheme.processor, scheme.output))
         sequence, processor, output = rows
         return replace(scheme, sequence=sequence, processor=processor, output=output)
 
     def _rows(self, sequence: Sequence) -> Sequence:
-        """Return the rows of a sequence: at each place one kick by the fast forces, and one by the slow ones.
+        """Return the rows of a sequence: for each kick, one by the fast forces and one by the slow forces.
 
-        The slow ones come first where the sequence begins, since it may have ended with them.
+        At the start of the sequence the slow kick comes first, because the sequence may have ended with one.
         """
         places = itertools.groupby(self._each(sequence), lambda row: isinstance(row[0], GroupsKick))
         rows: list[tuple[Substep, float]] = []

@@ -1,4 +1,4 @@
-"""The moves of bodies with inner steps: the drifts of a scheme with the fast forces in them."""
+"""The moves of bodies with inner steps: the drifts of a scheme, including the fast forces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Moves = tuple[Move, ...]
 
 @dataclass(frozen=True)
 class InnerSteps:
-    """An inner scheme, and how many of its steps a drift over a part of a step has."""
+    """An inner scheme, and the number of its steps in a drift over a fraction of a step."""
 
     sequence: Sequence
     repetitions: Callable[[float], int]
@@ -27,7 +27,7 @@ class InnerSteps:
         return tuple(Move(op, part * drift.part / n, late=drift.late) for op, part in ops)
 
     def evaluations(self, part: float) -> int:
-        """Return the evaluations of fast forces in a drift: kicks at its ends share theirs with its neighbours."""
+        """Return the number of evaluations of fast forces in a drift; neighbouring drifts share those at its ends."""
         kicks = [substep == KICK for substep, _ in repeated(self.sequence, self.repetitions(part))]
         return sum(kicks) - (kicks[0] and kicks[-1])
 
@@ -35,8 +35,8 @@ class InnerSteps:
 def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
     """Return the moves of a segment for flexible molecules.
 
-    The kick at the end of a drift needs fast forces that are known in the segment behind it too, if that begins with a
-    kick: one that a segment `leaves` is due there.
+    If the next segment begins with a kick, the fast forces for the kick at the end of a drift must be known there: a
+    kick that a segment `leaves` is due in the next one.
     """
     moves = [move for move in segment.moves if move.op != Op.DRIFT or move.bodies != "others"]
     if inner is None:
@@ -51,7 +51,7 @@ def moves_of(segment: Segment, inner: InnerSteps | None) -> Moves:
 
 
 def up_to_drifts(moves: Moves) -> list[Moves]:
-    """Return moves in parts, of which all but the last one end with a drift."""
+    """Return moves in parts, all of which except the last end with a drift."""
     ends = [place + 1 for place, move in enumerate(moves) if move.op == Op.DRIFT]
     parts = [moves[begin:end] for begin, end in zip([0, *ends], [*ends, len(moves)], strict=True)]
     return [part for part in parts if part]

@@ -1,4 +1,4 @@
-"""What flexible molecules in a Context consist of, and which of them the kernels serve."""
+"""The composition of flexible molecules in a Context, and which of them the kernels support."""
 
 from __future__ import annotations
 
@@ -30,27 +30,28 @@ MOST_TERMS = 400
 
 
 class NotServedError(Exception):
-    """The kernels do not serve some molecules or forces; the text says which, and what to do."""
+    """The kernels do not support some molecules or forces; the message names them and the remedy."""
 
 
 @dataclass(frozen=True)
 class Molecules:
-    """What flexible molecules consist of.
+    """The composition of flexible molecules.
 
     Attributes
     ----------
     groups : sequence of Group
-        Their clusters, single atoms and atoms without mass included.
+        Their clusters, including single atoms and massless atoms.
     masses : (n_particles,) array
-        Of all particles of the System.
+        Masses of all particles of the System.
     body_of : (n_particles,) array
-        The body of each particle, among all; -1 for none.
+        The body of each particle; -1 for none.
     terms : Terms
-        Their fast forces, of particles of the System.
+        Their fast forces, as terms of particles of the System.
     inner : InnerSteps or None
         None without fast forces.
     late : bool
-        Whether drifts between the last heat exchange and the end of a step begin the next one.
+        Whether the drifts between the last heat exchange and the end of a step are performed at the start of the next
+        one.
     """
 
     groups: Sequence[Group]
@@ -62,7 +63,7 @@ class Molecules:
 
 
 class Served(NamedTuple):
-    """What the kernels have of the flexible molecules, and the fast forces that OpenMM evaluates in inner steps."""
+    """The flexible molecules supported by kernels, and the fast forces that OpenMM evaluates in inner steps."""
 
     molecules: Molecules | None
     evaluated: Evaluated | None = None
@@ -74,9 +75,9 @@ class Found(NamedTuple):
     Attributes
     ----------
     bodies : RigidBodies
-        With flexible molecules, two particles with a constraint between them are a cluster.
+        With flexible molecules, two particles with a constraint between them form a cluster.
     whole : RigidBodies
-        The same as the host has them: such a pair is a linear body.
+        The bodies of the host, for which such a pair is a linear body.
     fast : FastForces or None
     """
 
@@ -101,7 +102,7 @@ def found(context: Any, settings: Any) -> Found:
 
 
 def served(system: openmm.System, bodies: RigidBodies, fast: FastForces | None, settings: Any) -> Served:
-    """Return the molecules whose atoms constraints hold or fast forces move, and the fast forces without a kernel.
+    """Return the molecules with constraints or fast forces, and the fast forces without a kernel.
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def _require_small_clusters(bodies: RigidBodies) -> None:
 
 
 def _require_room(terms: Terms) -> None:
-    """Raise NotServedError if a particle has so many terms that a block has no room for the others in them."""
+    """Raise NotServedError if the terms of a particle involve more particles than a block can hold."""
     count = np.bincount(np.concatenate([of_kind.ravel() for of_kind in particles(terms)]), minlength=1)
     if count.max() > MOST_TERMS:
         raise NotServedError(
@@ -165,7 +166,7 @@ def _require_room(terms: Terms) -> None:
 def _without_kernel(
     system: openmm.System, bodies: RigidBodies, fast: FastForces, excerpt: Excerpt | None
 ) -> str | None:
-    """Return for which fast forces there is no kernel, or None."""
+    """Return the fast forces without a kernel, or None."""
     for force in acting(system):
         if groups_of(force) & set(fast.named) and not isinstance(force, BONDED_FORCES):
             return f"the fast force {force.getName()}"

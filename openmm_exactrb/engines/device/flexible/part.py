@@ -36,9 +36,9 @@ class Flexible(NamedTuple):
     ----------
     molecules : Molecules
     particles : (n_particles, 3) array
-        The positions of all particles, kept up to date, for those without mass.
+        Up-to-date positions of all particles, for the massless ones.
     precision : type
-        Of fast forces: np.float32 or np.float64.
+        Precision of fast forces: np.float32 or np.float64.
     """
 
     molecules: Molecules
@@ -47,7 +47,7 @@ class Flexible(NamedTuple):
 
 
 class FlexiblePart:
-    """The part of flexible molecules in a program; arguments but the last one are those of `Flexible`."""
+    """The part of flexible molecules in a program; all arguments except the last are those of `Flexible`."""
 
     def __init__(
         self, molecules: Molecules, particles: Array, precision: type[np.floating[Any]], demands: Demands
@@ -81,7 +81,7 @@ class FlexiblePart:
     # -- declarations and launches ---------------------------------------------------------------------------------
 
     def declare(self, to: Program) -> None:
-        """Declare tables, the state, and what is remembered."""
+        """Declare tables, the state, and stored forces."""
         for name, values in self.tables().items():
             to.array(name, values.size, element=values.itemsize)
         for copied in (False, True)[: 1 + self._demands.copied]:
@@ -93,7 +93,7 @@ class FlexiblePart:
         to.array("flexible_kinetic", 3 * GROUPS)
 
     def launches(self, segment: Segment, table: Table) -> list[Operation]:
-        """Return the launches of a segment: one, or one for each drift if blocks have terms in common."""
+        """Return the launches of a segment: one, or one for each drift if blocks share terms."""
         moves = moves_of(segment, self._inner)
         x, v = self.state(segment.copied)
         parts = (self._open and up_to_drifts(moves)) or [moves]
@@ -113,7 +113,7 @@ class FlexiblePart:
 
     @staticmethod
     def _next(here: str, x: str, last: bool) -> str:
-        """Return the array for positions behind a drift from those in another one: in the end, x if that is not it."""
+        """Return the array for positions after a drift from those in another array."""
         if last and here != x:
             return x
         return "flexible_z" if here == "flexible_y" else "flexible_y"
@@ -128,7 +128,7 @@ class FlexiblePart:
         return Launch(self._source, "inner_steps", THREADS * len(self.blocks), arguments, THREADS)
 
     def reductions(self, copied: bool, adds: bool) -> list[Operation]:
-        """Return what writes the kinetic energy along the constraints to "totals", or adds it."""
+        """Return the operations that write the kinetic energy along the constraints to "totals", or add it."""
         x, v = self.state(copied)
         threads, sums = min(self.n, BLOCK * GROUPS), "flexible_kinetic"
         kinetic = Launch(self._source, "flexible_kinetic", threads, ("flexible_inverse", x, v, sums), BLOCK)
@@ -136,19 +136,19 @@ class FlexiblePart:
         return [self._launch((0, 0), _PROJECTS, (x, x, v)), kinetic, total]
 
     def pushed(self, copied: bool, to_copy: bool) -> list[Operation]:
-        """Return what adds the changes of velocities that show one state to those of it, or of the other one."""
+        """Return the operations that add changes of shown velocities to those of that or the other state."""
         states = self.state(copied)[1], self.state(to_copy)[1]
         return [Launch(self._source, "flexible_pushed", self.n, ("velm", "places", "flexible_atoms", *states))]
 
     def moved(self, copied: bool) -> list[Operation]:
-        """Return what reads positions that were changed."""
+        """Return the operations that read changed positions."""
         arguments = "posq", "posqCorrection", "places", "box", "flexible_atoms", self.state(copied)[0]
         return [Launch(self._source, "flexible_moved", self.n, arguments)]
 
     # -- values ------------------------------------------------------------------------------------------------------
 
     def tables(self) -> dict[str, NDArray[Any]]:
-        """Return what does not change, by the names of arrays."""
+        """Return the constant arrays by name."""
         of_atoms = {
             "atoms": self.blocks.particles.astype(np.int32),
             "bodies": self._bodies(np.ones(self.n, dtype=bool)),
@@ -160,7 +160,7 @@ class FlexiblePart:
         }
 
     def write(self, device: Device, state: BodyState, copied: bool = False) -> None:
-        """Write the state of all bodies, and the positions of particles without mass, to the device."""
+        """Write the state of all bodies, and the positions of massless particles, to the device."""
         massive = self._mass > 0.0
         x, v = self._particles[self.blocks.particles], np.zeros((self.n, 3))
         x[massive] = state.R[:, self.columns[massive]].T
@@ -169,14 +169,14 @@ class FlexiblePart:
             device.upload(name, values)
 
     def read(self, device: Device, out: BodyState, copied: bool = False) -> None:
-        """Read the state of these bodies into that of all."""
+        """Read the state of these bodies into that of all bodies."""
         massive = self._mass > 0.0
         x, v = (device.download(name, np.empty((self.n, 3)))[massive] for name in self.state(copied))
         out.R[:, self.columns[massive]] = x.T
         out.P[:, self.columns[massive]] = (v * self._mass[massive, None]).T
 
     def flag(self, device: Device, flexible: NDArray[np.bool_]) -> None:
-        """Write which of all bodies (N,) are in flexible molecules: a pair of atoms alone is not."""
+        """Write the flags (N,) of bodies in flexible molecules, which exclude isolated pairs of atoms."""
         device.upload("flexible_bodies", self._bodies(flexible[self.columns] & (self.columns >= 0)))
 
     def _bodies(self, flexible: NDArray[np.bool_]) -> NDArray[np.int32]:
@@ -185,7 +185,7 @@ class FlexiblePart:
 
     @property
     def bodies(self) -> Indices:
-        """Which of all bodies these are."""
+        """The indices of these bodies among all."""
         return np.sort(self.columns[self.columns >= 0])
 
 

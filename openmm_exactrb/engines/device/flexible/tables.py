@@ -1,4 +1,4 @@
-"""The tables of the kernel: blocks, the atoms that each has, clusters, and the terms that touch them."""
+"""The tables of the kernel: blocks, their atoms and clusters, and the terms that involve them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EXACT = ("pairs", "maps")
 
 
 class Kind(NamedTuple):
-    """Terms of a kind: `particles` (T, k), what else the kernel reads of them as whole numbers (j, T), and numbers."""
+    """Terms of a kind: `particles` (T, k), further integers (j, T) for the kernel, and numbers."""
 
     particles: Indices
     others: Indices
@@ -26,7 +26,7 @@ class Kind(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """Terms of a kind, once for each block that they touch: which (C,), of which block (C,), of which atoms (C, k)."""
+    """Terms of a kind, once for each block that they involve: indices (C,), blocks (C,) and atoms (C, k)."""
 
     terms: Indices
     block: Indices
@@ -34,14 +34,14 @@ class Copies(NamedTuple):
 
 
 class Local(NamedTuple):
-    """The atoms that blocks have places for (p,), its own ones first, and where those of each begin (b + 1,)."""
+    """The atoms (p,) stored by blocks, each block's own first, and the start of each block (b + 1,)."""
 
     atoms: Indices
     first: Indices
 
 
 def kinds_of(terms: Terms, precision: type[np.floating[Any]]) -> dict[str, Kind]:
-    """Return the terms of the host's kernel, with the numbers of the device's."""
+    """Return the terms of the host's kernel, with the numbers of the device's kernel."""
     length, strength = terms.of_bonds
     square = length * length
     near = square.astype(precision).astype(np.float64)
@@ -66,13 +66,13 @@ def particles(terms: Terms) -> list[Indices]:
 
 
 def _distinct(keys: Indices) -> Indices:
-    """Return sorted keys, each once: np.unique takes longer, since it hashes them."""
+    """Return the sorted distinct keys, faster than np.unique, which hashes them."""
     keys = np.sort(keys)
     return np.asarray(keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]])
 
 
 def copies(particles: Indices, blocks: Blocks) -> Copies:
-    """Return terms of particles (T, k) by blocks, each once in every block that it touches."""
+    """Return terms of particles (T, k) by block, each once in every block that it involves."""
     atoms = blocks.atom_of[particles]
     block, number, count = blocks.block_of[atoms], np.arange(len(atoms)), max(len(atoms), 1)
     crosses = (block != block[:, :1]).any(axis=1)
@@ -82,7 +82,7 @@ def copies(particles: Indices, blocks: Blocks) -> Copies:
 
 
 def local(blocks: Blocks, found: list[Copies]) -> Local:
-    """Return the atoms that each block reads: its own ones, and those of its terms that are of others."""
+    """Return the atoms that each block reads: its own, and those of other blocks in its terms."""
     n = len(blocks.particles)
     keys = [np.zeros(0, int)]
     for of_kind in found:
@@ -96,7 +96,7 @@ def local(blocks: Blocks, found: list[Copies]) -> Local:
 
 
 def places(found: Copies, blocks: Blocks, room: Local) -> Indices:
-    """Return where the atoms of terms are in their blocks (C, k)."""
+    """Return the indices (C, k) of the atoms of terms within their blocks."""
     n, own = len(blocks.particles), np.diff(blocks.first_atom)
     block = np.repeat(np.arange(len(blocks)), np.diff(room.first))
     within = np.arange(len(room.atoms)) - room.first[block]
