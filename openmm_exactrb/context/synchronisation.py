@@ -189,7 +189,7 @@ class Synchronisation:
         return arrays.periodic_box(self.context)
 
     def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, but for the bodies whose particles are not where it says."""
+        """Return a known state, with bodies refitted whose particles are not at its positions."""
         bodies, rounded = self.bodies, known.rounded
         moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
         pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)

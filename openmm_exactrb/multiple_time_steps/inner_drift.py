@@ -130,7 +130,7 @@ def inner_steps(
 
 
 def _followed_by(notice: Callable[[], None], drift: Flow[State]) -> Flow[State]:
-    """Return a drift behind which something is called."""
+    """Return a drift after which a function is called."""
 
     def flow(state: State, tau: float) -> State:
         state = drift(state, tau)
@@ -141,9 +141,9 @@ def _followed_by(notice: Callable[[], None], drift: Flow[State]) -> Flow[State]:
 
 
 class ExcerptPositions(Positions):
-    """Positions of an excerpt in a Context of its own, which follows those of the whole, its box and its parameters.
+    """Positions of an excerpt in a Context of its own, with box, parameters and massless particles of the whole.
 
-    They are new ones whenever those of the whole have changed, but by the excerpt's own drift.
+    They are updated whenever those of the whole have changed, except by the excerpt's own drift.
     """
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
@@ -170,5 +170,5 @@ class ExcerptPositions(Positions):
         self._count = count
 
     def keep_up(self) -> None:
-        """Take the present positions for those of the whole."""
+        """Record that the present positions are those of the whole."""
         self._seen = self._whole.version

@@ -31,7 +31,7 @@ class DeviceState(Synchronisation):
     _behind = False  # whether the device has moved on since `state` was read
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
-        """Take the arrays of a program for the state; bodies are those of its parts."""
+        """Use the arrays of a program for the state; bodies are those of its parts."""
         self._device, self._parts, self._processed = device, parts, processed
         if single:
             self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
