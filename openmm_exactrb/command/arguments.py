@@ -43,10 +43,10 @@ def _picoseconds(text: str) -> float:
     return float(match[1]) * _PICOSECONDS[match[2].lower()]
 
 
-def named(names: Iterable[str]) -> Callable[[str], str]:
-    """Return an argparse type that accepts given names in any case."""
+def one_of(names: Iterable[str]) -> dict[str, Any]:
+    """Return the arguments of argparse for an option that is one of some names, in any case."""
     by_case = {name.lower(): name for name in names}
-    return lambda text: by_case.get(text.lower(), text)  # what is no name is left to choices=
+    return {"type": lambda text: by_case.get(text.lower(), text), "choices": [*by_case.values()]}
 
 
 _UNITS = "in ps, or with a unit such as 4fs, 100ps or 1ns"
@@ -55,11 +55,6 @@ count = _option(int, lambda value: value >= 1, "a whole number of at least 1")
 seed = _option(int, lambda value: 1 <= value <= _LARGEST, f"a whole number from 1 to {_LARGEST}")
 time = _option(_picoseconds, lambda value: value > 0.0, f"a positive time {_UNITS}")
 time_or_zero = _option(_picoseconds, lambda value: value >= 0.0, f"a time of at least 0 {_UNITS}")
-
-
-def flag(name: str) -> str:
-    """Return the option of a name in Python: --inner-steps for innerSteps."""
-    return "--" + re.sub("([A-Z])", r"-\1", name).lower()
 
 
 def time_with_unit(text: str) -> float:
