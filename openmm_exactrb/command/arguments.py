@@ -57,6 +57,11 @@ time = _option(_picoseconds, lambda value: value > 0.0, f"a positive time {_UNIT
 time_or_zero = _option(_picoseconds, lambda value: value >= 0.0, f"a time of at least 0 {_UNITS}")
 
 
+def flag(name: str) -> str:
+    """Return the option of a name in Python: --inner-steps for innerSteps."""
+    return "--" + re.sub("([A-Z])", r"-\1", name).lower()
+
+
 def time_with_unit(text: str) -> float:
     """Return a positive time with a unit in ps."""
     value = float(time(text))

@@ -17,7 +17,6 @@ from openmm_exactrb.command import analysis, arguments, equilibration, inputs, s
 from openmm_exactrb.integrator import DEFAULT
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.reporters import EnergyReporter
-from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.runs import Run
 from openmm_exactrb.schemes import WITH_THERMOSTAT, Scheme, splitting
 from openmm_exactrb.schemes import scheme as look_up
@@ -65,7 +64,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--target", type=positive, metavar="X", help=f"error for auto, kJ/mol per body {shown['target']}")
     add("--budget", type=positive, metavar="S", help=f"processor time for auto, s {shown['budget']}")
     add("--scheme", metavar="NAME", help=f"splitting scheme; auto tries {', '.join(CANDIDATES)}")
-    add("--rotor", **arguments.one_of(ROTORS), default="exact", help="free rotation (%(default)s)")
+    for name, option in setup.OPTIONS:
+        add(arguments.flag(name), dest=name, **option)
     start = "equilibration of a start without velocities, ps, or 5ps (a fifth of --duration, at most 5 ps)"
     add("--equilibrate", type=arguments.time_or_zero, metavar="T", help=start)
     add("--seed", type=arguments.seed, default=1, metavar="N", help="of velocities, noise and barostat (%(default)s)")

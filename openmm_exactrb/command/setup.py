@@ -10,12 +10,18 @@ import openmm
 from openmm import unit
 
 from openmm_exactrb.averages import pressure_offset
+from openmm_exactrb.command import arguments
 from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
+from openmm_exactrb.rotors import ROTORS
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 
 #: Constant energy, temperature, or temperature and pressure.
 ENSEMBLES = ("nve", "nvt", "npt")
+#: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
+OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
+)
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
 
@@ -62,7 +68,8 @@ def correct_pressure(
 
 def integrator_of(args: argparse.Namespace, own: dict[str, Any], step: float) -> ExactRigidBodyIntegrator:
     """Return the integrator of the ensemble for given options, such as the scheme, and a step in ps."""
-    options = {"rotor": args.rotor, **own}
+    given = {name: getattr(args, name) for name, _ in OPTIONS}
+    options = {name: value for name, value in given.items() if value is not None} | own
     if args.ensemble == "nve":
         return ExactRigidBodyIntegrator(step, **options)
     integrator = ExactRigidBodyLangevinIntegrator(args.temperature, args.friction, step, **options)
