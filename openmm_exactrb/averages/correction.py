@@ -260,8 +260,8 @@ def _warn_of_friction(found: Average) -> None:
     if abs(weak - strong) > _DISTINCT * found.error:
         warn(
             f"the corrected average is {weak:.6g} if all motions exchange energy faster than friction does, but "
-            f"{strong:.6g} if none does, as for bonds that vibrate in the kicks, and its error leaves that out: "
-            "constrain such bonds, or use a shorter step"
+            f"{strong:.6g} if none does, as for bonds that vibrate in the kicks; its error does not include this "
+            "difference: constrain such bonds, or use a shorter step"
         )
 
 
