@@ -8,7 +8,7 @@ of 64 bits, the lowest first, the layout is::
     counter = (0, 0, stream, step)
 
 The words of seed and step are those of signed numbers. A block of the counter is four words; the block of body n in an
-array (..., N) has the lowest word n + 1, and the second word counts further blocks where the array has more than four
+array (..., N) has the lowest word n + 1, and the second word counts further blocks if the array has more than four
 rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine makes the
 step: kernels/random.cl of the device engine has the same numbers. The stream is the number of the substep in the step,
 times `PURPOSES`, plus the purpose.
