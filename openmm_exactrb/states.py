@@ -47,8 +47,8 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     x = state.getPositions(asNumpy=True)
     if len(x) != context.getSystem().getNumParticles():
         raise ValueError(
-            f"the State has {len(x)} particles, but the System {context.getSystem().getNumParticles()}: they do not "
-            "belong together"
+            f"the State has {len(x)} particles, but the System has {context.getSystem().getNumParticles()}: they "
+            "do not belong together"
         )
     context.setTime(state.getTime())
     context.setStepCount(state.getStepCount())

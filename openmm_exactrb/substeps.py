@@ -35,7 +35,7 @@ class Substep:
     Attributes
     ----------
     symbol : str
-        For display.
+        Symbol for display.
     moves : bool
         Whether it may change positions, the box or parameters, so that forces must be evaluated again.
     kicks : bool
@@ -66,7 +66,7 @@ class Substep:
         raise ValueError(f"{self!r} has no matrix for a harmonic oscillator: define its method oscillator()")
 
     def device_moves(self, part: float) -> tuple[Move, ...] | None:
-        """Return its moves over a part of the step, or None if a device does not support it."""
+        """Return the moves over a fraction of the step, or None if a device does not support the substep."""
         return None
 
     def __str__(self) -> str:
@@ -143,14 +143,14 @@ class Kick(Substep):
 class GradientKick(Substep):
     """A kick with a force-gradient term, by forces at displaced positions.
 
-    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at
-    R + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is the one about R, that is d x F more
-    than the one about the displaced centre, and in the axes of q: both parts are of second order in e but for the
-    commutator of the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the
-    linear momentum, and the angular momentum where all particles belong to bodies that turn about three axes; single
-    particles and linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this
-    is the Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309,
-    109478 (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
+    Over tau it is the flow of V - (strength/2) tau² f . M^-1 f up to higher orders of tau: the force is evaluated at R
+    + d, q exp(e I^-1 N), where d = e F/M and e = strength tau². The torque is about R, that is, larger by d x F than
+    about the displaced centre, and in the axes of q: both parts are of second order in e except for the commutator of
+    the axes, e (I^-1 N) x N. It is time-reversible, symplectic up to those orders, and conserves the linear momentum,
+    and the angular momentum if all particles belong to bodies that rotate about three axes; single particles and
+    linear bodies, which cannot absorb such torques, lose some of it at those orders. For particles this is the
+    Hessian-free kick of K. Schäfers, J. Finkenrath, M. Günther and F. Knechtli, Comput. Phys. Commun. 309, 109478
+    (2025). Constrained atoms are displaced along the geodesic of F, and the force there is projected onto the
     constraints: to first order this gives the covariant derivative of F along itself.
 
     Parameters
@@ -187,9 +187,9 @@ class LastForcesKick(Substep):
     Parameters
     ----------
     weights : tuple of float
-        Weights of the last forces, the most recent one first.
+        Weights of the last forces, most recent first.
     differences : tuple of float, optional
-        Weights of the last force-gradient terms: displaced forces less the forces.
+        Weights of the last force-gradient terms: displaced forces minus undisplaced forces.
     """
 
     weights: tuple[float, ...]
@@ -211,12 +211,12 @@ class LastForcesKick(Substep):
         return flow
 
     def padded(self, part: float, memory: tuple[int, int]) -> tuple[float, ...]:
-        """Return the weights of so many forces and differences, times a part of the step."""
+        """Return the weights for given numbers of forces and differences, times a fraction of the step."""
         pairs = zip((self.weights, self.differences), memory, strict=True)
         return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
-        """Return the kick, which has the number of the weights of forces."""
+        """Return the kick, with the number of its weights of forces."""
         return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)
 
 

@@ -11,7 +11,8 @@ slower than the exchange of energy between motions, and if it is far faster than
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
 with n degrees of freedom; the second is exact only without inner steps, and also holds for harmonic motions that
-exchange no energy, at any friction. A correction takes the middle of these limits. Drifts along chords conserve h² T in addition (`openmm_exactrb.averages.chord`), which adds
+exchange no energy, at any friction. A correction takes the middle of these limits. Drifts along chords conserve h² T in
+addition (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 

@@ -43,10 +43,10 @@ def _picoseconds(text: str) -> float:
     return float(match[1]) * _PICOSECONDS[match[2].lower()]
 
 
-def named(names: Iterable[str]) -> Callable[[str], str]:
-    """Return an argparse type that accepts given names in any case."""
+def one_of(names: Iterable[str]) -> dict[str, Any]:
+    """Return the arguments of argparse for an option that is one of some names, in any case."""
     by_case = {name.lower(): name for name in names}
-    return lambda text: by_case.get(text.lower(), text)  # what is no name is left to choices=
+    return {"type": lambda text: by_case.get(text.lower(), text), "choices": [*by_case.values()]}
 
 
 _UNITS = "in ps, or with a unit such as 4fs, 100ps or 1ns"

@@ -20,9 +20,8 @@ from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.multiple_time_steps.fast_forces import MultipleTimeSteps, fast_forces
 from openmm_exactrb.multiple_time_steps.resonance import Resonances
 from openmm_exactrb.multiple_time_steps.stiffness import frequencies
-from openmm_exactrb.openmm_access.arrays import periodic_box
 from openmm_exactrb.schemes import splitting
-from openmm_exactrb.tuning.floor import causes, limits
+from openmm_exactrb.tuning.floor import causes
 
 _SHOWN = 3  # periods
 _WATER = 18.015  # amu
@@ -43,9 +42,11 @@ def described(
     """
     names = _Names(system, topology)
     yield from _particles(system)
-    x = _anywhere(system) if positions is None else np.array(positions.value_in_unit(unit.nanometer))
+    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
+    if others:
+        yield f"acting between steps: {', '.join(others)}"
     try:
-        bodies = find_bodies(system, x, box=None if positions is None else periodic_box(system))
+        bodies, noted = _found(system, positions)
     except ValueError as error:
         hint = "; its shape may need positions: add a State, PDB or gro file" if positions is None else ""
         yield f"not supported: {' '.join(str(error).split())}{hint}"
@@ -53,10 +54,26 @@ def described(
     yield from _bodies(bodies, names)
     yield from _periods(system, names)
     yield from _advice(system, bodies)
-    yield from limits(system)
+    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
     if any(causes(system)):
         yield "exactrb tune measures this limit; the documentation has remedies and their cost (Questions and answers)"
-    yield from _refusals(system, positions)
+    if positions is None:
+        yield "no positions were given, so distances were not compared with the constraints"
+    else:
+        yield from (*noted, "everything is supported")
+
+
+def _found(system: openmm.System, positions: unit.Quantity | None) -> tuple[RigidBodies, list[str]]:
+    """Return the bodies of a first step and what it warns of; without positions, what constraints say alone."""
+    if positions is None:
+        return find_bodies(system, np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))), []
+    integrator = ExactRigidBodyIntegrator(0.001)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
+    context.setPositions(positions)
+    with warnings.catch_warnings(record=True) as noted:
+        warnings.simplefilter("always")
+        bodies, _ = integrator.bodyState()
+    return bodies, [str(note.message) for note in noted]
 
 
 class _Names:
@@ -162,29 +179,3 @@ def _advice(system: openmm.System, bodies: RigidBodies) -> Iterator[str]:
         f'forceInterval={longest:g}*femtoseconds, scheme="{nvt.name}")'
     )
     yield f"these steps were measured on {what} (documentation: Which integrator, scheme and step)"
-
-
-def _refusals(system: openmm.System, positions: unit.Quantity | None) -> Iterator[str]:
-    """Yield the error of a first step or a line that everything is supported, and the forces that act between steps."""
-    others = [name for force in system.getForces() if (name := type(force).__name__) in UPDATES]
-    if others:
-        yield f"acting between steps: {', '.join(others)}"
-    if positions is None:
-        yield "no positions were given, so distances were not compared with the constraints"
-        return
-    integrator = ExactRigidBodyIntegrator(0.001)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
-    context.setPositions(positions)
-    with warnings.catch_warnings(record=True) as noted:
-        warnings.simplefilter("always")
-        try:
-            integrator.bodyState()
-        except ValueError as error:
-            yield f"not supported: {' '.join(str(error).split())}"
-        else:
-            yield "everything is supported"
-    yield from (str(note.message) for note in noted)
-
-
-def _anywhere(system: openmm.System) -> NDArray[np.float64]:
-    return np.random.default_rng(1).standard_normal((system.getNumParticles(), 3))

@@ -23,13 +23,7 @@ from openmm_exactrb.support.version import version
 #: The purpose, in one sentence.
 PURPOSE = "Print how the molecules of a file move, a step for them and what is not supported, or what is installed."
 
-_INTEGRATORS = (
-    openmm_exactrb.ExactRigidBodyIntegrator,
-    openmm_exactrb.ExactRigidBodyLangevinIntegrator,
-    openmm_exactrb.ExactRigidBodyRescalingIntegrator,
-    openmm_exactrb.ExactRigidBodyNoseHooverIntegrator,
-    openmm_exactrb.ExactRigidBodyHybridIntegrator,
-)
+_INTEGRATORS = [name for name in openmm_exactrb.__all__ if name.endswith("Integrator")]
 # The documentation says what for: "Which integrator, scheme and step".
 _RECOMMENDED = ("W2_1", "W4_4", "W2_3m")
 _LIBRARIES = ("numpy", "scipy", "numba", "matplotlib")
@@ -66,8 +60,8 @@ def _lines() -> Iterator[str]:
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"
     yield "integrators:"
-    for integrator in _INTEGRATORS:
-        yield f"  {integrator.__name__}: {str(integrator.__doc__).splitlines()[0]}"
+    for name in _INTEGRATORS:
+        yield f"  {name}: {str(getattr(openmm_exactrb, name).__doc__).splitlines()[0]}"
     yield f"schemes: {len(CATALOGUE)} in openmm_exactrb.SCHEMES, of which these are recommended for most runs:"
     yield from (f"  {scheme_for_thermostat(name)!r}" for name in _RECOMMENDED)
     yield f'rotors: {len(ROTORS)} in openmm_exactrb.ROTORS; "exact" is the default'

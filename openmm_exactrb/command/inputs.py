@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import errno
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter, methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,11 @@ FILES = (
 DEFAULTS: dict[str, Any] = {"cutoff": 0.9, "ewald_tolerance": 1e-5, "constraints": "none"}
 
 _READERS = dict.fromkeys((".pdb", ".ent"), app.PDBFile) | dict.fromkeys((".cif", ".pdbx", ".mmcif"), app.PDBxFile)
-_AMBER, _GROMACS = {".inpcrd", ".rst7", ".crd"}, {".gro"}  # positions, in addition to a topology
+# Positions, in addition to a topology: the readers of both, and what returns the box.
+_AMBER = app.AmberInpcrdFile, app.AmberPrmtopFile, attrgetter("boxVectors")
+_GROMACS = app.GromacsGroFile, app.GromacsTopFile, methodcaller("getPeriodicBoxVectors")
+_POSITIONS: dict[str, tuple[Any, Any, Callable[[Any], Any]]]
+_POSITIONS = {".gro": _GROMACS, ".inpcrd": _AMBER, ".rst7": _AMBER, ".crd": _AMBER}
 _SWITCH = 0.1 * unit.nanometer  # width in which forces go to zero: a jump at the cutoff would heat
 
 
@@ -63,32 +68,19 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("files", nargs="*", type=Path, metavar="FILE", help=files)
     add("--forcefield", nargs="+", default=[], metavar="FILE", help="force field files, as openmm.app.ForceField takes")
     add("--solvate", type=arguments.count, metavar="N", help="add N molecules of water; water alone without a file")
-    add(
-        "--water",
-        type=arguments.named(WATERS),
-        choices=WATERS,
-        help="water model of --solvate (the one that a force field is named after)",
-    )
+    water = "water model of --solvate (the one that a force field is named after)"
+    add("--water", **arguments.one_of(WATERS), help=water)
     add("--cutoff", type=positive, metavar="NM", help=f"cutoff of PME in a periodic box, nm {shown['cutoff']}")
     add("--ewald-tolerance", type=positive, metavar="X", help=f"ewaldErrorTolerance {shown['ewald_tolerance']}")
-    add(
-        "--constraints",
-        type=arguments.named(CONSTRAINTS),
-        choices=CONSTRAINTS,
-        help=f"in addition to rigid water {shown['constraints']}",
-    )
-    add(
-        "--hydrogen-mass",
-        type=positive,
-        metavar="AMU",
-        help="mass of all hydrogens, taken from the atoms that they are bonded to",
-    )
+    add("--constraints", **arguments.one_of(CONSTRAINTS), help=f"in addition to rigid water {shown['constraints']}")
+    heavy = "mass of all hydrogens, taken from the atoms that they are bonded to"
+    add("--hydrogen-mass", type=positive, metavar="AMU", help=heavy)
 
 
-def with_defaults(args: argparse.Namespace) -> argparse.Namespace:
-    """Return the options with the defaults of those that were not given."""
+def with_defaults(args: argparse.Namespace, others: Mapping[str, Any] | None = None) -> argparse.Namespace:
+    """Return the options with the defaults of those that were not given: of molecules, and others."""
     named = {name: value for name, value in vars(args).items() if value is not None}
-    return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | named)
+    return argparse.Namespace(**vars(args) | {"seed": 1} | DEFAULTS | dict(others or {}) | named)
 
 
 def check_idle(args: argparse.Namespace, box: Box, others: Iterable[tuple[bool, str, str]] = ()) -> None:
@@ -118,8 +110,8 @@ def load(args: argparse.Namespace) -> Box:
     kinds = [file.suffix.lower() for file in args.files]
     if kinds == [".xml", ".xml"]:
         return _serialised(args)
-    if len(kinds) == 2 and set(kinds) & (_AMBER | _GROMACS):
-        return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _AMBER | _GROMACS))
+    if len(kinds) == 2 and set(kinds) & set(_POSITIONS):
+        return _with_topology(args, *sorted(args.files, key=lambda file: file.suffix.lower() in _POSITIONS))
     if len(kinds) > 1 or not all(kind in _READERS for kind in kinds):
         raise ValueError(f"give {FILES}, or none with --solvate, not {' '.join(map(str, args.files))}")
     if not args.forcefield:
@@ -145,7 +137,7 @@ def _serialised(args: argparse.Namespace) -> Box:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
-        raise ValueError(f"the State has {len(positions)} particles, but the System {system.getNumParticles()}")
+        raise ValueError(f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}")
     return Box(topology_of(system, state), system, positions, state)
 
 
@@ -153,19 +145,14 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
     """Return the molecules of a topology of Amber or GROMACS, which has its forces."""
     if args.forcefield or args.solvate:
         raise ValueError(f"--forcefield and --solvate need a PDB or PDBx file: {topology} already contains forces")
-    content: Any
-    if places.suffix.lower() in _AMBER:
-        start = _understood(str(places), app.AmberInpcrdFile, str(places))
-        vectors = start.boxVectors
-        content = _understood(str(topology), app.AmberPrmtopFile, str(topology), periodicBoxVectors=vectors)
-    else:
-        start = _understood(str(places), app.GromacsGroFile, str(places))
-        vectors = start.getPeriodicBoxVectors()
-        content = _understood(str(topology), app.GromacsTopFile, str(topology), periodicBoxVectors=vectors)
+    read_start, read_topology, box_of = _POSITIONS[places.suffix.lower()]
+    start: Any = _understood(str(places), read_start, str(places))
+    vectors = box_of(start)
+    content: Any = _understood(str(topology), read_topology, str(topology), periodicBoxVectors=vectors)
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
-            f"{places} has {len(start.positions)} particles, but {topology} {content.topology.getNumAtoms()}: they do "
-            "not belong together"
+            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: they "
+            "do not belong together"
         )
     system = _system(args, content.createSystem, content.topology, vectors)
     return Box(content.topology, system, start.positions)

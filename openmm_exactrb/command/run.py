@@ -31,7 +31,6 @@ _TRAJECTORIES = {"dcd": app.DCDReporter, "xtc": app.XTCReporter}
 _FREE = ("command", "duration", "files", "forcefield", "picture", "quiet")
 # Options that have no effect on some runs, where they are an error.
 _DEFAULTS: dict[str, Any] = {
-    **inputs.DEFAULTS,
     "temperature": 300.0,
     "friction": 1.0,
     "pressure": 1.0,
@@ -46,14 +45,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     inputs.add_options(parser)
     times, positive, shown = arguments.time, arguments.positive, {name: f"({of})" for name, of in _DEFAULTS.items()}
     add = parser.add_argument_group("dynamics").add_argument
-    ensembles: dict[str, Any] = {"type": arguments.named(setup.ENSEMBLES), "choices": setup.ENSEMBLES, "default": "nve"}
-    add("--ensemble", **ensembles, help="constant energy, temperature or pressure (nve)")
+    ensembles = arguments.one_of(setup.ENSEMBLES)
+    add("--ensemble", **ensembles, default="nve", help="constant energy, temperature or pressure (%(default)s)")
     add("--temperature", type=positive, metavar="K", help=f"K {shown['temperature']}")
     add("--friction", type=positive, metavar="X", help=f"of nvt and npt, 1/ps {shown['friction']}")
     add("--pressure", type=positive, metavar="BAR", help=f"of npt, bar {shown['pressure']}")
-    offset = (
-        "file of an AverageReporter at constant volume, which corrects the pressure of the barostat for the step size"
-    )
+    offset = "averages.csv of a run at constant volume, which corrects the pressure of the barostat for the step size"
     add("--pressure-offset", metavar="CSV", help=offset)
     add("--duration", type=times, default=10.0, metavar="T", help="ps, or with a unit: 1ns (%(default)s)")
     add(
@@ -76,13 +73,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
     Run.add_options(parser, "out/run")
     add = parser.add_argument
-    add(
-        "--trajectory",
-        type=arguments.named(_TRAJECTORIES),
-        choices=_TRAJECTORIES,
-        default="dcd",
-        help="format (%(default)s)",
-    )
+    add("--trajectory", **arguments.one_of(_TRAJECTORIES), default="dcd", help="format (%(default)s)")
     add("--interval", type=times, default=0.1, metavar="T", help="between frames and lines, ps (%(default)s)")
     add("--no-picture", dest="picture", action="store_false", help="draw no picture at the end")
     add("--quiet", action="store_true", help="print only errors on stderr")
@@ -90,8 +81,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def carry_out(args: argparse.Namespace) -> int:
     """Run the simulation that the options describe; return the exit status 0."""
-    named = {name: value for name, value in vars(args).items() if value is not None}
-    settled = argparse.Namespace(**vars(args) | _DEFAULTS | named)
+    settled = inputs.with_defaults(args, _DEFAULTS)
     if args.resume and not args.files and not args.solvate:
         raise ValueError(
             f"--resume needs the same command: repeat it with its files and options, and add --resume to continue "

@@ -20,10 +20,7 @@ from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 ENSEMBLES = ("nve", "nvt", "npt")
 #: Arguments of the integrator that are options of ``exactrb run``: how argparse reads each of them.
 OPTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
-    (
-        "rotor",
-        {"type": arguments.named(ROTORS), "choices": ROTORS, "default": "exact", "help": "free rotation (%(default)s)"},
-    ),
+    ("rotor", {**arguments.one_of(ROTORS), "default": "exact", "help": "free rotation (%(default)s)"}),
 )
 _REMOVER = "CMMotionRemover"
 _MOVE = 0.05  # ps between two moves of the barostat: OpenMM's 25 steps of 2 fs, whatever the step
@@ -62,7 +59,8 @@ def correct_pressure(
     if theirs[0] != scheme or not np.allclose(theirs[1:], own[1:], rtol=1e-9):
         raise ValueError(
             f"the pressure offset of {file} is for {theirs[0]} at {theirs[1]:g} ps and {theirs[2]:g} K, and this run "
-            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume with its settings"
+            f"has {own[0]} at {own[1]:g} ps and {own[2]:g} K: report averages at constant volume "
+            "with the settings of this run"
         )
     for force in system.getForces():
         if isinstance(force, openmm.MonteCarloBarostat):

@@ -101,7 +101,9 @@ def client_of(scheduler: str | None, workers: int | None, jobs: int) -> Iterator
     try:
         client = distributed.Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
-        raise ConnectionError(f"no dask scheduler answers at {scheduler!r}: {error}") from error
+        raise ConnectionError(
+            f"no dask scheduler answers at {scheduler!r} ({error}): check the address, or start one"
+        ) from error
     with client:
         yield client
 

@@ -1,4 +1,4 @@
-"""Inner loops, compiled by numba when the first of them is loaded; `plain` has the exact rotation in numpy."""
+"""Inner loops, compiled by numba when the first of them is loaded; `plain` contains the exact rotation in numpy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import ModuleType
 
 
 def load(name: str) -> ModuleType:
-    """Import a module of compiled kernels, which compiles it or finds it in numba's cache.
+    """Import a module of compiled kernels, compiling it unless it is in numba's cache.
 
     Parameters
     ----------

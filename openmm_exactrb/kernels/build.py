@@ -27,9 +27,9 @@ _PACKAGE = Path(__file__).parent.parent
 def compiled(*arguments: str | type[Any]) -> Callable[[Function], Function]:
     """Compile a function when it is defined, or load it from numba's cache; it runs without Python's global lock.
 
-    `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array;
-    an uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result. A
-    NamedTuple of `openmm_exactrb.kernels.records` is given itself: its fields say what they are.
+    `arguments` are "f" for a float and "i" for an integer, followed by the number of axes of a C-contiguous array; an
+    uppercase character is an array that the function writes to. "f2 F1" is a matrix and a vector for the result. A
+    NamedTuple of `openmm_exactrb.kernels.records` is passed itself, since its fields declare their types.
     """
     signature = types.void(*itertools.chain.from_iterable(map(_types, arguments)))
 
@@ -44,7 +44,7 @@ def compiled(*arguments: str | type[Any]) -> Callable[[Function], Function]:
 
 
 def _types(argument: str | type[Any]) -> Sequence[Any]:
-    """Return numba's types of some arguments."""
+    """Return numba's types of arguments."""
     if isinstance(argument, str):
         return [_type(word) for word in argument.split()]
     fields = get_type_hints(argument, include_extras=True).values()
@@ -63,38 +63,38 @@ def reordered(function: Function) -> Function:
 
 
 def at_first_call(function: Function) -> Function:
-    """Compile a function at its first call with arguments of some types."""
+    """Compile a function at its first call with given types of arguments."""
     own: Function = _cached(njit(nogil=True)(function))
     return own
 
 
 def inner(function: Function) -> Function:
-    """Mark a function that only compiled ones call."""
+    """Mark a function that only compiled functions call."""
     callee: Function = njit(error_model="numpy", **_NO_WRAPPERS)(function)
     return callee
 
 
 def inner_reordered(function: Function) -> Function:
-    """Do as `inner`, with sums reordered and products fused."""
+    """Mark a function like `inner`, with sums reordered and products fused."""
     callee: Function = njit(error_model="numpy", fastmath=_REORDERED, **_NO_WRAPPERS)(function)
     return callee
 
 
 def inlined(function: Function) -> Function:
-    """Mark a function that is inlined into compiled ones."""
+    """Mark a function that is inlined into compiled functions."""
     part: Function = njit(error_model="numpy", inline="always")(function)
     return part
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """numba's cache with all sources of the kernels in its key, not only the file of a function."""
+    """numba's cache, with all sources of the kernels in its key instead of the file of a function."""
 
     def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(sig, codegen), sources())
 
 
 def _cached(dispatcher: Any) -> Any:
-    """Have numba cache compiled code on disk."""
+    """Let numba cache compiled code on disk."""
     dispatcher._cache = _Cache(dispatcher.py_func)  # noqa: SLF001  # numba's interface has no other key
     return dispatcher
 

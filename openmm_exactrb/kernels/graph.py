@@ -1,4 +1,4 @@
-"""Graphs of distance constraints as the kernels take them, and the sparse Cholesky factor of their matrix in numpy."""
+"""Graphs of distance constraints for the kernels, and the sparse Cholesky factor of their matrix in numpy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Graph(NamedTuple):
-    """A kind of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
+    """The graph of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
 
     inverse: F1  #: inverse masses of the atoms (n,)
     pairs: I2  #: the two atoms of each constraint (m, 2)

@@ -1,4 +1,4 @@
-"""What compiled kernels take together, as NamedTuples, which numba knows."""
+"""Groups of arguments of compiled kernels, as NamedTuples, which numba supports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ I2 = Annotated[NDArray[np.int64], "I2"]
 
 
 class Bodies(NamedTuple):
-    """Bodies, of which those that turn come first, and their particles."""
+    """Bodies, rotating ones first, and their particles."""
 
     mass: F1  #: of the bodies (N,)
     moments: F2  #: of those that turn (3, 1) or (3, K)
@@ -31,7 +31,7 @@ class Bodies(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """Bonded terms: the particles of each, in rows, and its numbers, in columns."""
+    """Bonded terms: the particles of each term, in rows, and its numbers, in columns."""
 
     bonds: I2
     of_bonds: F2  #: lengths and strengths (2, .)

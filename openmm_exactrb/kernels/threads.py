@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 
 def cores() -> int:
-    """Return all cores, or what NUMBA_NUM_THREADS says."""
+    """Return the number of cores, or NUMBA_NUM_THREADS."""
     return int(numba.config.NUMBA_NUM_THREADS)
 
 
 def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], threads: int) -> None:
-    """Call ``function(first, last)`` on ranges of items with about equal work (n,), each in a thread of its own."""
+    """Call ``function(first, last)`` on ranges of items of about equal work (n,), each in its own thread."""
     if threads == 1:
         function(0, len(work))
         return
@@ -35,5 +35,5 @@ def in_threads(function: Callable[[int, int], None], work: NDArray[np.int64], th
 
 @cache
 def _pool(process: int) -> ThreadPoolExecutor:
-    """Return the threads of a process; a fork needs its own."""
+    """Return the thread pool of a process; a forked process needs its own."""
     return ThreadPoolExecutor(max(1, cores() - 1), f"openmm-exactrb-{process}")

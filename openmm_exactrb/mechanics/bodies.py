@@ -1,7 +1,7 @@
-"""Rigid bodies and single particles as one set of arrays, and the particles that they consist of.
+"""Rigid bodies and single particles as one set of arrays, and their particles.
 
-Bodies of one kind are neighbours, and kinds that turn come before single particles, which have no orientation. Of
-those, the atoms of clusters that constraints hold without making them rigid come first, in the order of
+Bodies of one kind are contiguous, and kinds that rotate precede single particles, which have no orientation. Of the
+single particles, the atoms of constrained, nonrigid clusters come first, in the order of
 `openmm_exactrb.mechanics.clusters`.
 """
 
@@ -27,20 +27,21 @@ _THIN = 1e-6
 
 @dataclass(frozen=True)
 class Kind:
-    """Bodies of the same masses, and of one shape or of one each.
+    """Bodies with the same masses, and with a common shape or one shape each.
 
     Attributes
     ----------
     particles : (n, k) array
-        The k particles with mass of each of the n bodies.
+        The k massive particles of each of the n bodies.
     bodies : slice
         Their indices among all bodies.
     masses : (k,) array
     sites : (1, k, 3) or (n, k, 3) array
-        Places of the particles in the principal axes of the body, about the centre of mass: of all bodies, or of each.
+        Positions of the particles in the principal axes, relative to the centre of mass: common to all bodies, or for
+        each.
     mass : float
     inertia : (1, 3) or (n, 3) array
-        Principal moments in ascending order; the first is 0 for a linear body, all are for particles in one point.
+        Principal moments in ascending order; the first is 0 for a linear body, and all are 0 for coincident particles.
     """
 
     particles: Indices
@@ -52,7 +53,7 @@ class Kind:
 
     @property
     def turns(self) -> bool:
-        """Whether the bodies have an orientation: all but single particles, and particles that coincide."""
+        """Whether the bodies have an orientation, unlike single and coincident particles."""
         return bool(self.inertia.any())
 
     @property
@@ -62,31 +63,31 @@ class Kind:
 
     @property
     def weights(self) -> Array:
-        """What each particle counts (k,) where an orientation is sought: its mass, unless hardly any is off a line."""
+        """Weights (k,) in the fit of an orientation: the masses, unless nearly all mass is on a line."""
         thin = self.turns and not self.linear and bool((self.inertia[:, 0] < _THIN * self.inertia[:, 2]).any())
         return np.ones(len(self.masses)) if thin else self.masses
 
 
 class RigidBodies:
-    """The rigid bodies of a System, and its particles that belong to none.
+    """The rigid bodies of a System, and its other particles.
 
     Parameters
     ----------
     kinds : sequence of Kind
     n_particles : int
-        Particles of the System, virtual sites and those without mass included.
+        Number of particles of the System, including virtual sites and massless particles.
     clusters : Clusters, optional
-        Of single particles that constraints hold. Their kinds are the first behind those that turn.
+        Clusters of single particles with constraints. Their kinds follow those that rotate.
 
     Attributes
     ----------
     mass : (N,) array
     inertia : (1, 3) or (K, 3) array
-        Moments for the rotor, of one kind with one shape or of each body that turns. A linear body turns as a sphere
-        does whose momentum has no component along the axis.
+        Moments for the rotor, common or for each rotating body. A linear body rotates like a sphere without angular
+        momentum along the axis.
     first_particle : (N,) array of int
     n_turning : int
-        K, the number of bodies that turn.
+        K, the number of rotating bodies.
     clusters : Clusters
     clustered : slice
         Indices of the atoms of clusters among all bodies.
@@ -109,7 +110,7 @@ class RigidBodies:
 
     @property
     def translational_freedom(self) -> int:
-        """Degrees of freedom of centres of mass and single particles, which constraints diminish."""
+        """Degrees of freedom of centres of mass and single particles, reduced by constraints."""
         return 3 * (len(self) - len(self.clusters.mass)) + self.clusters.degrees_of_freedom
 
     @property
@@ -119,24 +120,24 @@ class RigidBodies:
 
     @property
     def principal_moments(self) -> Array:
-        """Principal moments of the bodies that turn, (3, K): 0 along the axis of a linear one."""
+        """Principal moments of the rotating bodies, (3, K): 0 along the axis of a linear body."""
         rows = [np.broadcast_to(kind.inertia, (len(kind.particles), 3)) for kind in self._turning]
         return np.ascontiguousarray(np.concatenate([np.zeros((0, 3)), *rows]).T)
 
     def __len__(self) -> int:
-        """Return the number of bodies, single particles included."""
+        """Return the number of bodies, including single particles."""
         return len(self.mass)
 
     @property
     def owner(self) -> Indices:
-        """The body of each particle (n_particles,): -1 of those that belong to none."""
+        """The body of each particle (n_particles,), or -1."""
         owner = np.full(self.n_particles, -1)
         for kind in self.kinds:
             owner[kind.particles] = np.arange(kind.bodies.start, kind.bodies.stop)[:, None]
         return owner
 
     def touched(self, particles: Indices) -> NDArray[np.bool_]:
-        """Return which bodies (N,) have some of the particles, or are atoms of a cluster that has."""
+        """Return a mask (N,) of the bodies and atoms of clusters that contain one of the particles."""
         chosen = np.zeros(len(self) + 1, dtype=bool)  # the last one is no body
         chosen[self.owner[particles]] = True
         for _, columns in self.clusters.columns():
@@ -145,9 +146,9 @@ class RigidBodies:
         return chosen[:-1]
 
     def chosen(self, bodies: NDArray[np.bool_], number: Indices, n_particles: int) -> RigidBodies:
-        """Return some of the bodies (N,), of a cluster all atoms or none, as a set of their own in the same order.
+        """Return selected bodies (N,), with whole clusters only, as a new set in the same order.
 
-        Their particles get other numbers (n_particles,), among so many particles.
+        Their particles are renumbered (n_particles,), among a given number of particles.
         """
         kinds: list[Kind] = []
         start = 0
@@ -162,7 +163,7 @@ class RigidBodies:
         return RigidBodies(kinds, n_particles, self.clusters.chosen(bodies[self.clustered], number))
 
     def positions(self, state: BodyState, out: Array) -> Array:
-        """Write the positions of all particles with mass into `out` (n_particles, 3)."""
+        """Write the positions of all massive particles into `out` (n_particles, 3)."""
         for kind in self._turning:
             self._particles_of.place(state.R, state.q, kind.particles, kind.sites, kind.bodies.start, out)
         if self._single.size:
@@ -172,7 +173,7 @@ class RigidBodies:
         return out
 
     def velocities(self, state: BodyState, out: Array) -> Array:
-        """Write the velocities of all particles with mass into `out` (n_particles, 3)."""
+        """Write the velocities of all massive particles into `out` (n_particles, 3)."""
         V, omega = self.tangent(state).P / self.mass, state.m / self.inertia.T
         for kind in self._turning:
             self._particles_of.move(V, omega, state.q, kind.particles, kind.sites, kind.bodies.start, out)
@@ -194,7 +195,7 @@ class RigidBodies:
         return total, torque
 
     def tangent(self, state: BodyState) -> BodyState:
-        """Return the state without those parts of the momenta that constraints do not allow."""
+        """Return the state with momenta projected onto the constraints."""
         if not self._flexible:
             return state
         x, p = (np.ascontiguousarray(a[None, :, self.clustered]) for a in (state.R, state.P))
@@ -205,9 +206,9 @@ class RigidBodies:
     def canonical_momenta(
         self, state: BodyState, kT: float, rng: np.random.Generator, at_rest: bool = False
     ) -> BodyState:
-        """Return a state with momenta drawn at kT (kJ/mol), with the centre of mass of all at rest or not.
+        """Return a state with momenta drawn at kT (kJ/mol), optionally with the centre of mass at rest.
 
-        The projection that is orthogonal in the metric of the masses leaves the canonical distribution on constraints.
+        The projection, which is orthogonal in the mass metric, yields the canonical distribution on the constraints.
         """
         P = np.sqrt(kT * self.mass) * rng.standard_normal(state.P.shape)
         if at_rest:
@@ -219,9 +220,9 @@ class RigidBodies:
         return self.tangent(state._replace(P=P, m=m))
 
     def kinetic_energies(self, state: BodyState, velocity: Array | None = None) -> tuple[float, float]:
-        """Return the translational and rotational kinetic energies in kJ/mol, of what constraints allow.
+        """Return the translational and rotational kinetic energies in kJ/mol, of momenta along the constraints.
 
-        With a velocity (3,) in nm/ps, that of the motion relative to it.
+        With a velocity (3,) in nm/ps, energies are those of the relative motion.
         """
         P = self.tangent(state).P
         if velocity is not None:
@@ -230,12 +231,12 @@ class RigidBodies:
         return translational, 0.5 * float(np.sum(state.m * state.m / self.inertia.T))
 
     def drift(self, state: BodyState) -> Array:
-        """Return the velocity (3,) of the centre of mass of all, in nm/ps."""
+        """Return the velocity (3,) of the centre of mass of all bodies, in nm/ps."""
         velocity: Array = state.P.sum(axis=1) / self.mass.sum()
         return velocity
 
     def name(self, body: int) -> str:
-        """Say which particles a body consists of, or the cluster that it is in."""
+        """Describe a body, or its cluster, by its particles."""
         for of_clusters, columns in self.clusters.columns():
             (cluster,) = np.nonzero((columns == body - self.n_turning).any(axis=1))
             if len(cluster):
@@ -247,7 +248,7 @@ class RigidBodies:
 
 
 class Part:
-    """Some of the bodies, as `RigidBodies.chosen` returns them; `chosen` (N,) marks them among all."""
+    """Selected bodies, as returned by `RigidBodies.chosen`, and their mask `chosen` (N,)."""
 
     def __init__(self, bodies: RigidBodies, chosen: NDArray[np.bool_]) -> None:
         self.bodies = bodies
@@ -256,11 +257,11 @@ class Part:
         self._places = self.columns, self.columns, self.turning, self.turning
 
     def of(self, state: State) -> State:
-        """Return the state of these bodies from that of all."""
+        """Return the state of these bodies from that of all bodies."""
         return State(*(np.ascontiguousarray(a[..., i]) for a, i in zip(state, self._places, strict=True)))
 
     def into(self, state: State, own: State) -> State:
-        """Return the state of all with that of these bodies in it."""
+        """Return the state of all bodies with that of these bodies replaced."""
         after = State(*(a.copy() for a in state))
         for a, b, i in zip(after, own, self._places, strict=True):
             a[..., i] = b
@@ -268,7 +269,7 @@ class Part:
 
 
 def _moments(turning: Sequence[Kind]) -> Array:
-    """Return the moments for the rotor, one row for all where all bodies have the same."""
+    """Return the moments for the rotor, in one row if they are the same for all bodies."""
     if not turning:
         return np.ones((1, 3))
     moments = [np.where(kind.linear, kind.inertia[:, 2:], kind.inertia) for kind in turning]

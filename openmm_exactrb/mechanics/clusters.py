@@ -1,9 +1,9 @@
-"""Clusters of particles that distance constraints hold together without making them rigid.
+"""Clusters of particles with distance constraints that do not make them rigid.
 
 They move freely along the geodesics of their constraints: `Clusters.drift` follows these to roundoff, for any time, by
-the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of constraints will do;
-those that follow from others are left out, if they agree with them. The matrix is factorised along a fixed sparse
-pattern, so that the cost of a tree grows with the number of constraints and not with its cube.
+the power series of `openmm_exactrb.kernels.compiled.clusters`, which needs numba. Any graph of constraints is
+supported; redundant constraints are omitted if they are consistent. The matrix is factorised with a fixed sparse
+pattern, so that the cost for a tree is linear in the number of constraints.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _INDEPENDENT = 1e-9
 
 @dataclass(frozen=True)
 class ClusterKind:
-    """Clusters of one graph, with the same masses and lengths.
+    """Clusters with the same graph, masses and lengths.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class ClusterKind:
     lengths : (m,) array
         In nm.
     implied : (k, 2) array, optional
-        The members of constraints that follow from the others, and so take no freedom.
+        The members of redundant constraints, which remove no degrees of freedom.
     implied_lengths : (k,) array, optional
     """
 
@@ -62,7 +62,7 @@ class ClusterKind:
 
     @cached_property
     def graph(self) -> Graph:
-        """What the kernels take, with constraints in an order that keeps the factor sparse."""
+        """The graph for the kernels, with constraints in an order that keeps the factor sparse."""
         order, rows, columns, starts, left, right = eliminated(self._neighbours())
         row_of = np.repeat(np.arange(len(order)), np.diff(rows))
         return Graph(
@@ -86,7 +86,7 @@ class ClusterKind:
         return coupling
 
     def _neighbours(self) -> list[set[int]]:
-        """Return for each constraint the others that have an atom with it in common."""
+        """Return for each constraint the others that share an atom with it."""
         of_atom: list[set[int]] = [set() for _ in self.masses]
         for c, ends in enumerate(self.pairs.tolist()):
             for atom in ends:
@@ -94,22 +94,23 @@ class ClusterKind:
         return [(of_atom[i] | of_atom[j]) - {c} for c, (i, j) in enumerate(self.pairs.tolist())]
 
     def name(self, cluster: int) -> str:
-        """Say which particles a cluster consists of."""
+        """Describe a cluster by its particles."""
         members = [str(k) for k in self.particles[cluster]]
         shown = members if len(members) < 9 else [*members[:4], "...", *members[-2:]]
         return f"the cluster of particles {', '.join(shown)}"
 
     def missed(self, x: Array) -> Array:
-        """Return by how much places (N, n, 3) miss constraints, the implied ones last, in nm (N, m + k)."""
+        """Return the errors (N, m + k) in nm of constraints at positions (N, n, 3), implied ones last."""
         i, j = np.concatenate([self.pairs, self.implied]).T
         apart = np.linalg.norm(x[:, i] - x[:, j], axis=2)
         return np.asarray(np.abs(apart - np.concatenate([self.lengths, self.implied_lengths])))
 
     def most_dependent(self, x: Array) -> tuple[Array, Indices]:
-        """Return how independent the constraints are at places (N, n, 3), and which one depends on others the most.
+        """Return the independence of the constraints at positions (N, n, 3), and the most dependent constraint.
 
-        Independence (N,) is the smallest part of a constraint's gradient, squared, in the mass metric, that those
-        before it in `graph` do not have, 0 where it follows from them; the constraint (N,) is its number there.
+        Independence (N,) is the smallest squared norm, in the mass metric, of the part of a constraint's gradient that
+        is orthogonal to those before it in `graph`; 0 means that it follows from them. The constraint (N,) is its index
+        in `graph`.
         """
         r = (x[:, self.graph.pairs[:, 0]] - x[:, self.graph.pairs[:, 1]]).transpose(2, 1, 0)
         r /= np.maximum(np.sqrt((r * r).sum(axis=0)), np.finfo(float).tiny)
@@ -121,10 +122,10 @@ class ClusterKind:
         return rest.min(axis=0), rest.argmin(axis=0)
 
     def independent(self) -> NDArray[np.bool_]:
-        """Return which constraints (m,) do not follow from those before them wherever members are, almost.
+        """Return a mask (m,) of the constraints that do not follow from those before them at generic positions.
 
-        Only members with four or more constraints among each other can have too many: one with fewer has always a
-        place, the others may be taken without it.
+        Only members with at least four constraints each among each other can have redundant ones: a member with fewer
+        can always be positioned, and is ignored.
         """
         several = np.ones(len(self.masses), dtype=np.bool_)
         few = several
@@ -148,9 +149,10 @@ class ClusterKind:
         return kept
 
     def check_kept(self) -> None:
-        """Raise ValueError if a member has no mass, or a length is not positive, or there are too many constraints.
+        """Raise ValueError if a member is massless, a length is not positive, or there are too many constraints.
 
-        Or if one follows from the others wherever members are, as three random configurations show.
+        It is also raised if a constraint follows from the others at generic positions, which three random
+        configurations show.
         """
         bad = ~((self.masses > 0.0) & np.isfinite(self.masses))
         if bad.any():
@@ -179,7 +181,7 @@ class ClusterKind:
             )
 
     def check_singular(self, x: Array, chosen: NDArray[np.bool_]) -> None:
-        """Raise ValueError for positions (N, n, 3), of the chosen (N,), where a constraint follows from the others."""
+        """Raise ValueError if a constraint follows from the others at positions (N, n, 3) of chosen clusters (N,)."""
         independence, constraint = self.most_dependent(x)
         independence = np.where(chosen, independence, 1.0)
         if (independence < _INDEPENDENT).any():
@@ -193,7 +195,7 @@ class ClusterKind:
 
 
 class ClusterState(NamedTuple):
-    """Places and momenta of the atoms of all clusters, as sums high + low.
+    """Positions and momenta of the atoms of all clusters, as sums high + low.
 
     Attributes
     ----------
@@ -228,7 +230,7 @@ class Clusters:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Coordinates less constraints; motions of the whole System are not subtracted."""
+        """Number of coordinates minus constraints; motions of the whole System are not subtracted."""
         return sum(kind.freedom * len(kind.particles) for kind in self.kinds)
 
     def columns(self) -> Iterable[tuple[ClusterKind, Indices]]:
@@ -238,7 +240,7 @@ class Clusters:
             yield kind, first + np.arange(count)[:, None] + count * np.arange(n)
 
     def chosen(self, atoms: NDArray[np.bool_], number: Indices) -> Clusters:
-        """Return the clusters of some columns (M,), whose particles get other numbers."""
+        """Return the clusters of selected columns (M,), with renumbered particles."""
         kinds = []
         for kind, columns in self.columns():
             own = atoms[columns].all(axis=1)
@@ -249,17 +251,17 @@ class Clusters:
     def drift(self, state: ClusterState, tau: float) -> ClusterState:
         """Return the state after free motion for a time, of any sign.
 
-        The momentum is projected as `tangent` does before it moves. A cluster with a number that is not finite becomes
-        nan, its neighbours are not touched.
+        Momenta are projected first, as by `tangent`. A cluster with a number that is not finite becomes nan; other
+        clusters are not affected.
         """
         return self._advanced(state, tau, True)
 
     def tangent(self, state: ClusterState) -> ClusterState:
-        """Return the state with the part of the momenta removed that no motion along the constraints has."""
+        """Return the state with momenta projected onto the constraints."""
         return state._replace(p=self._advanced(state, 0.0, False).p)
 
     def _advanced(self, state: ClusterState, tau: float, moves: bool) -> ClusterState:
-        """Return the state after free motion for a time, or with momenta that are projected alone."""
+        """Return the state after free motion for a time, or with projected momenta only."""
         after = ClusterState(np.empty(state.x.shape), np.empty(state.p.shape))
         for kind, first in zip(self.kinds, self.first.tolist(), strict=False):
             self._advance(*state, tau, moves, first, len(kind.particles), kind.graph, *after)
@@ -267,14 +269,14 @@ class Clusters:
 
 
 def _anywhere(n: int) -> Array:
-    """Return three random places (3, n, 3) of n members."""
+    """Return three random configurations (3, n, 3) of n members."""
     return np.random.default_rng(0).standard_normal((3, n, 3))
 
 
 def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
-    """Return clusters sorted into kinds: equal stars are of one kind, in whatever order their particles are numbered.
+    """Return clusters sorted into kinds; equal stars form one kind, however their particles are numbered.
 
-    ValueError if constraints cannot be kept: see `ClusterKind.check_kept`.
+    A ValueError is raised if constraints cannot be satisfied: see `ClusterKind.check_kept`.
     """
     kinds: dict[bytes, list[ClusterKind]] = {}
     for group in map(_in_canonical_order, groups):
@@ -289,9 +291,9 @@ def sorted_into_kinds(groups: Iterable[ClusterKind]) -> Clusters:
 
 
 def _in_canonical_order(group: ClusterKind) -> ClusterKind:
-    """Return clusters with their members in order: of a star the centre, then rays by mass and length; else as before.
+    """Return clusters with ordered members: for a star the centre, then rays by mass and length; otherwise unchanged.
 
-    Constraints come in the order of their members.
+    Constraints are in the order of their members.
     """
     m, n = len(group.pairs), len(group.masses)
     order, degree = np.arange(n), np.bincount(group.pairs.ravel(), minlength=n)
@@ -311,6 +313,6 @@ def _in_canonical_order(group: ClusterKind) -> ClusterKind:
 
 
 def _by_number(particles: Sequence[Indices]) -> Indices:
-    """Return the clusters (N, n) of several groups in the order of their first particles."""
+    """Return the clusters (N, n) of several groups, ordered by first particle."""
     joined = np.concatenate(particles)
     return joined[np.argsort(joined.min(axis=1))]

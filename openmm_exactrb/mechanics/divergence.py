@@ -1,4 +1,4 @@
-"""Divergence: states that no molecule has, noticed in the step that makes them."""
+"""Divergence: unphysical states, detected in the step that produces them."""
 
 from __future__ import annotations
 
@@ -42,11 +42,10 @@ class NonFiniteError(IntegrationError):
 
 
 class DivergenceCheck:
-    """Checks the states of a run for numbers that are not finite and for energy that no force supplied.
+    """Checks the states of a run for numbers that are not finite and for a rise of the total energy.
 
-    potential(state) -> kJ/mol is evaluated only when momenta have grown much; box() -> the vectors (3, 3) of the
-    periodic box in nm, or None. Energies are compared if forces conserve them for all that is known, and a user wants
-    it.
+    potential(state) -> kJ/mol is evaluated only if momenta have grown strongly; box() -> the vectors (3, 3) of the
+    periodic box in nm, or None. Energies are compared if forces are known to conserve them, and the user wants it.
     """
 
     def __init__(
@@ -66,7 +65,7 @@ class DivergenceCheck:
         self._since: State | None = None  # from which energy is kept
 
     def begin(self, state: State) -> None:
-        """Take a state for good."""
+        """Accept a state as valid."""
         self._good = _square(state.P), _square(state.m)
 
     def keep_from(self, state: State) -> None:
@@ -74,24 +73,24 @@ class DivergenceCheck:
         self._since = state
 
     def enter(self, number: int, time: float, state: State) -> None:
-        """Note the number of a step, and the time (ps) and the state before it."""
+        """Store the number of a step, and the time (ps) and the state before it."""
         self._number, self._time, self._before = number, time, state
 
     def finite(self, state: State) -> tuple[float, float]:
-        """Return the squares of linear and angular momenta; NonFiniteError if OpenMM cannot be asked for forces."""
+        """Return the squares of linear and angular momenta; raise NonFiniteError if OpenMM cannot evaluate forces."""
         if not _square(state.R) + _square(state.q) < np.inf:  # so that nan is not
             self._raise_if_lost(state)
         return self.finite_momenta(state)
 
     def finite_momenta(self, state: State) -> tuple[float, float]:
-        """Return the squares of linear and angular momenta; NonFiniteError if bodies cannot move with them."""
+        """Return the squares of linear and angular momenta; raise NonFiniteError if bodies cannot move with them."""
         P, m = _square(state.P), _square(state.m)
         if not (self._fastest >= P and m < np.inf):
             self._raise_if_lost(state)
         return P, m
 
     def _raise_if_lost(self, state: State) -> None:
-        """Raise NonFiniteError if there is a body of which squares are not finite, or that is faster than light."""
+        """Raise NonFiniteError if the squares of a body are not finite, or a body is faster than light."""
         bad = np.flatnonzero(lost(self._bodies, state.rounded))
         if len(bad):
             names = "; ".join(self._bodies.name(int(b)) for b in bad[:3])
@@ -99,7 +98,7 @@ class DivergenceCheck:
             raise NonFiniteError(self._message(f"not finite or faster than light: {names}{more}"))
 
     def of_inner_steps(self, bodies: RigidBodies) -> Callable[[State], None]:
-        """Return a check of inner steps on some bodies, of which a far too long outer step has thousands."""
+        """Return a check of inner steps on selected bodies, of which a far too long outer step has thousands."""
         half_mass, half_inertia = 0.5 / bodies.mass, 0.5 / bodies.inertia.T
 
         def check(state: State) -> None:
@@ -110,7 +109,7 @@ class DivergenceCheck:
         return check
 
     def judge_inner_steps(self, mean: float) -> None:
-        """Raise IntegrationError if bodies are hotter within inner steps, in kJ/mol each, than the hottest ones."""
+        """Raise IntegrationError if the energy of a body in inner steps exceeds that of the hottest ones, in kJ/mol."""
         if not mean <= self.hottest:  # so that nan is too hot
             raise IntegrationError(self._message(f"{mean:.3g} kJ/mol in each body within the inner steps"))
 
@@ -124,7 +123,7 @@ class DivergenceCheck:
             self._good = max(P, good_P), max(m, good_m)
 
     def outside(self, state: State, after: State) -> None:
-        """Check a state before a thermostat, from which energy is kept on behind it."""
+        """Check a state before a thermostat; energies are compared with the state after it."""
         if after is not state:
             self.leave(state)
             self._before = self._since = after
@@ -142,7 +141,7 @@ class DivergenceCheck:
 
 
 def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -> str | None:
-    """Return what is wrong with two pairs of a kinetic and a total energy (kJ/mol), or None."""
+    """Return a description of the jump between two pairs of kinetic and total energy (kJ/mol), or None."""
     (kinetic_then, energy_then), (kinetic, energy) = then, now
     gain = energy - energy_then
     noise = _ROUNDED * (abs(energy) + abs(energy_then)) + _NOTHING * n_bodies
@@ -155,7 +154,7 @@ def gained(n_bodies: int, then: tuple[float, float], now: tuple[float, float]) -
 
 
 def lost(bodies: RigidBodies, state: BodyState) -> NDArray[np.bool_]:
-    """Return which bodies have numbers without finite squares, or are faster than light, (N,)."""
+    """Return a mask (N,) of bodies whose squares are not finite, or that are faster than light."""
     which = np.asarray(~np.isfinite((state.R * state.R).sum(axis=0)))
     which |= ~((state.P * state.P).sum(axis=0) <= (LIGHT * bodies.mass) ** 2)  # so that nan is lost
     which[: bodies.n_turning] |= ~np.isfinite((state.q * state.q).sum(axis=0) + (state.m * state.m).sum(axis=0))

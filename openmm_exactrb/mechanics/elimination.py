@@ -12,20 +12,20 @@ Indices = NDArray[np.int64]
 
 
 def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
-    """Find an order of elimination with little fill, and all products that the factorisation takes.
+    """Find an order of elimination with little fill, and all products of the factorisation.
 
-    Next is always one of those that are coupled to the fewest others; a chain of constraints, or any tree, then has no
-    fill at all. D. J. Rose, in Graph Theory and Computing (1972), 183. `coupled` are of each row of a symmetric matrix
-    the columns off the diagonal that are not zero.
+    The next row is always one coupled to the fewest others; a chain of constraints, or any tree, then has no fill. D.
+    J. Rose, in Graph Theory and Computing (1972), 183. `coupled` contains the nonzero off-diagonal columns of each row
+    of a symmetric matrix.
 
     Returns
     -------
     order : (m,) array
-        Which row of the matrix is which row of the factor.
+        The row of the matrix for each row of the factor.
     rows, columns : (m + 1,) and (e,) arrays
-        Where the entries of each row of the factor begin, its diagonal the last one, and their columns.
+        Start of the entries of each row of the factor, the diagonal last, and their columns.
     starts, left, right : (e + 1,) array, arrays
-        Where the products of each entry e begin, and their entries: (A_e - sum left right) / diagonal of the column.
+        Start of the products of each entry e, and their entries: (A_e - sum left right) / diagonal of the column.
     """
     order, below = _minimum_degree(coupled)
     rows, starts = [0], [0]

@@ -40,13 +40,13 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
     ------
     ValueError
         If numbers are not finite, positions are further than `REFUSED` from a rigid body, or a constraint of a cluster
-        follows from others there, or cannot be reached from there.
+        is redundant or cannot be satisfied there.
 
     Warns
     -----
     ShapeWarning
-        If they are further than `RIGIDITY` from one; the best fit keeps centre and orientation. Constraints of clusters
-        that are no rigid bodies may be missed by as much; their atoms are moved along the constraints.
+        If positions are further than `RIGIDITY` from a rigid body; the best fit keeps centre and orientation. Errors of
+        the constraints of clusters have the same bounds; their atoms are moved onto the constraints.
     """
     every = np.arange(len(bodies))
     nowhere = np.zeros((3, len(bodies)))
@@ -55,9 +55,9 @@ def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:
 
 
 def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indices, pushed: Indices) -> BodyState:
-    """Find the state of bodies again, some of which were moved or pushed; other arguments and errors are as of `fit`.
+    """Update the state of bodies, some of which have changed; other arguments and errors are those of `fit`.
 
-    A body that was only shifted keeps orientation and momenta.
+    A body that was only translated keeps orientation and momenta.
     """
     R, P, q, m = (a.copy() for a in known)
     residuals = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
@@ -94,7 +94,7 @@ def refit(bodies: RigidBodies, known: BodyState, x: Array, v: Array, moved: Indi
 
 
 def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
-    """Return the orientations (4, n) that fit sites to places about the centre best (doi:10.1107/S0567739476001873)."""
+    """Return the orientations (4, n) of the best fit of sites to positions (doi:10.1107/S0567739476001873)."""
     if len(sites) == 1:
         correlation = np.einsum("s,nsi,sj->nij", masses, relative, sites[0])
     else:
@@ -105,19 +105,19 @@ def best_attitudes(masses: Array, sites: Array, relative: Array) -> Array:
 
 
 def _chosen(kind: Kind, bodies: Indices) -> tuple[Indices, Indices, Array]:
-    """Return those of the bodies that are of a kind, their particles and their sites."""
+    """Return the selected bodies of a kind, their particles and their sites."""
     of_kind = bodies[(bodies >= kind.bodies.start) & (bodies < kind.bodies.stop)]
     within = of_kind - kind.bodies.start
     return of_kind, kind.particles[within], _some(kind.sites, within)
 
 
 def _some(sites: Array, chosen: NDArray[np.generic]) -> Array:
-    """Return the sites of some bodies, where each has its own."""
+    """Return the sites of selected bodies if each has its own."""
     return sites if len(sites) == 1 else sites[chosen]
 
 
 def _attitudes(q: Array, bodies: Indices) -> Array:
-    """Return the rotation matrices (n, 3, 3) of some bodies."""
+    """Return the rotation matrices (n, 3, 3) of selected bodies."""
     return np.ascontiguousarray(matrix(q[:, bodies]).transpose(2, 0, 1))
 
 
@@ -131,7 +131,7 @@ def _check_finite(bodies: RigidBodies, chosen: Indices, values: Array) -> None:
 
 
 def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> None:
-    """Raise ValueError for positions that are no rigid bodies, and warn of those that are only close to them."""
+    """Raise ValueError for positions that do not form rigid bodies, and warn of small deviations."""
     if not (distance > RIGIDITY).any():
         return
     worst = int(np.argmax(distance))
@@ -150,7 +150,7 @@ def _judge(bodies: RigidBodies, x: Array, chosen: Indices, distance: Array) -> N
 
 
 def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
-    """Return how a body misses its shape, and what to do: as its mirror image, or by one atom out of place."""
+    """Return how a body deviates from its shape, and the remedy: it is the mirror image, or one atom is misplaced."""
     if body >= bodies.n_turning:
         return None
     kind = next(kind for kind in bodies.kinds if body < kind.bodies.stop)
@@ -173,7 +173,7 @@ def _cause(bodies: RigidBodies, x: Array, body: int) -> str | None:
 
 
 def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> Array:
-    """Return the distances (k,) of particles from their positions in the fit of a body to all but one of them."""
+    """Return the distances (k,) of particles from their positions in a fit without the worst particle."""
     weights = weights.copy()
     weights[[] if left_out is None else left_out] = 0.0
     relative, about = (a - weights @ a / weights.sum() for a in (x, sites))
@@ -182,14 +182,14 @@ def _missed_by(left_out: int | None, weights: Array, sites: Array, x: Array) -> 
 
 
 def _clusters_of(bodies: RigidBodies, chosen: Indices) -> Iterator[tuple[ClusterKind, Indices, NDArray[np.bool_]]]:
-    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and which clusters (N,) have a chosen one."""
+    """Yield the kinds of clusters, the bodies (N, n) of their atoms, and a mask (N,) of clusters with a chosen atom."""
     for kind, columns in bodies.clusters.columns():
         atoms = columns + bodies.clustered.start
         yield kind, atoms, np.asarray(np.isin(atoms, chosen).any(axis=1))
 
 
 def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Array]:
-    """Return the first atoms of the clusters of some bodies, and by how much at most they miss a length, in nm."""
+    """Return the first atoms of the clusters of selected bodies, and their largest error of a length, in nm."""
     found = [(np.zeros(0, dtype=np.intp), np.zeros(0))]
     for kind, atoms, touched in _clusters_of(bodies, chosen):
         found.append((atoms[touched, 0], kind.missed(R.T[atoms[touched]]).max(axis=1)))
@@ -198,9 +198,9 @@ def _missed(bodies: RigidBodies, R: Array, chosen: Indices) -> tuple[Indices, Ar
 
 
 def _put_on_constraints(bodies: RigidBodies, R: Array, P: Array, chosen: Indices) -> None:
-    """Move the clusters of some bodies onto their constraints, and take from their momenta what these do not allow.
+    """Move the clusters of selected bodies onto their constraints, and project their momenta.
 
-    Centres of mass and total momenta stay. R and P (3, N) are changed in the columns of these clusters.
+    Centres of mass and total momenta are unchanged. R and P (3, N) are modified in the columns of these clusters.
     """
     clusters = list(_clusters_of(bodies, chosen))
     if not any(touched.any() for _, _, touched in clusters):

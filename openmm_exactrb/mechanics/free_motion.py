@@ -1,4 +1,4 @@
-"""The flow of the kinetic energy, and what belongs to it."""
+"""The flow of the kinetic energy and related functions."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Kinetic:
-    """How bodies move without forces.
+    """The motion of bodies without forces.
 
     Attributes
     ----------
     drift : callable
         drift(state, tau) -> state: the flow of the kinetic energy.
     displaced : callable
-        displaced(state, push) -> state, moved without turning by momenta `push` (3, N), from rest, for the time 1.
+        displaced(state, push) -> state, displaced without rotation by momenta `push` (3, N) from rest for the time 1.
     tangent : callable
-        tangent(state) -> state without those parts of the momenta that constraints do not allow. A drift does the same
-        before it moves, so that kicks and noise need it only where the energy is read. Nothing for rigid bodies.
+        tangent(state) -> state with momenta projected onto the constraints. A drift begins with this projection, so
+        that kicks and noise need it only where the energy is read. It is the identity for rigid bodies.
     split : mapping of str to callable
-        Where only some bodies have inner steps, the drifts of these, "inner", and of the "others"; else empty.
+        If only some bodies have inner steps, their drift, "inner", and that of the "others"; otherwise empty.
     """
 
     drift: Flow[State]
@@ -45,7 +45,7 @@ class Kinetic:
 def rigid(mass: Array, rotation: Rotation) -> Kinetic:
     """Return the kinetic flow of rigid bodies of masses (N,).
 
-    rotation(q, m, tau) -> (q, m) acts on sums, as `openmm_exactrb.rotors.rotor_of_sums` returns it.
+    rotation(q, m, tau) -> (q, m) acts on sums, like the results of `openmm_exactrb.rotors.rotor_of_sums`.
     """
     advance = advancing()
 
@@ -93,12 +93,12 @@ CONSTRAINTS: dict[str, Callable[[Kinetic, RigidBodies], Kinetic]] = {"distances"
 
 
 def only_distances() -> bool:
-    """Return whether constraints are those of distances alone, which compiled inner steps keep."""
+    """Return whether all constraints are distances, which compiled inner steps support."""
     return set(CONSTRAINTS.values()) == {geodesics}
 
 
 def free_motion(bodies: RigidBodies, rotor: str | Rotor) -> Kinetic:
-    """Return how bodies move without forces: rigid ones translate and rotate, as far as their constraints allow."""
+    """Return the motion of bodies without forces: free translation and rotation, subject to constraints."""
     kinetic = rigid(bodies.mass, rotor_of_sums(rotor, bodies.inertia, checked=False))
     for constrain in CONSTRAINTS.values():
         kinetic = constrain(kinetic, bodies)

@@ -1,7 +1,7 @@
-"""Particles that a periodic box has split brought into one image again, and the closest bodies.
+"""The reunion of molecules that a periodic box has split, and the closest bodies.
 
-Each link between two particles decides alone by how many vectors of the box they are apart: the image is taken at which
-the link has its length. The rest is to follow a tree of links.
+Each link between two particles independently determines the number of box vectors between them: that of the image at
+which it has its length. Particles are then joined along a tree of links.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _MOST_WAYS = 4096
 
 @dataclass(frozen=True)
 class Decided:
-    """By how many vectors of the box the second ends of links are to be shifted against the first.
+    """Numbers of box vectors by which the second ends of links are shifted relative to the first.
 
     Attributes
     ----------
     shifts : (m, 3) array
     doubtful : (m,) array of bool
-        Where no image has the length, and what is given does not either.
+        Links for which neither an image nor the given vector has the length.
     undecided : (m,) array of bool
-        Where several images have the length within 0.02 nm.
+        Links for which several images have the length within 0.02 nm.
     """
 
     shifts: Array
@@ -49,7 +49,7 @@ class Decided:
 
 
 def decided(x: Array, links: Links, box: Array) -> Decided:
-    """Return which images the links take: what is given if it has the length, else the one that has it best."""
+    """Return the images of links: the given vector if it has the length, otherwise the image that has it best."""
     gap, inverse, half = x[links.pairs[:, 1]] - x[links.pairs[:, 0]], np.linalg.inv(box), half_width(box)
     found = Decided(np.zeros(gap.shape), *(np.zeros(len(gap), dtype=bool) for _ in range(2)))
     given, wanted = np.linalg.norm(gap, axis=1), np.nan_to_num(links.lengths)
@@ -75,7 +75,7 @@ def decided(x: Array, links: Links, box: Array) -> Decided:
 
 
 def half_width(box: Array) -> float:
-    """Return half the smallest distance (nm) between opposite sides: shorter vectors have no shorter image."""
+    """Return half the smallest distance (nm) between opposite sides; shorter vectors have no shorter image."""
     return float(0.5 / np.linalg.norm(np.linalg.inv(box), axis=0).max())
 
 
@@ -87,7 +87,7 @@ def lattice(reach: int) -> Array:
 def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> Array:
     """Return positions (n_particles, 3) with linked particles in one image of a box; the same array if they are.
 
-    The first of them stays where it is. ValueError if two images suit them equally well.
+    The first particle is not moved. A ValueError is raised if two images fit equally well.
     """
     found = decided(x, links, box) if found is None else found
     if not found.shifts.any() and not found.undecided.any():
@@ -105,7 +105,7 @@ def joined(x: Array, links: Links, box: Array, found: Decided | None = None) -> 
 
 
 def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
-    """Return the shifts (k, 3) of a group of particles at which all of its links have their lengths best."""
+    """Return the shifts (k, 3) of a group of particles with the best lengths of all of its links."""
 
     def missed(total: Array) -> float:
         gap = np.diff((x + total @ box)[links.pairs], axis=1)[:, 0]
@@ -137,7 +137,7 @@ def _best_way(x: Array, links: Links, box: Array, names: Indices) -> Array:
 
 
 class Shapes:
-    """The links within bodies whose shape is known, and within clusters, whose constraints are."""
+    """The links within bodies with known shapes, and within clusters with known constraints."""
 
     def __init__(self, bodies: RigidBodies) -> None:
         self._bodies = bodies
@@ -153,7 +153,7 @@ class Shapes:
 
     @cached_property
     def _braced(self) -> Links:
-        """Those of long bodies have links that a tree does not need, to decide between images."""
+        """Long bodies have more links than a tree, to distinguish images."""
         return self._links(braced=True)
 
     def _links(self, braced: bool) -> Links:
@@ -173,7 +173,7 @@ class Shapes:
 
 
 def spanning_pairs(sites: Array, braced: bool) -> Indices:
-    """Return pairs of the particles of bodies (n, k, 3): a tree, and each with four that span them if it is braced."""
+    """Return pairs of particles of bodies (n, k, 3): a tree, and if braced, each with four that span the body."""
     tree = shortest_tree(sites)
     if not braced:
         return tree
@@ -187,9 +187,9 @@ def spanning_pairs(sites: Array, braced: bool) -> Indices:
 
 
 def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
-    """Return the longest gap (n,) on the way through each body (n, k, 3) by the shortest steps, and the shifts taken.
+    """Return the longest gap (n,) on the path through each body (n, k, 3) by shortest distances, and the shifts used.
 
-    With a box, steps to the nearest images count; the shifts (n, k, 3) are numbers of its vectors.
+    With a box, distances to the nearest images are used; the shifts (n, k, 3) are numbers of its vectors.
     """
     images, offered, longest = np.zeros_like(X), np.zeros_like(X), np.zeros(len(X))
     missing, distance = np.ones(X.shape[:2], dtype=bool), np.full(X.shape[:2], np.inf)
@@ -209,7 +209,7 @@ def image_gaps(X: Array, box: Array | None) -> tuple[Array, Array]:
 
 
 def closest_pair(state: BodyState, box: Array | None = None) -> str:
-    """Name the two bodies whose centres are closest, across the sides of a periodic box (3, 3) too."""
+    """Name the two bodies with the closest centres, including images in a periodic box (3, 3)."""
     from scipy.spatial import cKDTree  # here, for a short import of the package
 
     R, images = state.R.T, np.zeros((1, 3))

@@ -1,4 +1,4 @@
-"""Pairs of particles that belong together, and the trees that they form."""
+"""Pairs of linked particles, and the trees that they form."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ class Links:
     Parameters
     ----------
     pairs : (m, 2) array of int
-        Of those that are named twice, the first counts.
+        Particles of each pair; of duplicate pairs, the first is used.
     lengths : (m,) array
-        In nm; nan where it is not known.
+        In nm; nan if unknown.
     n_particles : int
     last : (m,) array of bool, optional
-        Those that the tree takes only where no others lead. It prefers short ones.
+        Links that the tree uses only if there are no others. It prefers short links.
     """
 
     def __init__(self, pairs: Indices, lengths: Array, n_particles: int, last: NDArray[np.bool_] | None = None) -> None:
@@ -35,7 +35,7 @@ class Links:
 
     @cached_property
     def component(self) -> Indices:
-        """Which of the linked groups each particle (n_particles,) belongs to."""
+        """The linked group of each particle (n_particles,)."""
         from scipy.sparse.csgraph import connected_components  # here, for a short import of the package
 
         label = connected_components(self._graph(self.pairs, self._rank), directed=False)[1]
@@ -43,7 +43,7 @@ class Links:
 
     @cached_property
     def tree(self) -> tuple[Indices, Indices, Indices]:
-        """The particles that have one before them on the way from the first of their group, that one, and the link."""
+        """The particles with a predecessor on the path from the first of their group, the predecessor, and the link."""
         from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
         n = self.n_particles
@@ -61,7 +61,7 @@ class Links:
         return coo_array((weights, tuple(pairs.T)), shape=(self.n_particles + 1, self.n_particles + 1)).tocsr()
 
     def along_tree(self, shifts: Array) -> Array:
-        """Return the sums (n_particles, 3) of what the links (m, 3) add from their first ends to their second."""
+        """Return the sums (n_particles, 3) of the vectors of links (m, 3) along the tree."""
         n, (particles, parents, of) = self.n_particles, self.tree
         total, before = np.zeros((n + 1, 3)), np.full(n + 1, n)
         total[particles] = np.where(self.pairs[of, 1] == particles, 1.0, -1.0)[:, None] * shifts[of]
@@ -71,7 +71,7 @@ class Links:
         return total[:n]
 
     def among(self, particles: Indices) -> Links:
-        """Return the links of some particles, which are numbered by their place in this array."""
+        """Return the links among given particles, which are numbered by their index in this array."""
         number = np.full(self.n_particles, -1)
         number[particles] = np.arange(len(particles))
         own = (number[self.pairs] >= 0).all(axis=1)
@@ -79,12 +79,12 @@ class Links:
 
 
 def _keys(one: Indices, other: Indices, n: int) -> Indices:
-    """Return a number for each pair, in whatever order its particles are."""
+    """Return a number for each pair, independent of the order of its particles."""
     return np.minimum(one, other) * n + np.maximum(one, other)
 
 
 def shortest_tree(sites: Array) -> Indices:
-    """Return the links (k - 1, 2) of a tree through the particles of bodies (n, k, 3) whose longest ones are short."""
+    """Return the links (k - 1, 2) of a tree with short links through the particles of bodies (n, k, 3)."""
     k = sites.shape[1]
     missing, distance, nearest = np.ones(k, dtype=bool), np.full(k, np.inf), np.zeros(k, dtype=np.intp)
     links, last = np.empty((k - 1, 2), dtype=np.intp), 0

@@ -1,4 +1,4 @@
-"""A minimum of the potential energy of rigid bodies."""
+"""Minimisation of the potential energy of rigid bodies."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class MinimisationWarning(UserWarning):
 
 @dataclass
 class _Search:
-    """What one search passes to the next: the best position with its energy, and how many iterations there were."""
+    """The data that one search passes to the next: the best position with its energy, and the number of iterations."""
 
     state: BodyState
     energy: float = math.inf
@@ -51,12 +51,13 @@ def minimised(
 ) -> BodyState:
     """Return the bodies at a minimum of their potential energy, with the momenta of the start.
 
-    Coordinates are displacements and turns exp(theta) of each body from where it starts, turns in units of its radius
-    of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. Where a search ends above
-    the tolerance, which one does that met the huge forces of an overlap, another one starts at the best place that was
-    found. The tolerance, in kJ/mol/nm, is the largest component of a force, and of a torque over the radius of
-    gyration, that may be left. All searches have at most so many iterations; 0 for as many as it takes. NonFiniteError
-    if the energy or a force at the start is not finite; MinimisationWarning if no search gets below the tolerance.
+    Coordinates are displacements and rotations exp(theta) of each body relative to its start, rotations in units of its
+    radius of gyration; the method is that of Zhu, Byrd, Lu and Nocedal, doi:10.1145/279232.279236. If a search ends
+    above the tolerance, for example after the huge forces of an overlap, another one starts at the best position found.
+    The tolerance, in kJ/mol/nm, limits the largest component of a force, and of a torque divided by the radius of
+    gyration. The number of iterations is limited over all searches; 0 means no limit. A NonFiniteError is raised if the
+    energy or a force at the start is not finite, and a MinimisationWarning is issued if no search reaches the
+    tolerance.
     """
     if not all(np.isfinite(np.sum(part)) for part in landscape(start)):
         closest = f": the closest are {closest_pair(start, box)}" if len(bodies) > 1 else ""
@@ -87,7 +88,7 @@ def _searched(
     iterations: int,
     unit: float,
 ) -> tuple[BodyState, float]:
-    """Search from the best place, with coordinates in a unit (nm); return where it ends and the largest force there."""
+    """Search from the best position, with coordinates in a unit (nm); return the end and the largest force there."""
     from scipy.optimize import minimize  # here, for a short import of the package
 
     start = search.state

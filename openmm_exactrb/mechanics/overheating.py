@@ -1,4 +1,4 @@
-"""Heat that a thermostat does not take away: a step that is too long, in a run that does not diverge."""
+"""Heat that a thermostat does not remove: the step is too long, but the run does not diverge."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class StepSizeWarning(UserWarning):
 class Overheating:
     """Watches the temperatures of a run with a thermostat, and warns once.
 
-    Translation and rotation of rigid bodies, and all other particles, are watched individually: a solute may be hot
-    in water that is not.
+    Translation and rotation of rigid bodies, and all other particles, are monitored separately, because a solute may be
+    hot although the water is not.
 
     Parameters
     ----------
     bodies : RigidBodies
     kT : float
-        Of the thermostat, in kJ/mol.
+        kT of the thermostat, in kJ/mol.
     relaxation : float
-        Time in ps in which the thermostat takes heat away: 1/friction.
+        Time in ps in which the thermostat removes heat: 1/friction.
     """
 
     def __init__(self, bodies: RigidBodies, kT: float, relaxation: float) -> None:
@@ -44,11 +44,11 @@ class Overheating:
         self.begin(0.0)
 
     def begin(self, time: float) -> None:
-        """Begin a mean at a time (ps) at which the state was set."""
+        """Start a mean at the time (ps) at which the state was set."""
         self._next, self._sums, self._count = time + _LEFT_OUT * self._relaxation, np.zeros(3), 0
 
     def see(self, time: float, state: State) -> None:
-        """See the state at a time (ps), which costs nothing before the next sample; StepSizeWarning once."""
+        """Sample the state at a time (ps) if a sample is due, and issue a StepSizeWarning once."""
         if self._told or time < self._next:
             return
         if not self._count:

@@ -1,4 +1,4 @@
-"""Counter-based random numbers: each depends on the seed, the step and the stream, and on nothing else.
+"""Counter-based random numbers, which depend only on the seed, the step and the stream.
 
 The generator is NumPy's Philox4x64-10: J. K. Salmon, M. A. Moraes, R. O. Dror and D. E. Shaw (2011),
 doi:10.1145/2063384.2063405. It encrypts a counter of 256 bits with a key of 128 bits, and has no other state. In words
@@ -8,7 +8,7 @@ of 64 bits, the lowest first, the layout is::
     counter = (0, 0, stream, step)
 
 The words of seed and step are those of signed numbers. A block of the counter is four words; the block of body n in an
-array (..., N) has the lowest word n + 1, and the second word counts further blocks where the array has more than four
+array (..., N) has the lowest word n + 1, and the second word counts further blocks if the array has more than four
 rows. Hence no draw depends on how many others preceded it, on where a run was interrupted, or on which engine makes the
 step: kernels/random.cl of the device engine has the same numbers. The stream is the number of the substep in the step,
 times `PURPOSES`, plus the purpose.
@@ -38,7 +38,7 @@ _ATTEMPTS = 8
 
 
 class Purpose(IntEnum):
-    """What random numbers of a substep are used for; numbers of different purposes are independent."""
+    """The purpose of random numbers of a substep; numbers for different purposes are independent."""
 
     TRANSLATION = 0
     ROTATION = 1
@@ -50,7 +50,7 @@ PURPOSES = 16
 
 
 class Instant(NamedTuple):
-    """The place of a substep in a run: the seed, the step since the run began, and the number of the substep in it."""
+    """The position of a substep in a run: the seed, the step since the start, and the index of the substep."""
 
     seed: int
     step: int
@@ -73,17 +73,17 @@ class Instant(NamedTuple):
         return gamma(self.seed, self.step, self.stream(purpose), shape)
 
     def uniform(self, purpose: Purpose) -> float:
-        """Return one number uniform on [0, 1) for a purpose."""
+        """Return one uniform number on [0, 1) for a purpose."""
         return float(self.generator(purpose).random())
 
 
 def generator(seed: int, step: int, stream: int) -> Generator:
-    """Return the generator that starts at the first number of a stream; all are of 64 bits, seed and step signed."""
+    """Return the generator at the first number of a stream; arguments have 64 bits, and seed and step are signed."""
     return Generator(Philox(**_address(seed, step, stream)))
 
 
 def normals(seed: int, step: int, stream: int, shape: tuple[int, ...]) -> Array:
-    """Return standard normal numbers of bodies, the last axis of the shape; other arguments as of `generator`."""
+    """Return standard normal numbers of bodies, the last axis of the shape; for other arguments see `generator`."""
     *rows, n = shape
     count = math.prod(rows)
     blocks = [_normals_of(_raw(seed, step, stream, block, n)) for block in range(-(-count // _BLOCK))]
@@ -120,7 +120,7 @@ def _raw(seed: int, step: int, stream: int, block: int, n: int) -> NDArray[np.ui
 
 
 def _open_uniforms(words: NDArray[np.uint64]) -> Array:
-    """Return numbers between 0 and 1, neither of which they are: the 53 upper bits of words, and a half."""
+    """Return numbers in the open interval (0, 1): the 53 upper bits of words plus a half."""
     return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53, dtype=np.float64)
 
 
@@ -134,7 +134,7 @@ def _normals_of(words: NDArray[np.uint64]) -> Array:
 
 
 def _address(seed: int, step: int, stream: int) -> dict[str, NDArray[np.uint64]]:
-    """Return key and counter in front of the first number."""
+    """Return key and counter before the first number."""
     return {
         "key": np.array([seed & _WORD, 0], dtype=np.uint64),
         "counter": np.array([0, 0, stream, step & _WORD], dtype=np.uint64),
@@ -142,7 +142,7 @@ def _address(seed: int, step: int, stream: int) -> dict[str, NDArray[np.uint64]]
 
 
 class _Local(threading.local):
-    """A generator of each thread: to rewind one costs a tenth of making one."""
+    """One generator per thread, because rewinding takes a tenth of the time of creation."""
 
     def __init__(self) -> None:
         self.generator = Generator(Philox())

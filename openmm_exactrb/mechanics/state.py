@@ -1,4 +1,4 @@
-"""The state of rigid bodies: as it moves (sums high + low) and is shown (float64), its flows, and its last forces."""
+"""The state of rigid bodies, as sums high + low and in float64, its flows, and its last forces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Remembered = tuple[list[Force], list[Force]]
 
 
 class BodyState(NamedTuple):
-    """Positions and momenta of N bodies, the first K of which turn.
+    """Positions and momenta of N bodies, the first K of which rotate.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class BodyState(NamedTuple):
 
 
 class State(NamedTuple):
-    """The same as sums of `openmm_exactrb.mathematics.compensated`, so that no step rounds it: what flows act on.
+    """A state as sums of `openmm_exactrb.mathematics.compensated`, so that steps do not round it; flows act on it.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class State(NamedTuple):
 
     @classmethod
     def of(cls, rounded: BodyState) -> State:
-        """Return a state that was rounded as sums with nothing in their low parts."""
+        """Return a rounded state as sums with low parts of zero."""
         return cls(*map(exactly, rounded))
 
     @property
@@ -67,7 +67,7 @@ class State(NamedTuple):
         return BodyState(self.R[0], self.P[0], self.q[0], self.m[0])
 
     def renewed(self, rounded: BodyState) -> State:
-        """Return the state with new high parts; low parts, and whole arrays, stay where they are what they were."""
+        """Return the state with new high parts; unchanged numbers keep their low parts, unchanged arrays are reused."""
         pairs = zip(self, rounded, strict=True)
         return State(*(x if np.array_equal(x[0], high) else renewed(x, high) for x, high in pairs))
 

@@ -1,4 +1,4 @@
-"""The bonded forces of a System: which they are, their groups, and their terms as arrays."""
+"""The bonded forces of a System: their types, their groups, and their terms as arrays."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def separate_bonded(system: openmm.System) -> int:
     """Move the bonded forces of a System to a separate force group, for OpenMM's ``MTSIntegrator`` and ``fast=(1,)``.
 
     Bonded forces are HarmonicBondForce, HarmonicAngleForce, PeriodicTorsionForce, RBTorsionForce, CMAPTorsionForce,
-    CustomBondForce, CustomAngleForce and CustomTorsionForce. Energies and forces do not change. Call it before the
-    Context is created.
+    CustomBondForce, CustomAngleForce and CustomTorsionForce. Energies and forces do not change. Call this function
+    before the Context is created.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def separate_bonded(system: openmm.System) -> int:
     Raises
     ------
     ValueError
-        If it is not a System, or no group is free of other forces.
+        If the argument is not a System, or every group contains other forces.
     """
     if not isinstance(system, openmm.System):
         raise ValueError(
@@ -79,13 +79,13 @@ def separate_bonded(system: openmm.System) -> int:
 
 
 class Bonded(NamedTuple):
-    """Bonds, angles or torsions of the form of a force, and in its group; its own ones may be others.
+    """Bonds, angles or torsions with the form and the group of a force, whose own terms may differ.
 
     Attributes
     ----------
     force : openmm.Force
     whole : (n, k) array
-        Whole numbers of each, particles among them, in OpenMM's order.
+        Integers of each term, including particles, in OpenMM's order.
     numbers : (n, m) array
     """
 
@@ -100,21 +100,21 @@ class Bonded(NamedTuple):
 
     @property
     def particles(self) -> Indices:
-        """The particles of each."""
+        """The particles of each term."""
         return self.whole[:, _PARTICLES.get(type(self.force), slice(None))]
 
     def chosen(self, which: NDArray[np.bool_]) -> Bonded:
-        """Return some of them (n,)."""
+        """Return selected terms (n,)."""
         return self._replace(whole=self.whole[which], numbers=self.numbers[which])
 
     def numbered(self, number: NDArray[Any]) -> Bonded:
-        """Return them with other numbers of particles."""
+        """Return the terms with renumbered particles."""
         there = self._replace(whole=self.whole.copy())
         there.particles[:] = number[self.particles]
         return there
 
     def made(self) -> Any:
-        """Return a force of these terms alone."""
+        """Return a force with these terms alone."""
         force = openmm.XmlSerializer.deserialize(_LISTS.sub(r"<\1/>", openmm.XmlSerializer.serialize(self.force)))
         add = next(getattr(force, name) for name in ("addBond", "addAngle", "addTorsion") if hasattr(force, name))
         custom = isinstance(force, _CUSTOM)
@@ -124,7 +124,7 @@ class Bonded(NamedTuple):
 
 
 def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:
-    """Return the exceptions of a force that interact, as bonds of a formula in its group."""
+    """Return the interacting exceptions of a force, as bonds of a formula in its group."""
     whole, numbers = parameters.exceptions(force)
     which = (numbers[:, 0] != 0.0) | (numbers[:, 2] != 0.0)
     which &= force.getIncludeDirectSpace()  # where OpenMM has them
@@ -132,7 +132,7 @@ def interacting_exceptions(force: openmm.NonbondedForce) -> Bonded:
 
 
 def _pair_force(force: openmm.NonbondedForce) -> openmm.CustomBondForce:
-    """Return a force without pairs, of the form and in the group of the exceptions of a NonbondedForce."""
+    """Return an empty force with the form and the group of the exceptions of a NonbondedForce."""
     apart = openmm.CustomBondForce(PAIR)
     for name in ("charges", "sigma", "epsilon"):
         apart.addPerBondParameter(name)
@@ -149,17 +149,17 @@ def acting(system: openmm.System) -> list[Any]:
 
 
 def acts(force: Any) -> bool:
-    """Return whether a force acts on particles within a step: no thermostat or barostat does."""
+    """Return whether a force acts on particles within a step, unlike thermostats and barostats."""
     name = type(force).__name__
     return name not in _NO_FORCES and "Barostat" not in name
 
 
 def others(system: openmm.System) -> bool:
-    """Return whether a System has forces on particles that are not bonded ones."""
+    """Return whether a System has forces on particles other than bonded forces."""
     return any(not isinstance(force, BONDED_FORCES) for force in acting(system))
 
 
 def groups_of(force: Any) -> set[int]:
-    """Return the force groups of a force: two where the reciprocal part of an Ewald sum has its own."""
+    """Return the force groups of a force: two if the reciprocal part of an Ewald sum has its own."""
     own = getattr(force, "getReciprocalSpaceForceGroup", lambda: -1)()
     return {force.getForceGroup()} | ({own} if own >= 0 else set())

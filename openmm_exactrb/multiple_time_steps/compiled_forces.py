@@ -1,4 +1,4 @@
-"""The usual bonded forces of an excerpt without OpenMM, whose calls cost more than these few terms."""
+"""The usual bonded forces of an excerpt without OpenMM, whose calls take longer than these few terms."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NO_TERMS = Terms(
 
 
 class BondedForces(ContextForces):
-    """The same as `ContextForces`, by a compiled kernel; energies are OpenMM's."""
+    """Forces like `ContextForces`, by a compiled kernel; energies are OpenMM's."""
 
     def __init__(self, terms: Terms, positions: Positions, groups: int, timings: Timings, counter: str) -> None:
         super().__init__(positions, groups, timings, counter)
@@ -50,14 +50,14 @@ class BondedForces(ContextForces):
 
     @property
     def known(self) -> Force | None:
-        """A copy of the forces and torques at the present positions, if these are known."""
+        """A copy of the forces and torques at the present positions, if known."""
         if self._version != self.positions.version:
             return None
         force, torque = self._value
         return force.copy(), torque.copy()
 
     def moved(self, evaluations: int, value: Force | None) -> None:
-        """Notice that a kernel moved the bodies, and what forces it left at their new positions if it knows."""
+        """Record that a kernel moved the bodies, and the forces at their new positions if known."""
         self._add_evaluations(evaluations)
         self.positions.version += 1
         if value is not None:
@@ -74,7 +74,7 @@ class BondedForces(ContextForces):
 
 
 def terms_of(forces: Sequence[Bonded], groups: int) -> Terms | None:
-    """Return the terms of forces in some groups (bits), None if there are forces of other forms in any."""
+    """Return the terms of forces in given groups (bits), None if they contain forces of other forms."""
     if unknown(forces):
         return None
     some = [force for force in forces if groups >> force.force.getForceGroup() & 1]
@@ -114,7 +114,7 @@ def _has(force: Any, formula: re.Pattern[str], name: Callable[[int], str]) -> bo
 
 
 def _number(force: Any, formula: re.Pattern[str]) -> float | None:
-    """Return the number in the formula of a force, None if it is another formula."""
+    """Return the number in the formula of a force, None if the formula differs."""
     found = formula.fullmatch(force.getEnergyFunction().replace(" ", ""))
     return None if found is None else float(found[1] or 0.5 * _LINE)
 
@@ -179,7 +179,7 @@ def _patches(size: int, energy: Array) -> Array:
 
 
 def _torsions(forces: list[Bonded]) -> tuple[Indices, Array]:
-    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines; all terms of four particles are one."""
+    """Return particles (T, 4) and coefficients (2, N, T) of cosines and sines, merged for the same particles."""
     series = [series(of) for of in forces for kind, series in _SERIES.items() if isinstance(of.force, kind)]
     if not series:
         return np.zeros((0, 4), np.int64), np.zeros((2, 0, 0))
@@ -198,7 +198,7 @@ def _of_cosines(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
 
 
 def _of_polynomials(torsions: Bonded) -> tuple[Indices, Indices, Array, Array]:
-    """Return the same of polynomials in cos(phi - pi)."""
+    """Return the coefficients for polynomials in cos(phi - pi)."""
     as_cosines = np.array([np.polynomial.chebyshev.poly2cheb(row).tolist() + [0.0] * (5 - k) for k, row in _POWERS])
     signs = (-1.0) ** np.arange(6)
     cosines = (torsions.numbers @ as_cosines * signs).ravel()

@@ -39,7 +39,7 @@ class CompiledInnerSteps:
         self._advance = kernels.load("inner_steps").advance
 
     def __call__(self, state: State, tau: float) -> State:
-        """Return the state after a drift over tau (ps); IntegrationError if it diverges."""
+        """Return the state after a drift over tau (ps); raise IntegrationError if it diverges."""
         forces, n = self._forces, self._repetitions(tau)
         if n not in self._sequences:
             self._sequences[n] = _as_arrays(repeated(self._sequence, n))
@@ -67,13 +67,13 @@ class CompiledInnerSteps:
 
 
 def _as_arrays(sequence: Sequence) -> tuple[Indices, Array]:
-    """Return which substeps are kicks, and their parts."""
+    """Return which substeps are kicks, and their fractions."""
     kicks = np.array([substep == KICK for substep, _ in sequence], dtype=np.int64)
     return kicks, np.array([part for _, part in sequence])
 
 
 def _particles(bodies: RigidBodies) -> tuple[Indices, Indices, Array]:
-    """Return the particles (n,) of bodies, which one each belongs to (n,), and its place in it (n, 3)."""
+    """Return the particles (n,) of bodies, the body of each (n,), and its position in the body (n, 3)."""
     kinds = bodies.kinds
     sites = [np.broadcast_to(kind.sites, (*kind.particles.shape, 3)).reshape(-1, 3) for kind in kinds]
     particles = np.concatenate([kind.particles.ravel() for kind in kinds]).astype(np.int64)
@@ -81,7 +81,7 @@ def _particles(bodies: RigidBodies) -> tuple[Indices, Indices, Array]:
 
 
 def _packed(clusters: Clusters, first: int) -> tuple[Indices, Graph]:
-    """Return where the kinds of clusters begin, from column `first` on, and their graphs behind each other."""
+    """Return the first columns of the kinds of clusters, from `first` on, and their concatenated graphs."""
     graphs = [kind.graph for kind in clusters.kinds]
     begins = [(len(g.inverse), len(g.pairs), len(g.columns), len(g.rows), len(g.starts), len(g.left)) for g in graphs]
     places = np.zeros((len(graphs) + 1, 8), dtype=np.int64)

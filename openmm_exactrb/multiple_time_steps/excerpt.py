@@ -1,6 +1,6 @@
-"""The bonded forces of a System, and pairs of atoms with numbers of their own, on the particles that they move.
+"""The bonded forces of a System, and its exceptions, restricted to the particles on which they act.
 
-They are few compared with those of a solvent, and the System of the user stays as it is.
+These are few compared with those of a solvent, and the System of the user is unchanged.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from openmm_exactrb.support.types import Indices
 
 @dataclass(frozen=True)
 class Excerpt:
-    """Some forces of a System.
+    """A selection of forces of a System.
 
     Attributes
     ----------
     whole : openmm.System
     forces : sequence of Bonded
-        These forces, of particles of the whole System.
+        These forces, with particles of the whole System.
     particles : (n,) array of int
-        Which of its particles they move.
+        The particles on which they act.
     bodies : RigidBodies
         All bodies of the whole System.
     """
@@ -42,7 +42,7 @@ class Excerpt:
 
     @cached_property
     def part(self) -> Part:
-        """The bodies made of these particles, numbered as in `system`."""
+        """The bodies that consist of these particles, numbered as in `system`."""
         chosen = self.bodies.touched(self.particles)
         return Part(self.bodies.chosen(chosen, self._number, len(self.particles)), chosen)
 
@@ -75,10 +75,10 @@ class Excerpt:
 
 
 def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collection[int] | None = None) -> Excerpt | None:
-    """Return the bonded forces that move bodies against each other, and the exceptions of NonbondedForces that do.
+    """Return the bonded forces and the exceptions of NonbondedForces that move bodies relative to each other.
 
-    With groups, of the bonded forces those in these, and no exceptions. Without what acts on virtual sites. None if
-    there are no bonded ones.
+    With groups, only bonded forces in these groups are returned, and no exceptions. Terms on virtual sites are
+    excluded. Without bonded forces the result is empty: None.
     """
     sites = np.array([*map(system.isVirtualSite, range(system.getNumParticles()))], dtype=bool)
     own = [force for force in system.getForces() if isinstance(force, BONDED_FORCES)]
@@ -94,7 +94,7 @@ def bonded_excerpt(system: openmm.System, bodies: RigidBodies, groups: Collectio
 
 
 def _acting(forces: Any, owner: Indices, sites: NDArray[np.bool_]) -> list[Bonded]:
-    """Return the terms between particles of several bodies and without virtual sites, of forces that have some."""
+    """Return the terms between different bodies and without virtual sites, of forces that have any."""
     found = []
     for force in forces:
         bodies = owner[force.particles]

@@ -1,4 +1,4 @@
-"""Multiple time steps: fast forces within the drifts of a scheme, as a user asks for them and in a System."""
+"""Multiple time steps: the settings of fast forces within the drifts of a scheme, and the fast forces of a System."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ AUTO, BONDED = "auto", "bonded"
 
 @dataclass(frozen=True)
 class MultipleTimeSteps:
-    """The fast forces that a user asks for.
+    """The fast forces that a user requests.
 
     Attributes
     ----------
     fast : "auto", "bonded" or tuple of int
-        Bonded forces and pairs, where that helps or always, or force groups.
+        Bonded forces and exceptions, if useful or always, or force groups.
     scheme : Scheme or None
-        Of the inner steps; None for one that suits the outer scheme.
+        Scheme of the inner steps; None for the default of the outer scheme.
     steps : int or None
-        Inner steps a step; None for as many as the fastest bonds need.
+        Inner steps per step; None for the number that the fastest bonds need.
     """
 
     fast: str | tuple[int, ...]
@@ -63,7 +63,7 @@ class MultipleTimeSteps:
     def of(
         cls, fast: str | Sequence[int] | None, inner: str | Scheme | None, steps: int | None
     ) -> MultipleTimeSteps | None:
-        """Return the settings of an integrator's arguments, None for no fast forces; ValueError if they do not fit."""
+        """Return settings from an integrator's arguments, None for no fast forces; raise ValueError if inconsistent."""
         scheme = None if inner is None else look_up(inner)
         if scheme is not None and ({substep for substep, _ in scheme.sequence} != {DRIFT, KICK} or scheme.processor):
             raise ValueError(f"the inner scheme {scheme.name} must be made of drifts and kicks alone, such as S2_2")
@@ -79,7 +79,7 @@ class MultipleTimeSteps:
 
     @property
     def asked_for(self) -> bool:
-        """Whether there are inner steps whatever the System is."""
+        """Whether inner steps were requested for any System."""
         return self.fast != AUTO
 
     @staticmethod
@@ -91,7 +91,7 @@ class MultipleTimeSteps:
 
 
 def _groups(fast: Any) -> tuple[int, ...]:
-    """Return the force groups of the argument, each once."""
+    """Return the distinct force groups of the argument."""
     try:
         groups = {operator.index(group) for group in fast}
     except TypeError:  # a number, a force, or names
@@ -106,15 +106,15 @@ def _groups(fast: Any) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class FastForces:
-    """The same in a System.
+    """The fast forces of a System.
 
     Attributes
     ----------
     settings : MultipleTimeSteps
     frequency : float
-        The highest one of the fast forces, in 1/ps.
+        The highest frequency of the fast forces, in 1/ps.
     excerpt : Excerpt or None
-        The bonded forces, if it is they; else the fast forces are those of some groups.
+        The bonded forces, if these are the fast forces; otherwise the fast forces are those of groups.
     """
 
     settings: MultipleTimeSteps
@@ -123,12 +123,12 @@ class FastForces:
 
     @property
     def named(self) -> tuple[int, ...]:
-        """The force groups of the fast forces, where they are named."""
+        """The force groups of the fast forces, if named."""
         return () if isinstance(self.settings.fast, str) else self.settings.fast
 
     @property
     def groups(self) -> int:
-        """The same as bits."""
+        """The force groups as bits."""
         return sum(1 << group for group in self.named)
 
     def inner(self, outer: Scheme) -> Scheme:
@@ -146,9 +146,9 @@ class FastForces:
     def acts(self, outer: Scheme, h: float) -> bool:
         """Return whether there are inner steps in steps of h (ps).
 
-        There are if they were asked for, or if the outer scheme evaluates forces too rarely and has substeps of this
-        package alone. ValueError if a kick applies a force group that is fast, or one that may have bonded forces where
-        these are.
+        There are inner steps if they were requested, or if the outer scheme evaluates forces too rarely and has only
+        substeps of this package. A ValueError is raised if a kick applies a fast force group, or one that may contain
+        bonded forces if these are fast.
         """
         groups = sorted({s.group for s, _ in outer.sequence if isinstance(s, Kick) and s.group is not None})
         if self.settings.fast == BONDED and groups:
@@ -181,12 +181,12 @@ def fast_forces(system: openmm.System, bodies: RigidBodies, settings: MultipleTi
     Raises
     ------
     ValueError
-        If all forces are in the groups, or the number of inner steps has to be given.
+        If the groups contain all forces, or the number of inner steps must be given.
 
     Warns
     -----
     UserWarning
-        If the groups have no bonded forces, and so no inner steps unless the number of these is given.
+        If the groups contain no bonded forces, so that there are no inner steps unless their number is given.
     """
     if settings is None:
         return None

@@ -1,8 +1,8 @@
 """Drifts with fast forces within them, in a Context: the inner steps of multiple time stepping.
 
 M. Tuckerman, B. J. Berne and G. J. Martyna, J. Chem. Phys. 97, 1990 (1992), doi:10.1063/1.463137: the drift of the
-outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies that this
-potential does not move have no part in it: their drift is one.
+outer scheme is the flow of the kinetic energy and of a potential, which has a splitting of its own. Bodies on which
+this potential does not act have a single drift.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class InnerDrift:
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
 
     def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
-        """Warn once if in steps of h (ps) the slow forces drive what is integrated within the drifts."""
+        """Warn once if slow forces in steps of h (ps) are in resonance with the motion within the drifts."""
         self._resonances.warn(scheme, abs(h))
 
     def split(
@@ -61,11 +61,11 @@ class InnerDrift:
         scheme: Scheme,
         h: float,
     ) -> tuple[Flow[State], Mapping[str, Flow[State]], EvaluatedForces]:
-        """Return drifts with the fast forces in them, and the forces that are left for kicks, of all that act.
+        """Return the drifts with fast forces, and the remaining active forces for kicks.
 
-        The drifts are those of all bodies and, unless all have inner steps, those of some as in ``Kinetic.split``.
-        timed(drift, passes=True) is a drift that moves the positions of the Context, and its time where it passes; h
-        (ps) is the step of the scheme.
+        The drifts are those of all bodies and, unless all have inner steps, the drifts of subsets as in
+        ``Kinetic.split``. timed(drift, passes=True) is a drift that moves the positions of the Context and, if
+        `passes`, advances its time; h (ps) is the step of the scheme.
         """
         inner, repetitions = self.fast.inner(scheme).sequence, self.fast.repetitions(scheme, h)
         if self._own is None:
@@ -97,7 +97,7 @@ class InnerDrift:
         inner: Sequence,
         repetitions: Callable[[float], int],
     ) -> tuple[Flow[State], ContextForces]:
-        """Return the drift with inner steps of the bodies of the excerpt, and their fast forces."""
+        """Return the drift with inner steps for the bodies of the excerpt, and their fast forces."""
         terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
         if terms is None:
             fast = ContextForces(own.positions, *of_groups)
@@ -109,7 +109,7 @@ class InnerDrift:
         return inner_steps(own.counting_moves(self._free.drift), fast_kick, inner, repetitions), fast
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
-        """Return a drift that is right for bodies outside of the excerpt: that of rigid ones is cheaper."""
+        """Return a drift that is valid for bodies outside of the excerpt; that of rigid bodies is cheaper."""
         clusters_outside = len(self._part.clusters) < len(self._bodies.clusters)
         return kinetic.drift if clusters_outside or not only_distances() else self._rigid.drift
 
@@ -117,7 +117,7 @@ class InnerDrift:
 def inner_steps(
     drift: Flow[State], fast_kick: Flow[State], sequence: Sequence, repetitions: Callable[[float], int]
 ) -> Flow[State]:
-    """Return a drift made of inner steps, whose scheme is a sequence of drifts and kicks by the fast forces.
+    """Return a drift that consists of inner steps, with a sequence of drifts and kicks by the fast forces.
 
     repetitions(tau) is the number of inner steps in a drift of this time.
     """
@@ -132,7 +132,7 @@ def inner_steps(
 
 
 class ExcerptContext:
-    """The Context of an excerpt, which follows box, parameters and particles without mass of another one."""
+    """The Context of an excerpt, which follows box, parameters and massless particles of another Context."""
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
         self.excerpt, self._sync = excerpt, sync
@@ -156,7 +156,7 @@ class ExcerptContext:
         return flow
 
     def kept_up(self, drift: Flow[State]) -> Flow[State]:
-        """Return a drift of all bodies after which the positions of the excerpt are those of all."""
+        """Return a drift of all bodies that also updates the positions of the excerpt."""
 
         def flow(state: State, tau: float) -> State:
             state = drift(state, tau)
@@ -173,7 +173,7 @@ class ExcerptContext:
 
 
 class FollowingPositions(Positions):
-    """Positions of an excerpt: new ones whenever those of the whole have changed, but by the excerpt's own drift."""
+    """Positions of an excerpt, updated whenever those of the whole have changed, except by the excerpt's own drift."""
 
     def __init__(
         self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], Any]
@@ -195,5 +195,5 @@ class FollowingPositions(Positions):
         self._count = count
 
     def keep_up(self) -> None:
-        """Take the present positions for those of the whole."""
+        """Record that the present positions are those of the whole."""
         self._seen = self._followed.version

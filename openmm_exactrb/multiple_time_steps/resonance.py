@@ -1,4 +1,4 @@
-"""Resonances of multiple time steps: the slow forces of a step drive fast motion whose half period fits into it.
+"""Resonances of multiple time steps: slow forces drive fast motion if a step is a multiple of its half period.
 
 J. J. Biesiadecki and R. D. Skeel, J. Comput. Phys. 109, 318 (1993), doi:10.1006/jcph.1993.1220.
 """
@@ -40,17 +40,16 @@ class Resonance(NamedTuple):
     particles: tuple[int, ...]
 
     def below(self, scheme: Scheme) -> float:
-        """Return an interval of the forces below it: whole tenths of a femtosecond, in ps."""
+        """Return an interval between forces below the resonance, in ps, rounded to tenths of a femtosecond."""
         return math.floor(1e4 * self.step / scheme.forces) * 1e-4
 
 
 def growth(scheme: Scheme, k: int) -> float:
     """Return the growth rate of an oscillator of the frequency w at w h = k pi, for a slow force of unit strength.
 
-    Kicks b_j at the times c_j h of a step make a spring s of a slow force one that is modulated in time, whose k-th
-    harmonic is s times the modulus of sum_j b_j exp(2 pi i k c_j). It drives an oscillator of the mass m and the
-    frequency w at twice that frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2
-    of its sum.
+    Kicks b_j at the times c_j h of a step modulate the spring s of a slow force in time, with a k-th harmonic of s
+    times the modulus of sum_j b_j exp(2 pi i k c_j). It drives an oscillator of the mass m and the frequency w at twice
+    that frequency: amplitudes grow at the rate of this harmonic over 2 m w, for which this is 1/2 of its sum.
     """
     places, kicks = [], []
     behind = accumulate((part if substep == DRIFT else 0.0 for substep, part in scheme.sequence), initial=0.0)
@@ -62,14 +61,14 @@ def growth(scheme: Scheme, k: int) -> float:
 
 
 class Resonances:
-    """The resonances of the bonds and angles in some force groups of a System, or all.
+    """The resonances of the bonds and angles in given force groups of a System, or in all.
 
     Parameters
     ----------
     system : openmm.System
     groups : sequence of int
     forces : sequence of Bonded, optional
-        Those that count, if not all.
+        The relevant forces, by default all.
     """
 
     def __init__(
@@ -80,11 +79,11 @@ class Resonances:
         self._modes, self._told = [*frequencies(system, groups, forces)], False
 
     def first(self, scheme: Scheme) -> Resonance | None:
-        """Return the resonance of the shortest step of a scheme; None without any that matters.
+        """Return the resonance with the shortest step of a scheme; None if there is no relevant one.
 
         A slow spring s in the kicks raises the square of the frequency w by s/m, and the mode is driven within the
-        growth rate of k pi/h on either side. Both are a part of s/m, so that a bond that is softer than the slow forces
-        does not matter before these do.
+        growth rate of k pi/h on either side. Both are proportional to s/m, so that a bond softer than the slow forces
+        is not relevant before these are.
         """
         rates, found = np.array([growth(scheme, k) for k in range(1, _HARMONICS + 1)]), []
         for frequency, particles in self._modes:
@@ -118,7 +117,7 @@ class Resonances:
         )
 
     def _remedy(self, particles: tuple[int, ...]) -> str:
-        """Return what makes a bond or angle slower, or holds it; nothing for one without hydrogen."""
+        """Return the remedy that slows or constrains a bond or angle, empty for one without hydrogen."""
         mass = self._mass[list(particles)].min()
         if len(particles) == 2 and mass <= _LIGHT:
             return "constrain bonds to hydrogen (constraints=HBonds), "

@@ -1,4 +1,4 @@
-"""How fast bonds and angles move atoms."""
+"""The frequencies of bonds and angles."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ _SPRINGS = openmm.HarmonicBondForce, openmm.HarmonicAngleForce, openmm.CustomBon
 
 
 def fastest(system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None) -> float:
-    """Return the highest of the `frequencies` in 1/ps; 0 where there are none."""
+    """Return the highest of the `frequencies` in 1/ps, or 0 if there are none."""
     return max((float(some.max(initial=0.0)) for some, _ in frequencies(system, groups, forces)), default=0.0)
 
 
 def frequencies(
     system: openmm.System, groups: Sequence[int] = range(32), forces: Sequence[Bonded] | None = None
 ) -> Iterator[tuple[Array, Indices]]:
-    """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in some force groups, or all.
+    """Estimate the frequencies of harmonic bonds and angles, and bonds of formulas, in given force groups, or all.
 
-    Each bond and angle is treated individually, without those that constraints hold. A bond of a formula counts where
-    it has a minimum at the length of a chemical bond. `forces` are those of the System unless they are given.
+    Each bond and angle is treated individually; constrained ones are ignored. A bond of a formula is included if it has
+    a minimum at the length of a chemical bond. `forces` are by default those of the System.
 
     Yields
     ------
     frequency : (n,) array
         In 1/ps.
     particles : (n, 2) or (n, 3) array
-        Those of bonds, or of angles.
+        The particles of bonds, or of angles.
     """
     if forces is None:
         forces = [Bonded.of(force) for force in system.getForces() if isinstance(force, _SPRINGS)]
@@ -59,7 +59,7 @@ def frequencies(
 
 
 class _Lengths:
-    """Distances of pairs of particles; the last one counts."""
+    """Distances of pairs of particles; later entries override earlier ones."""
 
     def __init__(self, pairs: Indices, lengths: Array) -> None:
         keys = self._keys(pairs)
@@ -76,12 +76,12 @@ class _Lengths:
         return np.where(np.append(self._sorted, -1)[place] == keys, self._values[place], np.nan)
 
     def has(self, pairs: Indices) -> NDArray[np.bool_]:
-        """Return which pairs have a distance."""
+        """Return a mask of the pairs that have a distance."""
         return ~np.isnan(self.of(pairs))
 
 
 def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
-    """Return the squares of the frequencies of angles, nan where the length of a bond is not known."""
+    """Return the squares of the frequencies of angles, nan if the length of a bond is unknown."""
     (i, j, k), (angle, strength) = angles.particles.T, angles.numbers.T
     a, b = (known.of(angles.particles[:, own]) for own in ([0, 1], [2, 1]))
     a, b = np.where(a == 0.0, np.nan, a), np.where(b == 0.0, np.nan, b)
@@ -90,7 +90,7 @@ def _of_angles(angles: Bonded, known: _Lengths, inverse: Array) -> Array:
 
 
 def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, None of other forces."""
+    """Return the particles, lengths (nm) and strengths (kJ/mol/nm²) of bonds, None for other forces."""
     if isinstance(bonds.force, openmm.HarmonicBondForce):
         return bonds.particles, *bonds.numbers.T
     # Pairs three bonds apart are no bonds: where their minima are these never come.
@@ -102,7 +102,7 @@ def _bonds(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
 
 
 def _bonds_by_formula(bonds: Bonded) -> tuple[Indices, Array, Array] | None:
-    """Return the same of a force with a formula: where the force changes its sign, and how fast."""
+    """Return the data of bonds by a formula, from the zero of the force and its slope there."""
     if not len(bonds.whole):
         return None
     forces = _at_lengths(bonds, _LENGTHS)  # positive ones pull
@@ -131,5 +131,5 @@ def _at_lengths(bonds: Bonded, lengths: Array) -> Array:
 
 
 def _inverse(mass: Array) -> Array:
-    """Return the inverse masses, 0 of particles without mass."""
+    """Return the inverse masses, 0 for massless particles."""
     return np.divide(1.0, mass, out=np.zeros_like(mass), where=mass != 0.0)

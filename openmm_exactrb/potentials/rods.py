@@ -127,7 +127,7 @@ def rod_length(n: int, box: Sequence[float], boundary: Ewald) -> float:
 def _distances(n: int, edges: Edges, boundary: Ewald) -> tuple[float, float]:
     """Return cutoff and start of the switch (nm); raise ValueError if rods do not support the boundary."""
     if not isinstance(boundary, Ewald) or not math.isinf(boundary.dielectric):
-        raise ValueError(f"rods of charges need boundary=Ewald() with a dielectric of infinity, not {boundary!r}")
+        raise ValueError(f"rods of charges need boundary=Ewald() with an infinite dielectric, not {boundary!r}")
     if boundary.tolerance < LEAST_TOLERANCE:
         raise ValueError(
             f"rods of charges reach at best a tolerance of {LEAST_TOLERANCE:g}, not {boundary.tolerance:g}: use a "

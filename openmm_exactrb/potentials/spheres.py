@@ -57,7 +57,7 @@ def check_minimum(spheres: SphereCutoff | None, sigma: float, attraction: float)
     end = (2.0 / attraction) ** (1.0 / 6.0) * sigma
     if spheres is not None and spheres.switch < end:
         raise ValueError(
-            f"the switch of the spheres, at {spheres.switch:g} nm, begins before the spheres end, at {end:g} nm: use a "
+            f"the switch of the spheres, at {spheres.switch:g} nm, begins before their minimum, at {end:g} nm: use a "
             "larger box, or a larger sphere_cutoff"
         )
 

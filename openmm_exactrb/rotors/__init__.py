@@ -1,4 +1,4 @@
-"""Flows of the free rigid body under one interface."""
+"""Flows of the free rigid body with a common interface."""
 
 from openmm_exactrb.rotors.flow import Flow
 from openmm_exactrb.rotors.front import free_rotor

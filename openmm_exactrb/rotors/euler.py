@@ -1,13 +1,13 @@
-"""The momentum of a free rigid body in Jacobi's functions: what the formulations of the paper share.
+"""The momentum of a free rigid body in Jacobi's functions, which the formulations of the paper share.
 
 With I1 < I2 < I3 and x = m/norm(m), case (a) is 2T I2 > 1, where the momentum circles axis j = 1, and case (b) is
 2T I2 < 1, where it circles j = 3; l is the other of the two. A half turn about a principal axis makes x1, x3 >= 0, and
 then both signs of equations (5) and (6) are plus: x_j = A_j dn u, x2 = A2 sn u, x_l = A_l cn u, u = u0 + lambda t.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.1, doi:10.1137/070704393. The paper's 1 - 2T I_i and 1 - k²
-are written here without their cancellations, but for that of 1 - 2T I2, which vanishes on the separatrix. At a relative
-distance S from it a step that goes past the middle axis has an error of about eps h norm(omega)/S; the `exact` flow has
-not.
+are computed here without cancellation, except for 1 - 2T I2, which vanishes on the separatrix. At a relative distance S
+from it, a step that passes the middle axis has an error of about eps h norm(omega)/S, which the `exact` flow does not
+have.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ class Phase:
     half_turns: Array
 
     def continued(self, ratio: Array | float = 1.0) -> Array:
-        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; the amplitude am u for one."""
+        """Return atan(ratio sn/cn) for a positive ratio, continuous past half periods; am u for a ratio of one."""
         folded = np.where(self.cn < 0.0, -self.sn, self.sn)
         return self.half_turns * np.pi + np.arctan2(ratio * folded, np.abs(self.cn))
 
 
 @dataclass(frozen=True)
 class Orbit:
-    """Bodies during a step, in units where norm(m) = 1; arrays are (N,) unless another shape is named."""
+    """Bodies during a step, in units with norm(m) = 1; arrays are (N,) unless another shape is stated."""
 
     inertia: Array  #: moments in ascending order, (3, 1) or (3, N)
     time: Array  #: the step times norm(m)
@@ -77,7 +77,7 @@ Attitude = Callable[[Orbit], Array]
 def flow_of(inertia: Array, attitude: Attitude) -> Flow:
     """Return the flow with the momentum of Jacobi's solution and a given orientation, for moments (3, 1) or (3, N).
 
-    Bodies for which that solution is singular take the exact flow: see `is_regular`.
+    Bodies for which that solution is singular use the exact flow: see `is_regular`.
     """
     order, back, handedness = ascending(inertia)
     scale = np.ldexp(1.0, np.frexp(inertia.max(axis=0))[1])
@@ -110,8 +110,8 @@ def flow_of(inertia: Array, attitude: Attitude) -> Flow:
 def is_regular(inertia: Array, m: Array) -> NDArray[np.bool_]:
     """Return which bodies the paper's solution covers, for ascending moments (3, 1) or (3, N) and momenta m (3, N).
 
-    They have three different moments and a momentum that is finite, not zero, on none of the principal axes and not
-    on the separatrix, each by a relative distance of `NEAREST`.
+    Their three moments differ, and their momentum is finite, nonzero, and off the principal axes and the separatrix,
+    each by a relative distance of `NEAREST`.
     """
     I1, I2, I3 = inertia
     with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""The exact flow of the free rigid body: which of the kernels advances it, for moments in any order."""
+"""The exact flow of the free rigid body for moments in any order, and the choice of its kernel."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def compiled(inertia: Array) -> Flow:
 
 
 def in_numpy(inertia: Array) -> Flow:
-    """Return the exact flow for moments (3, 1) or (3, N) in numpy; it takes sums of two, (2, ., N), too."""
+    """Return the exact flow for moments (3, 1) or (3, N) in numpy; it also accepts sums of two, (2, ., N)."""
     return _in_any_order(inertia, plain.advance)
 
 

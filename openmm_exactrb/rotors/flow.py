@@ -18,9 +18,9 @@ _FLOAT = np.dtype(np.float64)
 
 
 def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
-    """Return a flow that raises ValueError for arrays of different lengths: compiled code would write past their ends.
+    """Return a flow that raises ValueError for arrays of different lengths, past whose ends compiled code would write.
 
-    `sums` says whether the flow takes double-doubles.
+    `sums` states whether the flow takes double-doubles.
     """
     seen = None  # shapes are the same at every step of a run
 
@@ -42,7 +42,7 @@ def fitting(inertia: Array, flow: Flow, sums: bool) -> Flow:
 def _check_one_number(
     moments: tuple[int, ...], q: tuple[int, ...], m: tuple[int, ...], t: tuple[int, ...], sums: bool
 ) -> None:
-    """Raise ValueError for shapes that are not of one number of bodies."""
+    """Raise ValueError for shapes with different numbers of bodies."""
     n, kinds = m[-1:], ((), (1,), (2,)) if sums else ((),)
     alike = any((q, m) == ((*kind, 4, *n), (*kind, 3, *n)) for kind in kinds)
     if not (alike and t in ((), (1,), n) and moments in ((3, 1), (3, *n))):
@@ -55,7 +55,7 @@ def _check_one_number(
 def ascending(inertia: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Return the permutation that sorts moments (3, 1) or (3, N), its inverse, and its sign (1,) or (N,).
 
-    An odd permutation is a reflection: momenta and vector parts of quaternions, as pseudovectors, take its sign.
+    An odd permutation is a reflection: momenta and vector parts of quaternions, which are pseudovectors, change sign.
     """
     order = np.argsort(inertia, axis=0, kind="stable")
     return order, np.argsort(order, axis=0), np.where((order[1] - order[0]) % 3 == 1, 1.0, -1.0)

@@ -22,7 +22,7 @@ def free_rotor(
     inertia : (3,) or (N, 3) array_like
         Principal moments of inertia, in any order.
     q0 : (4,) or (N, 4) array_like
-        Orientations, scalar first, which turn body coordinates into space coordinates. They are normalised.
+        Orientations, scalar first, which map body coordinates to space coordinates. They are normalised.
     m0 : (3,) or (N, 3) array_like
         Angular momenta in the body frame; zero is allowed.
     t : float or (N,) array_like
@@ -34,7 +34,7 @@ def free_rotor(
     -------
     q1 : (4,) or (N, 4) array
     m1 : (3,) or (N, 3) array
-        New arrays; the arguments are not changed. A body with a number that is not finite becomes nan; other bodies are
+        New arrays; the arguments are unchanged. A body with a number that is not finite becomes nan; other bodies are
         not affected.
 
     Warns
@@ -79,7 +79,7 @@ def _columns(rows: Array, n: int, k: int) -> Array:
 
 
 def _normalised(q: Array) -> Array:
-    """Return quaternions of norm one; those that have it already are not changed."""
+    """Return quaternions of norm one; those with this norm are unchanged."""
     largest = np.abs(q).max(axis=0, initial=0.0)
     if (largest == 0.0).any():
         raise ValueError("a quaternion of q0 is zero: use (1, 0, 0, 0) for no rotation")

@@ -1,14 +1,15 @@
 """The preprocessed discrete Moser-Veselov algorithm, of order 6, 8 and 10.
 
-The discrete algorithm follows the free body exactly but for its moments of inertia and its time; so it is given
-modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. Norm of the momentum, spatial
-momentum and kinetic energy are kept to roundoff.
+The discrete algorithm follows the free body exactly except for its moments of inertia and its time; it therefore
+receives modified moments, 1/I~_i = s/I_i + d, with series s = 1 + ... and d = ... in the step. The norm of the
+momentum, the spatial momentum and the kinetic energy are conserved to roundoff.
 
-Domain: any moments, any momentum, but only steps that turn the body by less than a quarter turn, h norm(I^-1 m) < pi/2:
-beyond, the equations of the step have no root near the solution, but another, wrong one. The step is implicit, a fixed
-point iteration, slow near that limit. A body for which it does not converge within `MOST_ITERATIONS`, or that turns too
-far, or whose modified moments are not positive, becomes nan and is counted in a `NotConvergedWarning`. Convergence
-says nothing about the error of the series, which grows with the order's power of the step.
+Domain: any moments and momenta, but only steps that rotate the body by less than a quarter turn, h norm(I^-1 m) < pi/2:
+beyond this, the equations of the step have no root near the solution, but a wrong one. The step is implicit, a fixed
+point iteration that is slow near this limit. A body becomes nan if the iteration does not converge within
+`MOST_ITERATIONS`, it rotates too far, or its modified moments are not positive, and is counted in a
+`NotConvergedWarning`. Convergence does not imply a small error of the series, which grows with the power `order` of the
+step.
 
 E. Hairer and G. Vilmart, J. Phys. A 39, 13225 (2006), doi:10.1088/0305-4470/39/42/006.
 """
@@ -85,8 +86,8 @@ def _modified(moments: Array, series: Sequence[tuple[Array, Array]], m: Array, h
 def _iterate(inverse: Array, m: Array, h: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Solve I~_1 a_1 = alpha h m_1 + (I~_2 - I~_3) a_2 a_3/2 and cyclic, where alpha = 1 + a.a/4.
 
-    Return a (3, N), twice the Cayley vector of the step's rotation, and which bodies converged; these are left alone,
-    so that none depends on its neighbours.
+    Return a (3, N), twice the Cayley vector of the step's rotation, and a mask of the converged bodies, which are not
+    iterated further, so that results do not depend on other bodies.
     """
     after, before = np.roll(inverse, -1, axis=0), np.roll(inverse, 1, axis=0)
     gyration = 0.5 * (before - after) / (before * after)
@@ -120,7 +121,7 @@ def _step(angle: Array, m: Array) -> tuple[Array, Array]:
 
 
 def _report(q: Array, m: Array, failed: NDArray[np.bool_], order: int) -> None:
-    """Make bodies that failed nan, in place, and warn how many they are."""
+    """Set failed bodies to nan, in place, and warn of their number."""
     if not failed.any():
         return
     q[:, failed] = m[:, failed] = np.nan

@@ -1,11 +1,11 @@
-"""The free rotor by quaternions: q = p(0)^-1 y p(t), where p turns the momentum to axis 3 and y turns about axis 3.
+"""The free rotor by quaternions: q = p(0)^-1 y p(t), where p rotates the momentum to axis 3 and y rotates about axis 3.
 
 The choices of p in the paper differ by a rotation about axis 3 by an angle theta from the smallest rotation
 p = (1 + x3, x2, -x1, 0)/sqrt(2 (1 + x3)), which is the half-angle form of its equations (33) to (37). Such rotations
-commute with y, so that theta(t) - theta(0) joins the angle psi of y.
+commute with y, so that theta(t) - theta(0) is added to the angle psi of y.
 
-Domain: the three moments are all different, and the momentum is not zero, on no principal axis and not on the
-separatrix. Bodies outside take the `exact` flow.
+Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
+Bodies outside of this domain use the `exact` flow.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, sections 2.3 and 2.4, doi:10.1137/070704393. Equation (38) and the
 angle of choice (c) are printed for case (a) only; the other case is added here.
@@ -80,7 +80,7 @@ def _flow(inertia: Array, angle: Callable[[Orbit], Array]) -> Flow:
 
 
 def _smallest_rotation(x: Array) -> Array:
-    """Return the quaternion that takes unit vectors x (3, N) to axis 3 the short way: lemma 2.4 with p3 = 0."""
+    """Return the smallest rotation of unit vectors x (3, N) to axis 3, as a quaternion: lemma 2.4 with p3 = 0."""
     x1, x2, x3 = x
     # 1 + x3, which cancels where x3 is near -1.
     above = np.where(x3 > -0.5, 1.0 + x3, (x1 * x1 + x2 * x2) / (1.0 - x3))

@@ -1,7 +1,7 @@
 """Flows of the free rigid body by name.
 
-A flow is one file with a function ``rotor(inertia) -> flow`` and one line in `ROTORS`, or a `Rotor` that is passed
-to an integrator.
+A flow consists of a file with a function ``rotor(inertia) -> flow`` and an entry in `ROTORS`, or of a `Rotor` that is
+passed to an integrator.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ COMPILED = (ROTORS["exact"], ROTORS["exact_compiled"])
 
 
 def look_up(rotor: str | Rotor) -> Rotor:
-    """Return the rotor of a name; a `Rotor` is passed through.
+    """Return the rotor with a name; a `Rotor` is returned unchanged.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def rotor_of_sums(method: str | Rotor, inertia: ArrayLike, checked: bool = True)
     """Prepare the flow of free bodies whose orientations (2, 4, N) and momenta (2, 3, N) are double-doubles.
 
     Parameters and errors are those of `rotor`. Flows without ``Rotor.sums`` return rounded numbers. Unless shapes are
-    `checked` at each call, compiled code writes beyond the ends of arrays that do not fit.
+    `checked` at each call, compiled code writes beyond the ends of arrays with wrong shapes.
     """
     entry, columns = look_up(method), _columns(inertia)
     flow = fitting(columns, entry.factory(columns), entry.sums) if checked else entry.factory(columns)

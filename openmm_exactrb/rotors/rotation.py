@@ -1,8 +1,8 @@
 """The free rotor by rotation matrices: the frame (mdot, m x mdot, m) and one planar angle.
 
-Domain: the three moments are all different, and the momentum is not zero, on no principal axis and not on the
-separatrix. Bodies outside, where the frame or the elliptic functions are singular (stationary rotation, symmetric and
-spherical bodies, bodies at rest), take the `exact` flow.
+Domain: the three moments differ, and the momentum is nonzero and neither on a principal axis nor on the separatrix.
+Bodies outside of this domain, for which the frame or the elliptic functions are singular (stationary rotation,
+symmetric and spherical bodies, bodies at rest), use the `exact` flow.
 
 E. Celledoni, F. Fassò, N. Säfström and A. Zanna, section 2.2, doi:10.1137/070704393.
 """
@@ -20,7 +20,7 @@ from openmm_exactrb.rotors.flow import Array, Flow
 def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:
     """Return the rotation-matrix flow of free bodies with these moments of inertia, (3, 1) or (3, N) in any order.
 
-    `third_kind` evaluates the elliptic integral: `euler.carlson`, or what `euler.gauss` returns.
+    `third_kind` evaluates the elliptic integral: `euler.carlson`, or a result of `euler.gauss`.
     """
 
     def attitude(orbit: Orbit) -> Array:

@@ -25,7 +25,9 @@ def only_process(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise BlockingIOError(f"another process is running in {folder}") from None
+            raise BlockingIOError(
+                f"another process is running in {folder}: wait for its end, or use another folder"
+            ) from None
         except OSError:
             pass  # some network file systems have no locks
         yield

@@ -41,7 +41,7 @@ class SecondOrder(NamedTuple):
 
     @property
     def slope(self) -> float:
-        """The factor alpha + y²/2 - c, with which the slope of an observable along M⁻¹f is subtracted."""
+        """The factor alpha + y²/2 - c of the slope of an observable along M⁻¹f, which a correction subtracts."""
         return self.alpha + 0.5 * self.late**2 - self.pushed
 
 

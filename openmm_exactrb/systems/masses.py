@@ -56,8 +56,8 @@ def heavy_hydrogens(
         raise ValueError(f"water must be True or False, not {water!r}")
     if topology.getNumAtoms() != system.getNumParticles():
         raise ValueError(
-            f"the Topology has {topology.getNumAtoms()} atoms, but the System {system.getNumParticles()} particles: "
-            "they do not belong together"
+            f"the Topology has {topology.getNumAtoms()} atoms, but the System has {system.getNumParticles()} particles"
+            ": they do not belong together"
         )
     left = [system.getParticleMass(i).value_in_unit(unit.dalton) for i in range(system.getNumParticles())]
     bearers = _bearers(topology)

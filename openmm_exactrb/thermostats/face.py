@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict
 
 from openmm import unit
 
@@ -12,9 +12,7 @@ from openmm_exactrb.context import variables
 from openmm_exactrb.context.body_access import freedom_of, temperatures_of, thermal_energies
 from openmm_exactrb.engines.engine import NO_BALANCE
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.thermostat import Thermostat
 
 
 class Options(TypedDict, total=False):
@@ -34,25 +32,9 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
 
     Checkpoints and States contain the seed and sums over steps, such as the heat. Temperature and friction are
     settings, which must be set again in a new process.
-
-    Parameters
-    ----------
-    thermostat : Thermostat
-    stepSize, scheme, rotor, **options
-        As in `ExactRigidBodyIntegrator`; schemes that contain the thermostat are also allowed.
     """
 
     _thermostat: Any
-
-    def __init__(
-        self,
-        thermostat: Thermostat,
-        stepSize: float | unit.Quantity | None,
-        scheme: str | Scheme | None,
-        rotor: str | Rotor,
-        **options: Unpack[Options],
-    ) -> None:
-        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
 
     def getTemperature(self) -> unit.Quantity:
         """Return the temperature of the thermostat."""

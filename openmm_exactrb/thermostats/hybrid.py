@@ -34,11 +34,6 @@ class Tally(NamedTuple):
     accepted: int = 0
     proposed: int = 0
 
-    @property
-    def rate(self) -> float:
-        """The accepted fraction; nan before the first proposal."""
-        return self.accepted / self.proposed if self.proposed else math.nan
-
 
 def accepts(rise: float, kT: float, u: float) -> bool:
     """Return whether Metropolis's rule accepts a given rise of the total energy; u is uniform on (0, 1).
@@ -176,7 +171,9 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     ) -> None:
         frictions = frictionCoeff, rotationalFriction
         thermostat = HybridMonteCarlo(temperature, *frictions, stepsPerProposal, flexibleFriction=flexibleFriction)
-        super(ExactRigidBodyLangevinIntegrator, self).__init__(thermostat, stepSize, scheme, rotor, **options)
+        super(ExactRigidBodyLangevinIntegrator, self).__init__(
+            stepSize, scheme, rotor, thermostat=thermostat, **options
+        )
         thermostatted.require_symmetric(None if self._fast is None else self._fast.scheme, "inner scheme")
 
     @property
@@ -193,7 +190,8 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     def acceptanceRate(self) -> float:
         """Return the fraction of accepted proposals; nan before the first proposal."""
-        return self.tally().rate
+        accepted, proposed = self.tally()
+        return accepted / proposed if proposed else math.nan
 
     def resetTally(self) -> None:
         """Reset the counts of `tally` to zero."""

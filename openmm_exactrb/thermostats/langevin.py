@@ -27,7 +27,6 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin
 from openmm_exactrb.openmm_access.units import not_negative as not_negative_quantity
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.support.checks import not_negative
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
@@ -119,22 +118,11 @@ def ornstein_uhlenbeck(
     times, and the Maxwell-Boltzmann distribution is invariant. For splittings with this flow see B. Leimkuhler and C.
     Matthews (2013), doi:10.1063/1.4802990.
 
-    Parameters
-    ----------
-    mass : (N,) array
-        Massless bodies receive no noise.
-    moments : (3, K) array
-        Principal moments: zero along the axis of a linear body, which receives no noise there.
-    kT : float
-        Boltzmann's constant times temperature, in the unit of energy.
-    friction, rotational_friction : float, or arrays (N,) and (K,)
-        In units of 1/time, for all bodies or for each. If all are 0, the momenta are returned unchanged; otherwise
-        times must not be negative.
+    Masses (N,) and principal moments (3, K) that are zero receive no noise. A friction applies to all bodies, or is an
+    array of one for each. If all are 0, the momenta are returned unchanged; otherwise times must not be negative.
     """
-    kT = not_negative(kT, "kT")
     width_P, width_m = np.sqrt(kT * np.tile(mass, (3, 1))), np.sqrt(kT * moments)
-    fade_P = _fading(friction, "friction", width_P)
-    fade_m = _fading(rotational_friction, "rotational friction", width_m)
+    fade_P, fade_m = _fading(friction, width_P), _fading(rotational_friction, width_m)
     advance = advancing()
 
     def relaxed(x: Array, fading: _Fading, tau: float, at: Instant, part: Purpose) -> Array:
@@ -158,15 +146,14 @@ def _spread(rate: float, tau: float) -> float:
 _Fading = Callable[[float], tuple[Array, Array] | None]
 
 
-def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
+def _fading(friction: float | Array, width: Array) -> _Fading:
     """Return a function of tau for exp(-g tau) - 1 and the standard deviation of the noise; None if nothing changes.
 
-    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction.
+    The factor minus 1 is used because rounding errors of a change of momenta vanish together with the friction. One
+    friction and many are computed by the same function, so that they give the same bits.
     """
-    rates = np.asarray(friction, dtype=np.float64)
-    for rate in np.unique(rates):
-        not_negative(rate, name)
-    kinds = [(float(rate), rates == rate) for rate in np.unique(rates)]
+    rates, kinds = np.unique(friction, return_inverse=True)
+    kinds = kinds.reshape(np.shape(friction))
 
     @lru_cache(maxsize=_TIMES)
     def fading(tau: float) -> tuple[Array, Array] | None:
@@ -174,10 +161,9 @@ def _fading(friction: float | Array, name: str, width: Array) -> _Fading:
             return None
         if tau < 0.0:
             raise ValueError(_BACKWARD)
-        fade, spread = np.zeros(rates.shape), np.zeros(rates.shape)
-        for rate, of_rate in kinds:  # by the same function for one friction as for many: bits do not depend on it
-            fade[of_rate], spread[of_rate] = math.expm1(-rate * tau), _spread(rate, tau)
-        return fade, spread * width
+        fade = np.array([math.expm1(-rate * tau) for rate in rates])
+        spread = np.array([_spread(rate, tau) for rate in rates])
+        return fade[kinds], spread[kinds] * width
 
     return fading
 
@@ -247,7 +233,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
         **options: Unpack[Options],
     ) -> None:
         thermostat = Langevin(temperature, frictionCoeff, rotationalFriction, flexibleFriction=flexibleFriction)
-        super().__init__(thermostat, stepSize, scheme, rotor, **options)
+        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
 
     def getFriction(self) -> unit.Quantity:
         """Return the friction of translation."""

@@ -29,7 +29,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import switch, whole
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
-from openmm_exactrb.thermostats.rescaling import kinetic_energy, reciprocal, scaled
+from openmm_exactrb.thermostats.rescaling import multiplication
 
 Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
@@ -119,25 +119,16 @@ class NoseHooverChain(Thermostat):
     def bind(self, environment: Environment) -> Exchange:
         """Return the flow of the chains and of the momenta that they scale."""
         bodies, numbers = environment.bodies, environment.numbers
-        of_P, of_m = environment.degrees_of_freedom
-        rate_P, rate_m = reciprocal(bodies.mass), reciprocal(bodies.principal_moments)
         names = [self._names(chain) for chain in range(1 if self.together else 2)]
 
-        def factor(chain: int, kinetic: float, freedom: int, tau: float) -> float:
+        def factor(chain: int, kinetic: float, freedom: int, tau: float, at: Instant) -> float:
             values = np.array([numbers.present[name] for name in names[chain]]).reshape(2, -1)
             scale, moved = self.moved(values, kinetic, freedom, tau)
             numbers.present.update(zip(names[chain], moved.ravel().tolist(), strict=True))
             return scale
 
-        def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
-            T_P, T_m = kinetic_energy(P, rate_P), kinetic_energy(m, rate_m)
-            if self.together:
-                a_P = a_m = factor(0, T_P + T_m, of_P + of_m, tau)
-            else:
-                a_P, a_m = factor(0, T_P, of_P, tau), factor(1, T_m, of_m, tau)
-            return scaled(P, a_P), scaled(m, a_m)
-
-        return exchange
+        freedom = environment.degrees_of_freedom
+        return multiplication(bodies.mass, bodies.principal_moments, freedom, self.together, factor)
 
     def moved(self, chain: Array, kinetic: float, freedom: int, tau: float) -> tuple[float, Array]:
         """Return the factor that multiplies momenta over a time (ps), and the chain afterwards.
@@ -242,7 +233,7 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
         **options: Unpack[Options],
     ) -> None:
         thermostat = NoseHooverChain(temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together)
-        super().__init__(thermostat, stepSize, scheme, rotor, **options)
+        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
 
     def getCollisionFrequency(self) -> unit.Quantity:
         """Return the collision frequency of the chain."""

@@ -22,7 +22,7 @@ from openmm_exactrb.mechanics.rng import Instant, Purpose
 from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
-from openmm_exactrb.support.checks import not_negative, positive, switch, whole
+from openmm_exactrb.support.checks import positive, switch
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
@@ -30,8 +30,8 @@ Array = NDArray[np.float64]
 
 _BACKWARD = "stepSize must be positive with a thermostat"
 
-#: rescale(P, m, tau, at) -> (P, m, heat): momenta, and the energy that they gained.
-Rescaling = Callable[[Array, Array, float, Instant], tuple[Array, Array, float]]
+#: factor(part, kinetic, freedom, tau, at) -> the factor of momenta; part 0 is translation, or all, and 1 rotation.
+Factor = Callable[[int, float, int, float, Instant], float]
 
 
 @dataclass(frozen=True)
@@ -71,62 +71,47 @@ class StochasticRescaling(Thermostat):
     def bind(self, environment: Environment) -> Exchange:
         """Return the rescaling of momenta."""
         bodies, kT = environment.bodies, gas_constant_times(self.temperature)
-        moments, freedom = bodies.principal_moments, environment.degrees_of_freedom
-        rescale = rescaling(bodies.mass, moments, kT, self.relaxationTime, freedom, self.together)
-
-        return lambda P, m, tau, at: rescale(P, m, tau, at)[:2]
+        settings = kT, self.relaxationTime, environment.degrees_of_freedom, self.together
+        return rescaling(bodies.mass, bodies.principal_moments, *settings)
 
 
 def rescaling(
-    mass: Array,
-    moments: Array,
-    kT: float,
-    time: float,
-    freedom: tuple[int, int],
-    together: bool = True,
-) -> Rescaling:
-    """Prepare the exact flow of stochastic velocity rescaling: rescale(P, m, tau, at) -> (P, m, heat).
+    mass: Array, moments: Array, kT: float, time: float, freedom: tuple[int, int], together: bool
+) -> Exchange:
+    """Prepare the exact flow of stochastic velocity rescaling; `time` is the paper's tau.
 
-    The total energy less the sum of all heat is the paper's effective energy: it is as constant as the total energy of
-    the splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
-
-    Parameters
-    ----------
-    mass : (N,) array
-    moments : (3, K) array
-        Principal moments: zero along the axis of a linear body.
-    kT : float
-        Boltzmann's constant times temperature, in the unit of energy.
-    time : float
-        Relaxation time of the kinetic energy, the paper's tau.
-    freedom : (int, int)
-        Translational and rotational degrees of freedom, three fewer if the total momentum is kept at zero.
-    together : bool, optional
-        Whether one number multiplies all momenta; otherwise translation and rotation have one each.
+    The total energy less the heat is the paper's effective energy: it is as constant as the total energy of the
+    splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
-    kT, time = not_negative(kT, "kT"), positive(time, "the relaxation time")
-    of_P, of_m = (whole(f, "a number of degrees of freedom", 0) for f in freedom)
-    rate_P, rate_m = reciprocal(mass), reciprocal(moments)
 
-    def factor(kinetic: float, f: int, tau: float, at: Instant, part: Purpose) -> float:
+    def factor(part: int, kinetic: float, f: int, tau: float, at: Instant) -> float:
         if tau < 0.0:
             raise ValueError(_BACKWARD)
         if kinetic == 0.0 or f == 0 or tau == 0.0:
             return 1.0
-        along, across = float(at.normals(part, (1, 1))[0, 0]), 2.0 * at.gamma(part, 0.5 * (f - 1))
+        purpose = (Purpose.TRANSLATION, Purpose.ROTATION)[part]
+        along, across = float(at.normals(purpose, (1, 1))[0, 0]), 2.0 * at.gamma(purpose, 0.5 * (f - 1))
         return scaling(kinetic, kT, tau / time, along, across)
 
-    def rescale(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array, float]:
+    return multiplication(mass, moments, freedom, together, factor)
+
+
+def multiplication(mass: Array, moments: Array, freedom: tuple[int, int], together: bool, factor: Factor) -> Exchange:
+    """Return the multiplication of all momenta by one factor, or of those of translation and of rotation by one each.
+
+    Masses are (N,) and principal moments (3, K): zero along the axis of a linear body.
+    """
+    (of_P, of_m), rate_P, rate_m = freedom, reciprocal(mass), reciprocal(moments)
+
+    def exchange(P: Array, m: Array, tau: float, at: Instant) -> tuple[Array, Array]:
         T_P, T_m = kinetic_energy(P, rate_P), kinetic_energy(m, rate_m)
         if together:
-            a_P = a_m = factor(T_P + T_m, of_P + of_m, tau, at, Purpose.TRANSLATION)
+            a_P = a_m = factor(0, T_P + T_m, of_P + of_m, tau, at)
         else:
-            a_P = factor(T_P, of_P, tau, at, Purpose.TRANSLATION)
-            a_m = factor(T_m, of_m, tau, at, Purpose.ROTATION)
-        heat = (a_P - 1.0) * (a_P + 1.0) * T_P + (a_m - 1.0) * (a_m + 1.0) * T_m
-        return scaled(P, a_P), scaled(m, a_m), heat
+            a_P, a_m = factor(0, T_P, of_P, tau, at), factor(1, T_m, of_m, tau, at)
+        return scaled(P, a_P), scaled(m, a_m)
 
-    return rescale
+    return exchange
 
 
 def kinetic_energy(x: Array, rate: Array) -> float:
@@ -192,7 +177,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
         **options: Unpack[Options],
     ) -> None:
         thermostat = StochasticRescaling(temperature, relaxationTime, together)
-        super().__init__(thermostat, stepSize, scheme, rotor, **options)
+        super().__init__(stepSize, scheme, rotor, thermostat=thermostat, **options)
 
     def getRelaxationTime(self) -> unit.Quantity:
         """Return the relaxation time of the kinetic energy."""

@@ -6,7 +6,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import openmm
 from openmm import app, unit
@@ -17,11 +17,11 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive, whole
 from openmm_exactrb.tuning.benchmark import CANDIDATES, NESTED_CANDIDATES, STARTS, Benchmark, Method, schemes_named
 from openmm_exactrb.tuning.budget import Budget
-from openmm_exactrb.tuning.floor import causes, limits
+from openmm_exactrb.tuning.floor import causes
 from openmm_exactrb.tuning.initial_state import InitialState, initial_state, thermalised
-from openmm_exactrb.tuning.measurements import UNSURE, Measurements, Report
+from openmm_exactrb.tuning.measurements import UNSURE, Measurements, Point, Report
 from openmm_exactrb.tuning.result import Tuning
-from openmm_exactrb.tuning.search import COARSE, RATIO, Outcome, probed, search
+from openmm_exactrb.tuning.search import COARSE, RATIO, probed, search
 
 __all__ = ["CANDIDATES", "progress", "tune"]
 
@@ -76,7 +76,7 @@ def tune(
     ----------
     system : openmm.System or openmm.app.Simulation
         A Simulation also provides its state, box, parameters, platform, active force groups and bodies named by hand.
-        Errors are measured without its thermostats, barostats and motion removers, costs with them.
+        Errors and costs are measured without its thermostats, barostats and motion removers.
     start : openmm.State or (n, 3) array or Quantity, optional
         A State with positions and velocities, preferably of an equilibrated run; or positions, in nm without a unit.
     target : float, optional
@@ -138,25 +138,27 @@ def tune(
     methods += [Method(scheme, nested=True) for scheme in nested if benchmark.nests]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", StepSizeWarning)  # too long steps are tried on purpose
-        plan = _plan(benchmark, methods, survey, production, free=schemes is None)
-        tell(f"{plan} (budget: {allowed.seconds:g} s of processor time)")
-        measured = Measurements(benchmark, plan.methods, plan.survey, plan.horizon, tell)
-        noise = None if wanted is None else probed(measured)
-        if wanted is not None and noise is not None and wanted < 0.5 * noise:
-            tell(f"the target is out of reach: {noise:.1e} kJ/mol per body come from the forces alone")
-            outcome = Outcome(floor=noise)
+        methods, survey, production = _plan(benchmark, methods, survey, production, free=schemes is None)
+        tell(
+            f"{len(methods)} methods, {survey:.3g} ps each; errors hold for {production:.3g} ps "
+            f"(budget: {allowed.seconds:g} s of processor time)"
+        )
+        measured = Measurements(benchmark, methods, survey, production, tell)
+        floor, best = probed(measured), None
+        if wanted is not None and floor is not None and wanted < 0.5 * floor:
+            tell(f"the target is out of reach: {floor:.1e} kJ/mol per body come from the forces alone")
         else:
-            outcome = search(measured, wanted, levels)
-    return _result(measured, wanted, outcome, notes)
+            best = search(measured, wanted, levels, floor)
+    return _result(measured, wanted, floor, best, notes)
 
 
 def _in_motion(
     state: InitialState, temperature: Any, seed: int, budget: Budget, notes: list[str], tell: Report
 ) -> InitialState:
     """Report the limits of the error of a state, and bring it to the temperature if one is given."""
-    for line in limits(state.system):
-        tell(line)
-    at_rest = not state.velocities.any()
+    for cause in causes(state.system):
+        tell(f"limits the energy error of any integrator: {cause}")
+    at_rest = not state.state.getVelocities(asNumpy=True)._value.any()
     if temperature is None and at_rest:
         raise ValueError(
             "all velocities of the start are zero, and the energy error of a system at rest says nothing about one in "
@@ -172,21 +174,9 @@ def _in_motion(
     return thermalised(state, kelvin, seed, at_rest, budget)
 
 
-class _Plan(NamedTuple):
-    """The methods and lengths of runs that the budget allows."""
-
-    methods: list[Method]
-    #: Lengths of survey and production runs in ps.
-    survey: float
-    horizon: float
-
-    def __str__(self) -> str:
-        return f"{len(self.methods)} methods, {self.survey:.3g} ps each; errors hold for {self.horizon:.3g} ps"
-
-
 def _plan(
     benchmark: Benchmark, methods: list[Method], survey: float | None, horizon: float | None, free: bool
-) -> _Plan:
+) -> tuple[list[Method], float, float]:
     """Return methods and lengths of runs that fit into the budget; those that the user named are kept."""
     time = benchmark.characteristics.time
     affordable = benchmark.evaluations_left()
@@ -204,43 +194,41 @@ def _plan(
     if horizon is None:
         horizon = _OF_PRODUCTION * affordable * _NEAR / (STARTS * _ATTEMPTS) * time
         horizon = max(survey, min(horizon, _LONGER * survey))
-    return _Plan(methods, survey, horizon)
+    return methods, survey, horizon
 
 
-def _result(measured: Measurements, target: float | None, outcome: Outcome, notes: list[str]) -> Tuning:
+def _result(
+    measured: Measurements, target: float | None, floor: float | None, best: Point | None, notes: list[str]
+) -> Tuning:
     benchmark = measured.benchmark
-    state, (n_bodies, _, time, free, _) = benchmark.state, benchmark.characteristics
-    if time == free:
+    state, scales = benchmark.state, benchmark.characteristics
+    if scales.time == scales.free:
         notes.append(
             "bodies hardly interact at the start: the measured errors say little about runs in which they collide"
         )
-    best = outcome.chosen
-    if best is not None and outcome.floor is not None and best.error < 1.5 * outcome.floor:
+    if best is not None and floor is not None and best.error < 1.5 * floor:
         notes.append("the forces limit the error of the chosen setting: a smaller target gains nothing")
-    if outcome.cut:
+    if measured.cut:
         notes.append(
             f"the budget of {benchmark.budget.seconds:g} s of processor time ended the search: a larger one allows "
             "more schemes, smaller steps and longer runs"
         )
     tuning = Tuning(
         points=tuple(measured.points),
-        seconds=measured.seconds,
-        stages=measured.stages,
-        evaluations=measured.evaluations,
-        n_bodies=n_bodies,
-        platform=state.platform,
+        methods=measured.methods,
+        n_bodies=scales.n_bodies,
+        platform=state.platform.getName(),
         duration=measured.duration,
         horizon=measured.horizon,
         target=target,
-        floor=outcome.floor,
+        floor=floor,
         causes=tuple(causes(state.system)),
         notes=tuple(notes),
         bodies=state.bodies,
-        schemes={name: own for name, method in measured.methods.items() if (own := method.own_scheme)},
         groups=state.groups,
     )
     if best is not None:
         return replace(tuning, chosen=tuning.choice(best))
-    if target is not None and outcome.cut:
+    if target is not None and measured.cut:
         return replace(tuning, chosen=tuning.surveyed(target / UNSURE))
     return tuning

@@ -14,10 +14,12 @@ import numpy as np
 import openmm
 from numpy.typing import NDArray
 
+from openmm_exactrb.context.timings import Timings
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.schemes import scheme as look_up
+from openmm_exactrb.states import loadState
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.initial_state import InitialState, others
 from openmm_exactrb.tuning.preparation import characteristics, diverging
@@ -83,22 +85,13 @@ class Method:
         """Force evaluations per step, not counting those of nested forces."""
         return 1 if self.scheme is None else self.scheme.forces
 
-    def evaluations(self, periods: Sequence[int]) -> float:
-        """Return the force evaluations of a step of `Simulation.step`, given the steps between moves of each barostat.
-
-        A barostat compares two energies, and a processed scheme then maps its coordinates back and forth.
-        """
-        if self.scheme is None:
-            return 1.0 + sum(2.0 / period for period in periods)
-        shown = self.scheme.with_inner_steps if self.nested else self.scheme
-        calls = max(shown.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
-        moved = 2.0 + 2.0 * sum(substep.kicks for substep, _ in self.scheme.processor)
-        return self.scheme.forces + calls + sum(moved / period for period in periods)
-
     @property
-    def own_scheme(self) -> Scheme | None:
-        """The scheme if it is the user's own, so that its name does not identify it."""
-        return None if self.scheme is None or CATALOGUE.get(self.scheme.name) == self.scheme else self.scheme
+    def evaluations(self) -> float:
+        """The same in a step of `Simulation.step`, with those for what reports show."""
+        if self.scheme is None:
+            return 1.0
+        shown = self.scheme.with_inner_steps if self.nested else self.scheme
+        return self.scheme.forces + max(shown.output_forces, int(self.scheme.sequence[0][0].kicks)) / _CALL
 
 
 def schemes_named(names: str | Scheme | Sequence[str | Scheme]) -> list[Scheme]:
@@ -130,73 +123,52 @@ class Energies(NamedTuple):
 class SchemeUnderTest:
     """A scheme with the exact rotor, on the engine that the integrator of a choice will have."""
 
-    def __init__(self, state: InitialState, method: Method) -> None:
+    def __init__(self, start: InitialState, method: Method) -> None:
         options: dict[str, Any] = {"scheme": method.scheme, "fast": "bonded" if method.nested else None}
-        make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=state.bodies, **options)
-        self.integrator, self._groups = make(), state.groups
-        self.context = state.context(self.integrator)
+        make = functools.partial(ExactRigidBodyIntegrator, 1e-6, bodies=start.bodies, **options)
+        self.integrator = make()
+        self.context = start.context(self.integrator)
         if (engine := self.integrator.getEngine()) != "host":  # chosen by name, it is kept when the step changes
-            own = copy.deepcopy(state.system)  # to which an engine may add forces
+            own = copy.deepcopy(start.system)  # to which an engine may add forces
             self.integrator = make(engine=engine)
-            self.context = replace(state, system=own).context(self.integrator)
+            self.context = replace(start, system=own).context(self.integrator)
+        self.timings = self.integrator.timings
 
     def begin(self, h: float, start: InitialState) -> None:
         """Set a start, and a step in ps."""
         self.integrator.setStepSize(h)
-        self.context.setPositions(start.positions)
-        self.context.setVelocities(start.velocities)
-        self.integrator.timings.reset()
+        loadState(self.context, start.state)
+        self.timings.reset()
 
     def energy(self) -> float:
         """Return the total energy in kJ/mol, with the kinetic energy in float64."""
         return float(self.integrator.totalEnergy()._value)
-
-    def taken(self) -> tuple[float, int, float]:
-        """Return wall time in s, force evaluations, and nested ones per other, since the last `begin`."""
-        timings = self.integrator.timings
-        return timings.total, timings.evaluations, timings.fast_evaluations / max(1, timings.evaluations)
 
     def step(self, steps: int) -> None:
         """Perform steps."""
         self.integrator.step(steps)
 
 
-class VerletUnderTest:
-    """OpenMM's leapfrog, whose velocities are half a step behind the positions."""
+class VerletUnderTest(SchemeUnderTest):
+    """OpenMM's leapfrog, which takes the velocities of the start for those half a step before."""
 
-    def __init__(self, state: InitialState) -> None:
-        self.integrator, self._groups = openmm.VerletIntegrator(1e-6), state.groups
+    def __init__(self, start: InitialState) -> None:
+        self.integrator, self.timings, self._groups = openmm.VerletIntegrator(1e-6), Timings(), start.groups
         self.integrator.setConstraintTolerance(1e-10)
-        self.context, self._seconds, self._steps = state.context(self.integrator), 0.0, 0
-        masses = [state.system.getParticleMass(i)._value for i in range(state.system.getNumParticles())]
-        self._inverse_masses = np.array([[1.0 / m if m > 0.0 else 0.0] for m in masses])
-
-    def begin(self, h: float, start: InitialState) -> None:
-        """Set the positions of a start, and the velocities half a step earlier."""
-        self._seconds, self._steps = 0.0, 0
-        self.integrator.setStepSize(h)
-        self.context.setPositions(start.positions)
-        self.context.computeVirtualSites()
-        forces = self.context.getState(forces=True, groups=self._groups).getForces(asNumpy=True)._value
-        self.context.setVelocities(start.velocities - 0.5 * h * forces * self._inverse_masses)
-        self.context.applyVelocityConstraints(1e-10)
+        self.context = start.context(self.integrator)
 
     def energy(self) -> float:
         """Return the total energy in kJ/mol, with the kinetic energy at the time of the positions."""
         now = self.context.getState(energy=True, groups=self._groups)
         return float((now.getPotentialEnergy() + now.getKineticEnergy())._value)
 
-    def taken(self) -> tuple[float, int, float]:
-        """See `SchemeUnderTest`."""
-        return self._seconds, self._steps, 0.0
-
     def step(self, steps: int) -> None:
         """Perform steps, and wait for platforms that compute asynchronously."""
         begun = time.perf_counter()
         self.integrator.step(steps)
         self.context.getState(positions=True)
-        self._seconds += time.perf_counter() - begun
-        self._steps += steps
+        self.timings.total += time.perf_counter() - begun
+        self.timings.evaluations += steps
 
 
 class Benchmark:
@@ -204,17 +176,20 @@ class Benchmark:
 
     def __init__(self, state: InitialState, budget: Budget, seed: int = 0) -> None:
         integrator, context = state.probe()
-        bodies, bodies_state = integrator.bodyState()
         #: Of the initial state.
         self.characteristics = characteristics(integrator, context)
-        if not context.getState(forces=True, groups=state.groups).getForces(asNumpy=True)._value.any():
+        now = context.getState(positions=True, forces=True, groups=state.groups)
+        if not now.getForces(asNumpy=True)._value.any():
             raise ValueError("no force acts: there is no energy error to measure")
+        bodies, bodies_state = integrator.bodyState()
+        context.setPositions(bodies.positions(bodies_state, now.getPositions(asNumpy=True)._value))
+        context.computeVirtualSites()
         #: The initial state: molecules are rigid, and not split by the periodic box.
-        self.state = replace(state, positions=bodies.positions(bodies_state, state.positions.copy()))
+        self.state = state.updated(context)
         self.budget, self._seed = budget, seed
         #: Processor time in s of a force evaluation in the last run; 0 before the first.
         self.processor = 0.0
-        self._under_test: dict[str, SchemeUnderTest | VerletUnderTest] = {}
+        self._under_test: dict[str, SchemeUnderTest] = {}
 
     @functools.cached_property
     def starts(self) -> list[InitialState]:
@@ -244,7 +219,7 @@ class Benchmark:
             self.run(Method(CATALOGUE["V2"]), step, _FEWEST_SAMPLES * step, self.state)
         return self.budget.left / self.processor
 
-    def under_test(self, method: Method) -> SchemeUnderTest | VerletUnderTest:
+    def under_test(self, method: Method) -> SchemeUnderTest:
         """Return the object that runs a method."""
         if method.name not in self._under_test:
             made = VerletUnderTest(self.state) if method.scheme is None else SchemeUnderTest(self.state, method)
@@ -258,7 +233,7 @@ class Benchmark:
         fails. BudgetSpentError is raised before or during a run that the budget does not allow.
         """
         self.budget.require(self.processor * method.stages * duration / step)
-        begun, tested = time.process_time(), self.under_test(method)
+        tested, begun = self.under_test(method), time.process_time()
         try:
             with np.errstate(all="ignore"), diverging():
                 return self._energies(tested, step, duration, start)
@@ -269,12 +244,10 @@ class Benchmark:
                 raise
             return None
         finally:
-            if evaluations := tested.taken()[1]:
-                self.processor = (time.process_time() - begun) / evaluations
+            if tested.timings.evaluations >= _FEWEST_SAMPLES:  # fewer show what a start costs
+                self.processor = (time.process_time() - begun) / tested.timings.evaluations
 
-    def _energies(
-        self, tested: SchemeUnderTest | VerletUnderTest, step: float, duration: float, start: InitialState
-    ) -> Energies | None:
+    def _energies(self, tested: SchemeUnderTest, step: float, duration: float, start: InitialState) -> Energies | None:
         n_bodies, kinetic, *_ = self.characteristics
         every = max(1, round(duration / _SAMPLES / step))
         values: list[float] = []
@@ -286,5 +259,6 @@ class Benchmark:
             values.append(tested.energy() / n_bodies)
             if not abs(values[-1] - first) < _LOST * kinetic:
                 return None
-        seconds, evaluations, nested = tested.taken()
-        return Energies(np.array(values), every * step, seconds / max(1, evaluations), nested)
+        timings = tested.timings
+        seconds, nested = timings.total / timings.evaluations, timings.fast_evaluations / timings.evaluations
+        return Energies(np.array(values), every * step, seconds, nested)

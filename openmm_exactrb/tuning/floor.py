@@ -29,11 +29,6 @@ def causes(system: openmm.System) -> Iterator[str]:
                 yield f"{name} truncates charges with a jump of the force: use PME"
 
 
-def limits(system: openmm.System) -> Iterator[str]:
-    """Yield a sentence for each limit of the energy error of every integrator."""
-    yield from (f"limits the energy error of any integrator: {cause}" for cause in causes(system))
-
-
 def _chosen(force: openmm.NonbondedForce) -> tuple[float, ...]:
     """Return the parameters of PME if the user set them, so that the tolerance has no effect, or zeros."""
     alpha, *grid = force.getPMEParameters()

@@ -14,11 +14,12 @@ import openmm
 from numpy.typing import NDArray
 from openmm import app, unit
 
-from openmm_exactrb.context.updates import BAROSTATS, UPDATES
+from openmm_exactrb.context.updates import UPDATES
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.divergence import IntegrationError
 from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
+from openmm_exactrb.states import loadState
 from openmm_exactrb.support import checks
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.budget import Budget
@@ -39,41 +40,25 @@ class InitialState:
     """A System, a state of it, and the platform that computes its forces."""
 
     system: openmm.System
-    #: In nm, of shape (n, 3).
-    positions: Array
-    #: In nm/ps, of shape (n, 3).
-    velocities: Array
-    #: Periodic box vectors in nm; by default those of the System.
-    box: Any = None
-    #: Global parameters of the Context.
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    platform: str = "CPU"
+    #: Positions, velocities, box and parameters.
+    state: openmm.State
+    platform: openmm.Platform
     properties: Mapping[str, str] = field(default_factory=dict)
     #: Particles of bodies named by hand.
     bodies: list[list[int]] | None = None
     #: Bits of the active force groups.
     groups: int = -1
-    #: Steps between two moves of each barostat of the user's System, which `system` lacks.
-    periods: tuple[int, ...] = ()
 
     def context(self, integrator: openmm.Integrator) -> openmm.Context:
         """Return a Context in this state."""
-        platform = openmm.Platform.getPlatform(self.platform)
         integrator.setIntegrationForceGroups(self.groups)
-        context = openmm.Context(self.system, integrator, platform, dict(self.properties))
-        if self.box is not None:
-            context.setPeriodicBoxVectors(*self.box)
-        for name, value in self.parameters.items():
-            context.setParameter(name, value)
-        context.setPositions(self.positions)
-        context.setVelocities(self.velocities)
+        context = openmm.Context(self.system, integrator, self.platform, dict(self.properties))
+        loadState(context, self.state)
         return context
 
     def updated(self, context: openmm.Context) -> InitialState:
-        """Return a copy with the positions and velocities of a Context."""
-        now = context.getState(positions=True, velocities=True)
-        positions, velocities = now.getPositions(asNumpy=True)._value, now.getVelocities(asNumpy=True)._value
-        return replace(self, positions=positions, velocities=velocities)
+        """Return a copy with the state of a Context."""
+        return replace(self, state=context.getState(positions=True, velocities=True, parameters=True))
 
     def probe(self, fast: str | None = None) -> tuple[ExactRigidBodyIntegrator, openmm.Context]:
         """Return an integrator that knows the bodies, and its Context in this state."""
@@ -85,11 +70,6 @@ class InitialState:
         integrator = ExactRigidBodyLangevinIntegrator(temperature, 0.0, 1e-6, bodies=self.bodies, engine="host")
         integrator.setRandomNumberSeed(seed + 1)
         return integrator, self.context(integrator)
-
-
-def _periods(system: openmm.System) -> tuple[int, ...]:
-    barostats = [force for force in system.getForces() if type(force).__name__ in BAROSTATS]
-    return tuple(period for force in barostats if (period := force.getFrequency()))
 
 
 def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
@@ -104,49 +84,43 @@ def conservative(system: openmm.System) -> tuple[openmm.System, list[str]]:
 
 
 def initial_state(
-    system: Any, start: Any, velocities: Any, platform: Any, properties: Any, bodies: Any
+    system: Any,
+    start: Any = None,
+    velocities: Any = None,
+    platform: Any = None,
+    properties: Any = None,
+    bodies: Any = None,
 ) -> tuple[InitialState, list[str]]:
     """Return the initial state for the arguments of `tune`, and notes; raise ValueError if they are inconsistent."""
-    box: Any = None
-    parameters: dict[str, float] = {}
-    groups = -1
+    states, groups = [], -1
     if isinstance(system, app.Simulation):
-        context = system.context
+        context, integrator, system = system.context, system.integrator, system.system
         platform = context.getPlatform() if platform is None else platform
-        start = context.getState(positions=True, velocities=True) if start is None else start
-        box, parameters = context.getState().getPeriodicBoxVectors(), dict(context.getParameters())
-        groups = system.integrator.getIntegrationForceGroups()
-        if bodies is None and isinstance(system.integrator, ExactRigidBodyIntegrator):
-            bodies = system.integrator.getNamedBodies()
-        system = system.system
+        states.append(context.getState(positions=True, velocities=start is None, parameters=True))
+        groups = integrator.getIntegrationForceGroups()
+        if bodies is None and isinstance(integrator, ExactRigidBodyIntegrator):
+            bodies = integrator.getNamedBodies()
     if not isinstance(system, openmm.System):
         raise ValueError(f"the first argument must be an openmm.System or a Simulation, not {type(system).__name__}")
     if isinstance(start, openmm.State):
-        kinds, box = start.getDataTypes(), start.getPeriodicBoxVectors()
-        if not kinds & openmm.State.Positions:
-            raise ValueError("the State has no positions: make it with getState(positions=True, velocities=True)")
-        if velocities is None and kinds & openmm.State.Velocities:
-            velocities = start.getVelocities(asNumpy=True)
-        if kinds & openmm.State.Parameters:
-            parameters |= dict(start.getParameters())
-        start = start.getPositions(asNumpy=True)
-    if start is None:
+        states.append(start)
+        start = None
+    elif start is None and not states:
         raise ValueError("no start was given: pass a State or positions, or a Simulation")
     twin, left_out = conservative(system)
-    x = _coordinates(start, system, unit.nanometer, "positions")
-    v = np.zeros_like(x) if velocities is None else velocities
-    v = _coordinates(v, system, unit.nanometer / unit.picosecond, "velocities")
-    if parameters:  # without those of the forces left out
-        known = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference")).getParameters()
-        parameters = {name: value for name, value in parameters.items() if name in known}
-    fastest = platform_of(platform)
-    precision = mixed(fastest) if properties is None else dict(properties)
+    gathered = openmm.Context(twin, openmm.VerletIntegrator(0.001), platform_of("Reference"))
+    for state in states:
+        loadState(gathered, state)
+    if start is not None:
+        gathered.setPositions(_coordinates(start, system, unit.nanometer, "positions"))
+    if velocities is not None:
+        gathered.setVelocities(_coordinates(velocities, system, unit.nanometer / unit.picosecond, "velocities"))
+    chosen = platform_of(platform)
+    precision = mixed(chosen) if properties is None else dict(properties)
     named = None if bodies is None else checks.lists_of_indices(bodies, "bodies")
-    notes = (
-        [f"errors were measured without the {', '.join(left_out)} of the System; costs include it"] if left_out else []
-    )
-    where = box, parameters, fastest.getName(), precision
-    return InitialState(twin, x, v, *where, named, groups, _periods(system)), notes
+    state = gathered.getState(positions=True, velocities=True, parameters=True)
+    notes = [f"errors and costs are those without the {', '.join(left_out)} of the System"] if left_out else []
+    return InitialState(twin, state, chosen, precision, named, groups), notes
 
 
 def _coordinates(values: Any, system: openmm.System, in_unit: unit.Unit, what: str) -> Array:
@@ -183,10 +157,7 @@ def others(state: InitialState, number: int, seed: int) -> list[InitialState]:
     A ValueError is raised if no part of such a run succeeds.
     """
     probe, _context = state.probe()
-    bodies, now = probe.bodyState()
-    freedom = bodies.translational_freedom + bodies.rotational_freedom
-    kT = 2.0 * sum(bodies.kinetic_energies(now)) / freedom
-    temperature = kT / gas_constant_times(1.0)
+    temperature = probe.computeSystemTemperature()._value
     integrator, context = state.langevin(temperature, seed)
     states = [state]
     for k in range(1, number):

@@ -80,10 +80,7 @@ class Measurements:
     ) -> None:
         self.benchmark, self.duration, self.horizon, self._report = benchmark, duration, horizon, report
         self.methods = {method.name: method for method in (*methods, *[Method()] * benchmark.has_baseline)}
-        self.stages = {name: method.stages for name, method in self.methods.items()}
-        #: Force evaluations of a step by method, as `Simulation.step` calls it in the whole System.
-        self.evaluations = {name: m.evaluations(benchmark.state.periods) for name, m in self.methods.items()}
-        #: Whether the budget ended the runs of a promise.
+        #: Whether the budget ended a search, or the runs of a promise.
         self.cut = False
         self._points: list[Point] = []
         # Wall time in s of a force evaluation with what is nested in it, and nested evaluations for each, at a step.
@@ -94,15 +91,10 @@ class Measurements:
         """All points, with the costs measured so far."""
         return [replace(p, cost=self._cost(p)) for p in self._points]
 
-    @property
-    def seconds(self) -> dict[str, float]:
-        """Wall time of a force evaluation in s by method, including nested evaluations at its shortest step."""
-        shortest = dict(sorted(self._taken, reverse=True))
-        return {name: self._seconds(name, step) for name, step in shortest.items()}
-
     def at(self, name: str, interval: float) -> Point:
         """Return the point of the survey at a time per force evaluation in ps."""
-        method, step = self.methods[name], self.stages[name] * interval
+        method = self.methods[name]
+        step = method.stages * interval
         run = self._run(method, step, self.duration, 0)
         error = math.inf if run is None else expected_error(run.values, run.interval, self.horizon)
         return self._kept(Point(name, step, error, math.nan, self.duration))
@@ -139,17 +131,17 @@ class Measurements:
     def _kept(self, point: Point, starts: str = "") -> Point:
         self._points.append(point)
         shown = "unstable" if math.isinf(point.error) else f"{point.error:.1e} kJ/mol per body"
-        interval = 1e3 * point.step / self.stages[point.method]
+        interval = 1e3 * point.step / self.methods[point.method].stages
         self._report(f"{point.method}, {interval:.3g} fs per evaluation{starts}: {shown}")
         return replace(point, cost=self._cost(point))
 
     def _cost(self, point: Point) -> float:
         if (point.method, point.step) not in self._taken:
             return math.nan
-        return self._seconds(point.method, point.step) * self.evaluations[point.method] / point.step
+        return self._seconds(point.method, point.step) * self.methods[point.method].evaluations / point.step
 
     def _seconds(self, name: str, step: float) -> float:
-        """Return the wall times of a force evaluation and of a nested one, which are the same work in all schemes.
+        """Return the wall times of a force evaluation and of a nested one, which are the same in all schemes.
 
         The minimum is used, because any excess is due to other work of the machine.
         """
@@ -169,22 +161,14 @@ class Measurements:
         """Return the stable points of a method that no longer run contradicts, cheapest first."""
         return stable_curve(self.points, name)
 
-    def slope(self, name: str, step: float | None = None) -> float:
-        """Return the power of the step in the error of the survey around a step, by default the smallest.
+    def slope(self, name: str, step: float) -> float:
+        """Return the power of the step in the error of the survey around a step.
 
         It is computed from the two nearest steps on either side; with a single step it is the order of the method.
         """
         curve = [p for p in self.curve(name) if p.duration == self.duration]
         if len(curve) < 2:
             return float(self.methods[name].order)
-        after = next((i for i, p in enumerate(curve) if step is not None and p.step <= step), len(curve) - 1)
+        after = next((i for i, p in enumerate(curve) if p.step <= step), len(curve) - 1)
         a, b = curve[max(after, 1) - 1], curve[max(after, 1)]
         return math.log(a.error / b.error) / math.log(a.step / b.step)
-
-    def is_flat(self, name: str) -> bool:
-        """Return whether the survey's error stopped falling: by less than a third of the order, over two step sizes."""
-        curve = [p for p in self.curve(name) if p.duration == self.duration]
-        if len(curve) < 3:
-            return False
-        a, b = curve[-3], curve[-1]
-        return math.log(a.error / b.error) < self.methods[name].order / 3.0 * math.log(a.step / b.step)

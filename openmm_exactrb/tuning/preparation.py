@@ -67,17 +67,15 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
         raise ValueError("nothing moves: there is no energy error to measure")
     moments = np.broadcast_to(bodies.inertia.T, torque.shape)
     turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
-    square, free = float((force**2 / bodies.mass).sum() + turning.sum()), _free_time(bodies, kinetic)
+    square = float((force**2 / bodies.mass).sum() + turning.sum())
     time = math.sqrt(2.0 * kinetic / square) if square > 0.0 else math.inf
     kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
-    return Characteristics(
-        len(bodies), kinetic / len(bodies), min(time, free), free, math.sqrt(kT / bodies.mass.mean())
-    )
+    free, speed = _free_time(bodies, kT), math.sqrt(kT / bodies.mass.mean())
+    return Characteristics(len(bodies), kinetic / len(bodies), min(time, free), free, speed)
 
 
-def _free_time(bodies: RigidBodies, kinetic: float) -> float:
+def _free_time(bodies: RigidBodies, kT: float) -> float:
     """Return the time in which bodies turn by a radian or cross their extent: 1/rms of the inverse times."""
-    kT = 2.0 * kinetic / (bodies.translational_freedom + bodies.rotational_freedom)
     moments = np.broadcast_to(bodies.inertia, (bodies.n_turning, 3))
     moments = moments[moments > 0.0]
     inverse = np.concatenate([1.0 / moments, 1.0 / (bodies.mass[bodies.n_turning :] * _EXTENT**2)])

@@ -11,9 +11,9 @@ from typing import Any
 import openmm
 
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
-from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.schemes import CATALOGUE, Scheme
 from openmm_exactrb.support.checks import positive
-from openmm_exactrb.tuning.benchmark import NESTED, VERLET
+from openmm_exactrb.tuning.benchmark import NESTED, VERLET, Method
 from openmm_exactrb.tuning.measurements import Point, cost_at, stable_curve, step_at
 
 
@@ -71,12 +71,8 @@ class Tuning:
     """The measured points of all methods, and the recommended setting."""
 
     points: tuple[Point, ...]
-    #: Wall time of a force evaluation in s by method, with the nested forces of nested schemes at a short step.
-    seconds: Mapping[str, float]
-    #: Force evaluations per step by method, not counting those of nested forces.
-    stages: Mapping[str, int]
-    #: The same as `Simulation.step` has them made in the user's System, with its barostats and for what reports show.
-    evaluations: Mapping[str, float]
+    #: What was measured, by name.
+    methods: Mapping[str, Method]
     n_bodies: int
     platform: str
     #: Length of a survey run in ps.
@@ -93,8 +89,6 @@ class Tuning:
     causes: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     bodies: list[list[int]] | None = field(default=None, repr=False)
-    #: Schemes that are not in the catalogue, by method.
-    schemes: Mapping[str, Scheme] = field(default_factory=dict, repr=False)
     #: Bits of the force groups that act.
     groups: int = -1
 
@@ -145,40 +139,37 @@ class Tuning:
         """Return the stable points of a method, cheapest first, without those that a longer run contradicted."""
         return stable_curve(self.points, method)
 
-    def choice(self, point: Point) -> Choice:
-        """Return the setting of a point that was run over the horizon."""
-        return self._setting(point.method, point.step, point.error, point.cost, True)
+    def choice(self, point: Point, confirmed: bool = True) -> Choice:
+        """Return the setting of a point, by default of one that was run over the horizon."""
+        method = self.methods[point.method]
+        own = None if method.scheme in CATALOGUE.values() else method.scheme
+        evaluations = method.evaluations / point.step
+        setting = point.method, point.step, point.error, point.cost, confirmed
+        return Choice(*setting, self.bodies, own, self.groups, evaluations)
 
     def surveyed(self, target: float, method: str | None = None) -> Choice | None:
         """Return the cheapest setting of a method, or of all schemes, by the survey; None if it has none."""
-        found = [choice for name in self._methods(method) if (choice := self._choice(name, target))]
-        return min(found, key=lambda choice: choice.cost, default=None)
+        found = []
+        for name in self._methods(method):
+            curve = self.curve(name)
+            if (cost := cost_at(curve, target)) is not None:
+                error = min(curve[0].error, target)  # the former with the largest stable step
+                found.append(Point(name, step_at(curve, cost), error, cost, self.duration))
+        cheapest = min(found, key=lambda point: point.cost, default=None)
+        return None if cheapest is None else self.choice(cheapest, confirmed=False)
 
     def _methods(self, method: str | None) -> list[str]:
         """Return one method, which must have been measured, or all schemes."""
         if method is None:
-            return [name for name in self.stages if name != VERLET]
-        if method not in self.stages:
-            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.stages)}")
+            return [name for name in self.methods if name != VERLET]
+        if method not in self.methods:
+            raise ValueError(f"{method!r} was not measured: choose one of {', '.join(self.methods)}")
         return [method]
 
     def _largest_stable(self, method: str) -> float:
         own = [p for p in self.points if p.method == method]
         limit = min((p.step for p in own if math.isinf(p.error)), default=math.inf)
         return max((p.step for p in own if p.step < limit), default=math.nan)
-
-    def _choice(self, method: str, target: float) -> Choice | None:
-        """Return the cheapest setting of a method with an error, or None."""
-        curve = self.curve(method)
-        cost = cost_at(curve, target)
-        if cost is None:
-            return None
-        error = min(curve[0].error, target)  # the former with the largest stable step
-        return self._setting(method, step_at(curve, cost), error, cost, False)
-
-    def _setting(self, method: str, step: float, error: float, cost: float, confirmed: bool) -> Choice:
-        own, evaluations = self.schemes.get(method), self.evaluations[method] / step
-        return Choice(method, step, error, cost, confirmed, self.bodies, own, self.groups, evaluations)
 
     def _why_unreachable(self, target: float, method: str | None = None) -> str:
         points = [p for name in self._methods(method) for p in self.curve(name)]
@@ -209,43 +200,38 @@ class Tuning:
             f"body, within {self.horizon:.3g} ps\n"
             f"(extrapolated from {self.duration:.3g} ps). Cost: wall time in s per ps."
         )
-        tables = [self._tables(), ""] if self.points else []
-        return "\n".join([head, "", *tables, *(textwrap.fill(line, 120) for line in self._conclusions())])
+        kinds = ([name for name, method in self.methods.items() if method.nested == nested] for nested in (False, True))
+        tables = ["\n".join(self._table(methods)) + "\n" for methods in kinds if methods and self.points]
+        return "\n".join([f"{head}\n", *tables, *(textwrap.fill(line, 120) for line in self._conclusions())])
 
-    def _tables(self) -> str:
-        """Return the errors of all methods by the time per force evaluation; nested schemes have their own table."""
-        nested = [method for method in self.stages if method.endswith(NESTED)]
-        plain = [method for method in self.stages if method not in nested]
-        return "\n\n".join(self._table(methods) for methods in (plain, nested) if methods)
-
-    def _table(self, methods: list[str]) -> str:
+    def _table(self, methods: list[str]) -> Iterable[str]:
+        """Yield the rows of a table of errors by the time per force evaluation, a column a method."""
         cells: dict[tuple[float, str], str] = {}
         for p in self.points:
-            text = "unstable" if math.isinf(p.error) else f"{p.error:.1e}" + "*" * (p.duration >= self.horizon)
-            cells[float(f"{p.step / self.stages[p.method]:.6g}"), p.method] = text
-        stable = {t for (t, method), text in cells.items() if method in methods and text != "unstable"}
-        limit = min((t for t, method in cells if method in methods and t > max(stable, default=0.0)), default=0.0)
-        intervals = sorted(
-            {t for t, method in cells if method in methods and t <= max(limit, *stable, 0.0)}, reverse=True
-        )
+            if p.method in methods:
+                interval = float(f"{1e3 * p.step / self.methods[p.method].stages:.4g}")
+                cells[interval, p.method] = "unstable" if math.isinf(p.error) else f"{p.error:.1e}{self._star(p)}"
         rows = [
             ["fs per evaluation", *methods],
-            *([f"{1e3 * t:.4g}", *(cells.get((t, method), "") for method in methods)] for t in intervals),
+            *(
+                [f"{interval:g}", *(cells.get((interval, method), "") for method in methods)]
+                for interval in sorted({interval for interval, _ in cells}, reverse=True)
+            ),
             ["largest step, fs", *(f"{1e3 * self._largest_stable(method):.4g}" for method in methods)],
-            ["ms per evaluation", *(f"{1e3 * self.seconds.get(method, math.nan):.3g}" for method in methods)],
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
+        return ("  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in rows)
+
+    def _star(self, point: Point) -> str:
+        return "*" * (point.duration >= self.horizon)
 
     def _conclusions(self) -> Iterable[str]:
-        if any(p.duration >= self.horizon for p in self.points):
+        if any(map(self._star, self.points)):
             yield "*: run over the whole horizon, up to the first start that misses the target."
         if self.floor is not None and (self.target is None or self.chosen is not None):
             yield self._about_floor()
         if self.target is not None:
             yield f"target {self.target:.3g}: {self.chosen or self._why_unreachable(self.target)}"
-        if self.chosen is not None and (curve := self.curve(VERLET)):
-            yield self._comparison(self.chosen, curve)
         yield from (f"note: {note}" for note in self.notes)
 
     def _about_floor(self) -> str:
@@ -254,12 +240,3 @@ class Tuning:
             f"Below {self.floor:.1e} kJ/mol per body smaller steps do not lower the error: the rest comes from the "
             f"forces, not from the scheme ({known}). See the documentation: Why is my energy error not smaller?"
         )
-
-    def _comparison(self, chosen: Choice, curve: list[Point]) -> str:
-        """Return a sentence that compares a choice with OpenMM's Verlet integrator, which is of order 2."""
-        last, about = curve[-1], ""
-        cost = cost_at(curve, chosen.error)
-        if cost is None:
-            cost, about = last.cost * math.sqrt(last.error / chosen.error), "about "
-        step = 1e3 * self.seconds[VERLET] * self.evaluations[VERLET] / cost
-        return f"{VERLET} needs {about}{cost / chosen.cost:.2g} times the cost for the same error ({step:.3g} fs)"

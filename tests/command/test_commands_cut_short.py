@@ -79,10 +79,11 @@ def test_a_run_that_was_to_be_overwritten_does_not_come_back(run, tmp_path, caps
 def test_a_second_command_in_a_folder_prepares_nothing(run, tmp_path, capsys):
     out = tmp_path / "out"
     out.mkdir()
+    busy = f"another process is running in {out}: wait for its end, or use another folder"
     with only_process(out):
         for options in ((), ("--resume",), ("--overwrite",)):
             status, said, errors = carry_out(capsys, *run, *LONG, *options)
-            assert (status, said, errors) == (2, "", f"exactrb run: another process is running in {out}\n")
+            assert (status, said, errors) == (2, "", f"exactrb run: {busy}\n")
     assert list(out.iterdir()) == []
 
 

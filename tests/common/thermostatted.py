@@ -72,6 +72,22 @@ def snapshot(simulation):
     return state.getPositions(asNumpy=True)._value.tobytes() + state.getVelocities(asNumpy=True)._value.tobytes()
 
 
+def saved(context, kind):
+    """Return a checkpoint, or a State with everything as XML."""
+    if kind == "checkpoint":
+        return context.createCheckpoint()
+    everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
+    return openmm.XmlSerializer.serialize(context.getState(**everything))
+
+
+def load(context, kind, content):
+    """Load what `saved` returned."""
+    if kind == "checkpoint":
+        context.loadCheckpoint(content)
+    else:
+        context.setState(openmm.XmlSerializer.deserialize(content))
+
+
 def mean_and_error(values):
     """Return the mean of a series and its error, from twenty blocks."""
     values = np.asarray(values)[len(values) % 20 :]

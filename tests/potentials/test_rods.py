@@ -98,7 +98,7 @@ def test_the_topology_ends_in_centre_and_tip_as_with_every_kernel():
             {"boundary": rb.Ewald(tolerance=9e-5)},
             r"reach at best a tolerance of 0.0001, not 9e-05: .* kernel='compiled'",
         ),
-        ({"boundary": rb.Ewald(dielectric=4.0)}, "a dielectric of infinity"),
+        ({"boundary": rb.Ewald(dielectric=4.0)}, "an infinite dielectric"),
         ({"boundary": rb.ReactionField()}, "need boundary=Ewald"),
         (
             {"boundary": rb.Ewald(cutoff=2.0), "length": 0.6},

@@ -203,7 +203,7 @@ def test_the_correction_follows_the_parameters_of_the_context():
         ({"sphere_cutoff": 2.0, "sphere_switch": 2.0}, "sphere_switch must be between 0 and the sphere_cutoff 2"),
         ({"wca": True, "shifted": True}, "wca shifts the energy .* omit shifted"),
         ({"wca": True, "long_range_correction": True}, "without wca: omit this argument"),
-        ({"wca": True, "sphere_cutoff": 1.2}, "begins before the spheres end, at 1.12246 nm"),
+        ({"wca": True, "sphere_cutoff": 1.2}, "begins before their minimum, at 1.12246 nm"),
         ({"boundary": rb.Open(), "sphere_cutoff": 2.0}, "are for a periodic box"),
         ({"boundary": rb.Open(), "long_range_correction": True}, "spheres in a periodic box"),
     ],

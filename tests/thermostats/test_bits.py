@@ -7,14 +7,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import openmm
 import pytest
 
 import openmm_exactrb as rb
 from chains import FREQUENCY, nose_hoover
 from openmm_exactrb.context import variables
 from openmm_exactrb.thermostats import HybridMonteCarlo, Langevin, NoseHooverChain, StochasticRescaling
-from thermostatted import droplet_of, molecules, simulation_of, snapshot
+from thermostatted import droplet_of, load, molecules, saved, simulation_of, snapshot
 
 H = 0.01
 
@@ -123,37 +122,28 @@ GO_ON = """
 import hashlib, pickle, sys
 sys.path[:0] = sys.argv[1:3]
 import test_bits
-from thermostatted import droplet_of, snapshot
+from thermostatted import droplet_of, load, snapshot
 for (name, kind), saved in pickle.load(open(sys.argv[3], "rb")).items():
     run = droplet_of(test_bits.ALL[name]())
     run.integrator.setVelocitiesToTemperature(500.0, 1)
-    test_bits.load(run, kind, saved)
+    load(run.context, kind, saved)
     run.step(7)
     print(name, kind, hashlib.sha256(snapshot(run)).hexdigest(), test_bits.of_its_own(run, name), sep=", ")
 """
 
 
-def load(run, kind, saved):
-    if kind == "checkpoint":
-        run.context.loadCheckpoint(saved)
-    else:
-        run.context.setState(openmm.XmlSerializer.deserialize(saved))
-
-
 def test_a_new_process_continues_with_the_same_bits(tmp_path):
     """A drawn seed, the heat, the tally and the chains travel with checkpoints and States."""
-    saved, expected = {}, []
+    contents, expected = {}, []
     for name, make in ALL.items():
         run = droplet_of(make())
         run.integrator.step(6)
-        everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
-        saved[name, "checkpoint"] = run.context.createCheckpoint()
-        saved[name, "State"] = openmm.XmlSerializer.serialize(run.context.getState(**everything))
+        contents |= {(name, kind): saved(run.context, kind) for kind in ("checkpoint", "State")}
         run.integrator.step(7)
         own, digest = of_its_own(run, name), hashlib.sha256(snapshot(run)).hexdigest()
         expected += [f"{name}, {kind}, {digest}, {own}" for kind in ("checkpoint", "State")]
     file = tmp_path / "saved"
-    file.write_bytes(pickle.dumps(saved))
+    file.write_bytes(pickle.dumps(contents))
     here = Path(__file__).parent
     arguments = [sys.executable, "-c", GO_ON, str(here), str(here.parent / "common"), str(file)]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=100, check=False)
@@ -161,19 +151,25 @@ def test_a_new_process_continues_with_the_same_bits(tmp_path):
     assert done.stdout.splitlines() == expected
 
 
-def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_thermostat(tmp_path):
-    def advance(folder, until, temperature=30.0, friction=2.0, seed=3):
-        integrator = rb.ExactRigidBodyLangevinIntegrator(temperature, friction, H)
-        integrator.setRandomNumberSeed(seed)
+def plain_langevin(temperature=30.0, friction=2.0):
+    return rb.ExactRigidBodyLangevinIntegrator(temperature, friction, H)
+
+
+OTHER_CHAINS = {"frequency": 21.0, "chainLength": 4, "numMTS": 2, "numYoshidaSuzuki": 5, "together": True}
+
+
+@pytest.mark.parametrize(("make", "others"), [(plain_langevin, {"friction": 2.5}), (nose_hoover, OTHER_CHAINS)])
+def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_thermostat(tmp_path, make, others):
+    def advance(folder, until, seed=3, **options):
         run = rb.Run(tmp_path / folder, resume=True)
         run.add_reporter(rb.EnergyReporter, "energies.csv", 7)
-        run.advance(droplet_of(integrator), until)
+        run.advance(droplet_of(seeded(lambda: make(**options), seed)), until)
 
     advance("whole", 40)
     advance("parts", 22)
-    for change in ({"temperature": 31.0}, {"friction": 2.5}, {"seed": 4}):
+    for name, value in ({"temperature": 31.0, "seed": 4} | others).items():
         with pytest.raises(ValueError, match="belongs to another run: integrator"):
-            advance("parts", 40, **change)
+            advance("parts", 40, **{name: value})
     advance("parts", 40)
     files = [(tmp_path / folder / "energies.csv").read_text(encoding="utf-8") for folder in ("whole", "parts")]
     assert files[0] == files[1]
@@ -285,15 +281,11 @@ def test_integrators_of_other_kinds_continue_from_it(before, kind):
     """Constant temperature hands over to constant energy, and none takes numbers of another one for its own."""
     run = droplet_of(seeded(MAKERS[before]))
     run.integrator.step(7)
-    if kind == "checkpoint":
-        saved = run.context.createCheckpoint()
-    else:
-        everything = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
-        saved = openmm.XmlSerializer.serialize(run.context.getState(**everything))
+    content = saved(run.context, kind)
     alone = rb.ExactRigidBodyIntegrator(H, scheme="S2_2")
     for integrator in (alone, MAKERS["rescaling"](), MAKERS["hybrid"](), langevin()):
         other = droplet_of(integrator)
-        load(other, kind, saved)
+        load(other.context, kind, content)
         assert snapshot(other) == snapshot(run)
         if before != "hybrid" and isinstance(integrator, rb.ExactRigidBodyHybridIntegrator):
             assert integrator.tally().proposed == 0

@@ -237,34 +237,6 @@ def test_rescaling_gives_the_kinetic_energy_its_law(together):
         assert stats.kstest(part, stats.gamma(freedom / 2.0).cdf).pvalue > 1e-3
 
 
-def test_the_effective_energy_is_kept_where_the_energy_is_not():
-    integrator = rescaling(0.02, 0.002)
-    simulation = simulation_of(integrator, *trapped(20, 5, 5))
-    integrator.setVelocitiesToTemperature(300.0, 1)
-    energies, effective = [], []
-    for _ in range(100):
-        simulation.step(5)
-        energies.append(integrator.totalEnergy()._value)
-        effective.append(integrator.effectiveEnergy()._value)
-    assert np.std(effective) < 0.01 * np.std(energies)
-    assert integrator.heat()._value == pytest.approx(energies[-1] - effective[-1], abs=1e-9)
-
-
-def test_rescaling_leaves_directions_and_a_body_at_rest_alone():
-    integrator = rescaling()
-    simulation = simulation_of(integrator, *molecules(ions=3))
-    simulation.step(3)
-    assert integrator.temperatures()[0]._value == 0.0
-    integrator.setVelocitiesToTemperature(300.0, 1)
-    _, before = integrator.bodyState()
-    simulation.step(50)
-    _, after = integrator.bodyState()
-    ratio = after.P / before.P
-    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-13)
-    assert abs(ratio[0, 0] - 1.0) > 1e-3
-    assert integrator.getThermostat().together
-
-
 # -- decisions --------------------------------------------------------------------------------------------------
 
 

@@ -1,8 +1,6 @@
 """Nosé-Hoover chains: their flow against its equations of motion, what runs conserve and sample, and what persists."""
 
-import copy
 import math
-import pickle
 
 import numpy as np
 import openmm
@@ -196,17 +194,6 @@ def test_each_momentum_of_a_droplet_is_canonical(together):
 
 
 # -- settings ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
-def test_copies_have_all_settings(copied):
-    integrator = nose_hoover(0.004, 310.0, 15.0, chainLength=4, numMTS=2, numYoshidaSuzuki=5, together=True)
-    twin = copied(integrator)
-    assert type(twin) is type(integrator)
-    assert twin.getThermostat() == integrator.getThermostat()
-    assert twin.getSettings() == integrator.getSettings()
-    assert twin.getSettings()["arguments"]["chainLength"] == 4
-    assert rb.ExactRigidBodyNoseHooverIntegrator(**twin.getSettings()["arguments"]).getThermostat().together
 
 
 def test_getters_and_setters_are_those_of_openmm():

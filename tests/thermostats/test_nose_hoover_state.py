@@ -5,28 +5,7 @@ import pytest
 
 import openmm_exactrb as rb
 from chains import H, nose_hoover
-from thermostatted import (
-    droplet_of,
-    snapshot,
-)
-
-# -- bits, and what persists ------------------------------------------------------------------------------------------
-
-
-EVERYTHING = {"positions": True, "velocities": True, "parameters": True, "integratorParameters": True}
-
-
-def saved(context, kind):
-    if kind == "checkpoint":
-        return context.createCheckpoint()
-    return openmm.XmlSerializer.serialize(context.getState(**EVERYTHING))
-
-
-def load(context, kind, what):
-    if kind == "checkpoint":
-        context.loadCheckpoint(what)
-    else:
-        context.setState(openmm.XmlSerializer.deserialize(what))
+from thermostatted import droplet_of, load, saved, snapshot
 
 
 def test_chains_outlive_a_reinitialisation():
@@ -126,24 +105,7 @@ def test_equilibration_at_a_langevin_thermostat_is_handed_over_without_its_numbe
     first = droplet_of(langevin())
     first.integrator.step(5)
     second = droplet_of(nose_hoover())
-    rb.loadState(second, first.context.getState(**EVERYTHING))
+    rb.loadState(second, first.context.getState(positions=True, velocities=True, integratorParameters=True))
     assert snapshot(second) == snapshot(first)
     second.integrator.step(2)
     assert second.context.getStepCount() == 7
-
-
-def test_a_run_is_resumed_with_the_same_bits_and_only_with_the_same_chains(tmp_path):
-    def advance(folder, until, **options):
-        run = rb.Run(tmp_path / folder, resume=True)
-        run.add_reporter(rb.EnergyReporter, "energies.csv", 7)
-        run.advance(droplet_of(nose_hoover(**options)), until)
-
-    advance("whole", 40)
-    advance("parts", 22)
-    changes = {"temperature": 31.0, "frequency": 21.0, "chainLength": 4, "numMTS": 2, "numYoshidaSuzuki": 5}
-    for change in ({name: value} for name, value in (changes | {"together": True}).items()):
-        with pytest.raises(ValueError, match="belongs to another run: integrator"):
-            advance("parts", 40, **change)
-    advance("parts", 40)
-    files = [(tmp_path / folder / "energies.csv").read_text(encoding="utf-8") for folder in ("whole", "parts")]
-    assert files[0] == files[1]

@@ -9,8 +9,8 @@ from scipy.sparse.linalg import expm_multiply
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mathematics.quaternions import matrix
 from openmm_exactrb.mechanics.rng import Instant, Purpose
+from openmm_exactrb.rotors import rotor_of_sums
 from openmm_exactrb.thermostats.langevin import ornstein_uhlenbeck
-from thermal_tops import KT, SEQUENCES, WATER, WATER_MASS, Mean, Tops, langevin_function
 
 MASS = np.array([18.0, 1.0, 0.0, 40.0])
 MOMENTS = np.array([[1.0, 0.0], [10.0, 3.0], [1000.0, 3.0]])  # the second body is linear
@@ -77,7 +77,7 @@ def test_two_times_are_one_time_of_both(rng):
     np.testing.assert_allclose(
         cold(*cold(P, m, first, AT), second, AT)[1][0], cold(P, m, first + second, AT)[1][0], rtol=1e-15
     )
-    n = 200_000
+    n = 50_000
     many = ornstein_uhlenbeck(np.ones(n), np.ones((3, 0)), 1.0, 2.0, 0.0)
     P, none = exactly(np.zeros((3, n))), exactly(np.zeros((3, 0)))
     twice, _ = many(*many(P, none, first, AT), second, AT._replace(substep=3))
@@ -100,111 +100,20 @@ def test_plain_arrays_are_welcome(rng):
         np.testing.assert_array_equal(high[0], x[0])
 
 
-@pytest.mark.parametrize("kwargs", [{"kT": -1.0}, {"friction": -1.0}, {"rotational_friction": np.inf}, {"kT": np.nan}])
-def test_bad_settings_are_refused(kwargs):
-    with pytest.raises(ValueError, match="must be a number of at least 0"):
-        prepared(**kwargs)
-
-
 def test_a_thermostat_does_not_run_backwards(rng):
     with pytest.raises(ValueError, match="stepSize must be positive when friction is non-zero"):
         prepared()(*momenta(rng), -0.1, AT)
 
 
-# Bodies whose distributions are known
-
-
-def dipoles_in_traps(name, n, ps, h=0.008):
-    """Return the errors of U/kT of dipoles in a field and of R² in a trap with w h = 1.44, both with their widths."""
-    tops = Tops(n, WATER, WATER_MASS, KT, axis=1, x=20.0, w=1.44 / h)
-    exchange = ornstein_uhlenbeck(tops.masses, tops.all_moments, KT, 5.0, 5.0)
-    energy = Mean(lambda s: -tops.x * (tops.cosine(s) - langevin_function(tops.x)), burn=int(1.0 / h))
-    trap = Mean(lambda s: (s.R[0] ** 2).sum(axis=0) * tops.mass * tops.w**2 / (3.0 * KT) - 1.0, burn=int(1.0 / h))
-
-    def see(state):
-        energy(state)
-        trap(state)
-
-    tops.run(SEQUENCES[name], exchange, tops.canonical(np.random.default_rng(3)), h, int(ps / h), see=see)
-    return (energy.value, energy.error), (trap.value, trap.error)
-
-
-def test_the_start_is_canonical(rng):
-    for axis, x in ((0, 20.0), (1, 2.0), (2, 0.0)):
-        tops = Tops(100_000, WATER, WATER_MASS, KT, axis=axis, x=x, w=100.0)
-        cosine = tops.cosine(tops.canonical(rng))
-        exact = langevin_function(x) if x else 0.0
-        assert abs(cosine.mean() - exact) < 4.0 * cosine.std() / np.sqrt(tops.n)
-
-
-@pytest.mark.parametrize("name", ["BAOAB", pytest.param("O S2_2 O", marks=pytest.mark.validate)])
-def test_dipoles_in_a_field_obey_langevin(name):
-    """Water's moments, 8 fs a step: as good as they are, both would be seen if they were a sixth as wrong as OBABO."""
-    (energy, width), (trap, width_of_trap) = dipoles_in_traps(name, n=2000, ps=8.0)
-    assert width < 0.0045
-    assert abs(energy) <= 0.005 + 3.0 * width
-    if name == "BAOAB":
-        assert width_of_trap < 0.004
-        assert abs(trap) <= 4.0 * width_of_trap
-
-
-def test_a_sequence_that_is_biased_is_seen_to_be():
-    """OBABO: R² in a trap is too large by 1/(1 - (w h)²/4), the potential energy of water by 0.09 kT at 8 fs."""
-    (energy, width), (trap, width_of_trap) = dipoles_in_traps("OBABO", n=2000, ps=8.0)
-    assert abs(trap - (1.0 / (1.0 - 1.44**2 / 4.0) - 1.0)) < 4.0 * width_of_trap
-    assert energy > 0.08
-    assert width < 0.0045
-
-
-@pytest.mark.validate
-@pytest.mark.parametrize("name", ["BAOAB", "O S2_2 O"])
-def test_dipoles_in_a_field_obey_langevin_to_a_thousandth(name):
-    (energy, width), (trap, _) = dipoles_in_traps(name, n=8000, ps=80.0)
-    assert width < 7e-4
-    assert abs(energy) <= 0.005 - 2.0 * width
-    if name == "BAOAB":
-        assert abs(trap) <= 0.002
-
-
-@pytest.mark.validate  # as the distribution of a step is exact, and two steps are one
-def test_all_axes_get_their_share_from_a_cold_start():
-    """Moments 1 : 10 : 1000: the exact rotation and the thermostat keep equipartition at any step."""
-    moments = np.array([1.0, 10.0, 1000.0])
-    tops = Tops(4000, moments, mass=3.0)
-    exchange = ornstein_uhlenbeck(tops.masses, tops.all_moments, 1.0, 1.0, 1.0)
-    shares = Mean(lambda s: np.concatenate([s.m[0] ** 2 / moments[:, None], s.P[0] ** 2 / 3.0]), burn=40)
-    tops.run(SEQUENCES["AOA"], exchange, tops.at_rest(), 0.5, 240, see=shares)
-    assert (shares.error < 0.004).all()
-    np.testing.assert_allclose(shares.value, 1.0, rtol=0.0, atol=4.0 * 0.004)
-
-
-def test_linear_molecules_have_two_rotational_degrees_of_freedom():
-    moments = np.array([0.0, 2.0, 2.0])
-    tops = Tops(4000, moments, axis=0, x=3.0)
-    exchange = ornstein_uhlenbeck(tops.masses, tops.all_moments, 1.0, 1.0, 1.0)
-    rotation = Mean(lambda s: 0.5 * (s.m[0] ** 2).sum(axis=0) / 2.0, burn=100)
-    cosine = Mean(tops.cosine, burn=100)
-    spin = []
-
-    def see(state):
-        rotation(state)
-        cosine(state)
-        spin.append(np.abs(state.m[0, 0]).max())
-
-    tops.run(SEQUENCES["O S2_2 O"], exchange, tops.canonical(np.random.default_rng(4)), 0.1, 500, see=see)
-    assert max(spin) == 0.0
-    assert rotation.error < 0.006
-    assert abs(rotation.value - 1.0) < max(0.005, 3.0 * rotation.error)  # two halves of kT
-    assert abs(cosine.value - langevin_function(3.0)) < 4.0 * cosine.error
-    assert cosine.error < 0.002
+# Free bodies, whose motion is known
 
 
 def test_a_free_body_diffuses():
     """<(R(t) - R(0))²> / 3 = 2 D (t - (1 - exp(-g t))/g) with D = kT/(M g), from equilibrium."""
-    tops, n, g, h, steps = Tops(30_000, WATER, mass=2.0, kT=1.5), 30_000, 0.8, 0.125, 160
-    exchange = ornstein_uhlenbeck(tops.masses, tops.all_moments, 1.5, g, 0.0)
+    n, g, h, steps = 10_000, 0.8, 0.125, 80
+    exchange = ornstein_uhlenbeck(np.full(n, 2.0), np.ones((3, 0)), 1.5, g, 0.0)
     P = exactly(np.sqrt(1.5 * 2.0) * Instant(9, 0, 99).normals(Purpose.TRANSLATION, (3, n)))
-    none = exactly(np.zeros((3, n)))
+    none = exactly(np.zeros((3, 0)))
     R = np.zeros((3, n))
     for step in range(steps):
         R += 0.5 * h * P[0] / 2.0
@@ -214,7 +123,7 @@ def test_a_free_body_diffuses():
     square = R**2
     exact = 2.0 * D * (t - (1.0 - np.exp(-g * t)) / g)
     width = square.std() / np.sqrt(square.size) / exact
-    assert width < 0.005
+    assert width < 0.01
     # Two halves of a drift about the thermostat are 1 + (g h)²/12 = 1.0008 times too fast.
     assert abs(square.mean() / exact - 1.0) < 4.0 * width + 0.001
 
@@ -256,18 +165,21 @@ def test_the_reference_of_the_damped_sphere_has_the_known_limits():
 
 
 @pytest.mark.parametrize("friction", [1.0, 5.0])
-def test_the_orientation_of_a_damped_sphere_decays_as_it_must(friction):
-    n, h, moments = 8_000, 0.05, np.full(3, 1.7)
-    tops = Tops(n, moments, kT=1.7)
-    exchange = ornstein_uhlenbeck(tops.masses, tops.all_moments, 1.7, 0.0, friction)
-    start = tops.canonical(np.random.default_rng(6))
-    before, traces = matrix(start.q[0]), []
-    tops.run(
-        SEQUENCES["AOA"], exchange, start, h, 120,
-        see=lambda s: traces.append(np.einsum("ijn,ijn->n", before, matrix(s.q[0])) / 3.0),
-    )  # fmt: skip
-    found = np.array(traces[19::20])
+def test_the_orientation_of_a_damped_sphere_decays_as_it_must(rng, friction):
+    n, h, moment = 3_000, 0.05, 1.7
+    turn = rotor_of_sums("exact", np.full(3, moment))
+    exchange = ornstein_uhlenbeck(np.ones(n), np.full((3, n), moment), moment, 0.0, friction)
+    none, m = exactly(np.zeros((3, n))), exactly(moment * rng.standard_normal((3, n)))
+    q = exactly(np.repeat([[1.0], [0.0], [0.0], [0.0]], n, axis=1))
+    found = []
+    for step in range(120):
+        q, m = turn(q, m, 0.5 * h)
+        _, m = exchange(none, m, h, Instant(1, step, 1))
+        q, m = turn(q, m, 0.5 * h)
+        if step % 20 == 19:
+            found.append(np.einsum("iin->n", matrix(q[0])) / 3.0)
+    found = np.array(found)
     exact = correlation_of_a_damped_sphere(np.linspace(0.0, 6.0, 7), friction)[1:]
     width = found.std(axis=1) / np.sqrt(n)
-    assert (width < 0.008).all()
+    assert (width < 0.013).all()
     assert (np.abs(found.mean(axis=1) - exact) < 4.0 * width + 5e-4).all()

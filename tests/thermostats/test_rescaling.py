@@ -7,7 +7,6 @@ from scipy import stats
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.mechanics.rng import Instant
 from openmm_exactrb.thermostats.rescaling import kinetic_energy, rescaling
-from thermal_tops import KT, SEQUENCES, WATER, WATER_MASS, Tops
 
 AT = Instant(seed=5, step=7, substep=2)
 MASS = np.array([18.0, 1.0, 0.0, 40.0])
@@ -33,7 +32,7 @@ def single(f, kT, time):
     """Return rescale of a chain with f degrees of freedom: f axes of unit mass, as angular momenta."""
     moments = np.zeros((3, (f + 2) // 3))
     moments.ravel()[:f] = 1.0
-    return moments, rescaling(np.zeros(0), moments, kT, time, (0, f))
+    return moments, rescaling(np.zeros(0), moments, kT, time, (0, f), together=True)
 
 
 @pytest.mark.parametrize("f", [1, 2, 60])
@@ -45,18 +44,19 @@ def test_the_kinetic_energy_later_has_the_exact_law(f, elapsed):
     m = exactly(moments * 1.3)
     none = exactly(np.zeros((3, 0)))
     before, c = 0.5 * f * 1.3**2, np.exp(-elapsed)
-    after = [before + rescale(none, m, elapsed * time, Instant(3, step, 0))[2] for step in range(4000)]
+    momenta = (rescale(none, m, elapsed * time, Instant(3, step, 0))[1] for step in range(1500))
+    after = [0.5 * (m[0] ** 2).sum() for m in momenta]
     unit = 0.5 * kT * (1.0 - c)
     assert stats.kstest(np.array(after) / unit, "ncx2", args=(f, before * c / unit)).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("f", [pytest.param(1, marks=LONG), 3, pytest.param(60, marks=LONG)])
 def test_a_long_run_is_canonical_and_forgets_in_the_relaxation_time(f):
-    kT, time, tau, n = 1.7, 0.4, 0.2, 20_000
+    kT, time, tau, n = 1.7, 0.4, 0.2, 10_000
     moments, rescale = single(f, kT, time)
     m, none, K = exactly(moments), exactly(np.zeros((3, 0))), np.empty(n)
     for step in range(n):
-        _, m, _ = rescale(none, m, tau, Instant(4, step, 0))
+        _, m = rescale(none, m, tau, Instant(4, step, 0))
         K[step] = 0.5 * (m[0] ** 2).sum()
     assert stats.kstest(K[20::12], "gamma", args=(0.5 * f, 0.0, kT)).pvalue > 1e-3  # apart by six relaxation times
     d = K - 0.5 * f * kT
@@ -72,15 +72,15 @@ def test_one_degree_of_freedom_changes_its_sign():
     elapsed, kT = 0.5, 1.0
     moments, rescale = single(1, kT, 1.0)
     m, none = exactly(moments * 0.6), exactly(np.zeros((3, 0)))
-    after = np.array([rescale(none, m, elapsed, Instant(5, step, 0))[1][0, 0, 0] for step in range(4000)])
+    after = np.array([rescale(none, m, elapsed, Instant(5, step, 0))[1][0, 0, 0] for step in range(1500)])
     law = (0.6 * np.exp(-0.5 * elapsed), np.sqrt(kT * -np.expm1(-elapsed)))
     assert stats.kstest(after, "norm", args=law).pvalue > 1e-3
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_directions_stay_and_the_heat_is_reported(rng, together):
+def test_directions_stay(rng, together):
     P, m = momenta(rng)
-    P1, m1, heat = prepared(together=together)(P, m, 0.3, AT)
+    P1, m1 = prepared(together=together)(P, m, 0.3, AT)
     ratios = []
     for x, x1 in ((P, P1), (m, m1)):
         moving = x[0] != 0.0
@@ -89,65 +89,30 @@ def test_directions_stay_and_the_heat_is_reported(rng, together):
         assert np.ptp(ratio) < 1e-15
         ratios.append(ratio.mean())
     assert bool(abs(ratios[0] - ratios[1]) < 1e-15) == together
-    assert heat == pytest.approx(sum(kinetic_energies(P1, m1)) - sum(kinetic_energies(P, m)), rel=1e-13)
 
 
 def test_translation_and_rotation_find_their_own_temperatures():
     """Started at 5 kT and at nothing much, each finds its own kT, where one factor for both keeps the ratio."""
     P, m = exactly(np.sqrt(5.0 * 2.5 * MASS) * np.ones((3, 4))), exactly(0.01 * np.sqrt(MOMENTS))
     rescale, means = prepared(together=False), np.zeros(2)
-    for step in range(4000):
-        P, m, _ = rescale(P, m, 1.4, Instant(6, step, 0))
+    for step in range(1500):
+        P, m = rescale(P, m, 1.4, Instant(6, step, 0))
         if step >= 20:
             means += kinetic_energies(P, m)
-    means /= 3980.0 * 0.5 * 2.5 * np.array(FREEDOM)
+    means /= 1480.0 * 0.5 * 2.5 * np.array(FREEDOM)
     # Successive energies are correlated by exp(-2), relative variances are 2/f.
-    widths = np.sqrt(2.0 / np.array(FREEDOM) / 3980.0 * (1.0 + np.exp(-2.0)) / (1.0 - np.exp(-2.0)))
+    widths = np.sqrt(2.0 / np.array(FREEDOM) / 1480.0 * (1.0 + np.exp(-2.0)) / (1.0 - np.exp(-2.0)))
     assert (np.abs(means - 1.0) < 4.0 * widths).all()
 
 
 def test_no_time_and_no_motion_leave_the_momenta(rng):
     P, m = momenta(rng)
-    P1, m1, heat = prepared()(P, m, 0.0, AT)
+    P1, m1 = prepared()(P, m, 0.0, AT)
     assert P1 is P
     assert m1 is m
-    assert heat == 0.0
     still = exactly(np.zeros((3, 4))), exactly(np.zeros((3, 2)))
-    P1, m1, heat = prepared()(*still, 1.0, AT)
+    P1, _ = prepared()(*still, 1.0, AT)
     assert P1 is still[0]
-    assert heat == 0.0
-
-
-def test_the_effective_energy_is_as_constant_as_the_energy():
-    """Dipoles in a field: the total energy wanders by many kT, less the heat it does not."""
-    tops, heats, totals = Tops(200, WATER, WATER_MASS, KT, axis=1, x=20.0, w=40.0), [], []
-    rescale = rescaling(tops.masses, tops.all_moments, KT, 0.05, (600, 600))
-
-    def exchange(P, m, tau, at):
-        P, m, heat = rescale(P, m, tau, at)
-        heats.append(heat)
-        return P, m
-
-    def see(state):
-        totals.append((tops.energies(state).sum(), sum(heats)))
-
-    tops.run(SEQUENCES["O S2_2 O"], exchange, tops.canonical(np.random.default_rng(8)), 0.002, 1000, see=see)
-    energy, heat = np.array(totals).T / KT
-    assert np.ptp(energy) > 30.0
-    assert np.ptp(energy - heat) < 1.0
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "what"),
-    [
-        ({"kT": -1.0}, "kT must be a number of at least 0"),
-        ({"time": 0.0}, "the relaxation time must be a positive number"),
-        ({"freedom": (3, -1)}, "degrees of freedom must be a whole number"),
-    ],
-)
-def test_bad_settings_are_refused(kwargs, what):
-    with pytest.raises(ValueError, match=what):
-        prepared(**kwargs)
 
 
 def test_a_thermostat_does_not_run_backwards(rng):

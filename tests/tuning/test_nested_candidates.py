@@ -40,6 +40,12 @@ def test_nested_schemes_are_tried_where_bonded_forces_move_something(nested):
     assert "S2_2 nested" in str(result)
 
 
+def test_exact_forces_have_no_floor(nested):
+    """Of W4_4 alone, whose order is lost in clusters, the error would not fall as it should."""
+    result, _ = nested
+    assert result.floor is None
+
+
 def test_nested_schemes_are_stable_with_longer_steps(nested):
     result, lines = nested
     longest = {name: result.largest_stable_step(name) for name in ("S2_2", "S2_2 nested")}
@@ -52,13 +58,14 @@ def test_nested_schemes_are_stable_with_longer_steps(nested):
 def test_nested_evaluations_have_their_price(nested):
     """The same forces per ps cost more, by what the inner evaluations take, and more so at longer steps."""
     result, _ = nested
-    extra = {}
-    for p in result.curve("S2_2 nested"):
-        extra[p.step] = p.cost * p.step / result.evaluations["S2_2 nested"] - result.seconds["S2_2"]
+
+    def seconds(p):
+        return p.cost * p.step / result.methods[p.method].evaluations
+
+    (plain,) = {round(seconds(p), 12) for p in result.curve("S2_2")}
+    extra = {p.step: seconds(p) - plain for p in result.curve("S2_2 nested")}
     assert all(e > 0.0 for e in extra.values())
     assert extra[max(extra)] > extra[min(extra)]
-    for p in result.curve("S2_2"):
-        assert p.cost * p.step / result.evaluations["S2_2"] == pytest.approx(result.seconds["S2_2"], rel=1e-12)
 
 
 def test_a_nested_choice_builds_a_nested_integrator(nested, peptide):

@@ -61,7 +61,10 @@ class Library:
         self._functions.pi_error.restype = ctypes.c_char_p
         self._functions.pi_register.restype = ctypes.c_char_p
         if built_for := self._functions.pi_register():
-            raise MissingLibraryError(f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}")
+            raise MissingLibraryError(
+                f"{path} was built for OpenMM {built_for.decode()}, not {openmm.__version__}: delete it, "
+                "and it is compiled again"
+            )
 
     def make(self) -> Any:
         """Return a new integrator without a program; in Python it is an openmm.CustomIntegrator."""
@@ -208,7 +211,7 @@ def compiled() -> Path:
 def compiler() -> str:
     """Return the path of a C++ compiler; raise MissingLibraryError without one."""
     if platform.system() not in _SYSTEMS:
-        raise MissingLibraryError(f"the device engine is not available on {platform.system()}")
+        raise MissingLibraryError(f"the device engine needs Linux or macOS, not {platform.system()}")
     names = (os.environ.get(COMPILER), *_COMPILERS)
     found = next((path for path in map(shutil.which, filter(None, names)) if path), None)
     if found is None:

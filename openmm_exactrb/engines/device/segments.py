@@ -314,7 +314,7 @@ class Sequences:
         return [operation for part in self.parts for operation in part.launches(segment, self.table)]
 
     def _each(self, method: str, *arguments: bool) -> list[Operation]:
-        """Return the operations of a method of all parts."""
+        """Return the operations that a method returns for all parts."""
         return [operation for part in self.parts for operation in getattr(part, method)(*arguments)]
 
     def write_step(self, to: Program, step: Step, processed: bool) -> None:

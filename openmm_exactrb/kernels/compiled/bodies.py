@@ -1,4 +1,4 @@
-"""Rigid bodies: places and velocities of their particles, sums of forces and torques, and double-doubles that move."""
+"""Rigid bodies: positions and velocities of particles, sums of forces and torques, and updates of double-doubles."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def torque_of(Q, b, F):
 
 @compiled("f2 f2 i2 f3 i F2")
 def place(R, q, particles, sites, first, x):
-    """Write R + Q b of the sites b (1, k, 3) or (n, k, 3) of bodies `first` and on into the rows `particles` of x."""
+    """Write R + Q b, for sites b (1, k, 3) or (n, k, 3) of bodies from `first` on, into the rows `particles` of x."""
     n, k = particles.shape
     own = sites.shape[0] > 1
     for i in range(n):
@@ -47,7 +47,7 @@ def place(R, q, particles, sites, first, x):
 
 @compiled("f2 f2 f2 i2 f3 i F2")
 def move(V, omega, q, particles, sites, first, v):
-    """Write V + Q (omega x b) of bodies `first` and on into the rows `particles` of v."""
+    """Write V + Q (omega x b) of bodies from `first` on into the rows `particles` of v."""
     n, k = particles.shape
     own = sites.shape[0] > 1
     for i in range(n):
@@ -63,7 +63,7 @@ def move(V, omega, q, particles, sites, first, v):
 
 @compiled("f2 i2 f3 i f2 F2 F2")
 def collect(q, particles, sites, first, forces, total, torque):
-    """Sum the forces on the particles to those (3, N) and the torques (3, K) of bodies `first` and on."""
+    """Sum the forces on particles to the forces (3, N) and torques (3, K) on bodies from `first` on."""
     n, k = particles.shape
     own = sites.shape[0] > 1
     for i in range(n):
@@ -82,7 +82,7 @@ def collect(q, particles, sites, first, forces, total, torque):
 
 @compiled("f3 f2 f F3")
 def advance(x, rate, t, total):
-    """Write x + t rate of double-doubles x (2, k, N) and rates (k, N); the total may be x."""
+    """Write x + t rate for double-doubles x (2, k, N) and rates (k, N); the result may overwrite x."""
     rows, n = rate.shape
     for row in range(rows):
         for i in range(n):

@@ -1,8 +1,8 @@
 """Forces of bonds, angles, torsions, maps of two torsions and pairs of atoms, compiled.
 
-Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed in blocks, one in each lane,
-by loops that become vector instructions: positions are gathered, the forces of -dV/d(coordinate) = 1 take their place,
-and these are scaled and added to the forces on the particles.
+Each term depends on one coordinate: a distance, an angle or a torsion. Terms are computed in blocks, one per lane, by
+vectorised loops: positions are gathered, replaced by the forces for -dV/d(coordinate) = 1, and these are scaled and
+added to the forces on the particles.
 
 The gradient of a torsion is that of A. Blondel and M. Karplus, J. Comput. Chem. 17, 1132 (1996),
 doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
@@ -64,9 +64,9 @@ def _put(lanes, l, i, u):
 
 @inlined
 def _gather(x, members, begin, column, n, lanes):
-    """Put the positions of the n particles of a block of terms into lanes, and return how many terms it has.
+    """Put the positions of the n particles of a block of terms into lanes, and return the number of terms.
 
-    Their numbers begin in a column of `members`, and the block in a row.
+    Their indices start at a column of `members`, and the block at a row.
     """
     count = min(_BLOCK, len(members) - begin)
     for l in range(count):
@@ -90,7 +90,7 @@ def _scatter(lanes, members, begin, count, column, n, out):
 
 @inlined
 def _angles(x, angles, begin, lanes):
-    """Find the sines and cosines of a block of angles, times the lengths of both sides, and forces."""
+    """Compute the sines and cosines of a block of angles, times the lengths of both sides, and the forces."""
     count = _gather(x, angles, begin, 0, 3, lanes)
     for l in range(count):
         u, v = _between(lanes, l, 0, 1), _between(lanes, l, 2, 1)
@@ -107,7 +107,7 @@ def _angles(x, angles, begin, lanes):
 
 @inlined
 def _torsions(x, torsions, begin, column, lanes):
-    """Find the cosines and sines of a block of torsions, and forces."""
+    """Compute the cosines and sines of a block of torsions, and the forces."""
     count = _gather(x, torsions, begin, column, 4, lanes)
     for l in range(count):
         first, axis, last = _between(lanes, l, 0, 1), _between(lanes, l, 1, 2), _between(lanes, l, 3, 2)
@@ -126,7 +126,7 @@ def _torsions(x, torsions, begin, column, lanes):
 
 @inlined
 def _series(lanes, begin, count, coefficients):
-    """Find the factors -dV/dphi of V = sum_n (a_n cos(n phi) + b_n sin(n phi))."""
+    """Compute the factors -dV/dphi of V = sum_n (a_n cos(n phi) + b_n sin(n phi))."""
     for l in range(count):
         lanes[_FACTOR, l], lanes[_COS_N, l], lanes[_SIN_N, l] = 0.0, lanes[_COS, l], lanes[_SIN, l]
     for n in range(coefficients.shape[1]):
@@ -151,7 +151,7 @@ def _turn(c, s):
 
 @inlined
 def _patch(c, s, size):
-    """Return which of so many parts of the circle an angle is in, and how far; the first part if it is nan."""
+    """Return the part of the circle that contains an angle, and the position in it; nan is in the first part."""
     angle = math.atan2(s, c) % _CIRCLE
     part = max(0, min(int(angle / _CIRCLE * size), size - 1))
     return part, angle - part * (_CIRCLE / size)

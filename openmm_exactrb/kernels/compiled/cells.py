@@ -1,9 +1,9 @@
 """The pair sum of soft dipoles within a cutoff in a large box, by cells, in compiled double precision.
 
-Cells have at least half the cutoff as their edges. Each pair is computed once, in the row of one of its dipoles: those
-of a block of cells itself and of half of the cells around it that are near enough are put together, those within the
-cutoff picked, and their arithmetic is vectorised. What a plane of cells gives to itself and to the next two planes is
-kept apart and added up in this order: any number of threads gives the same bits.
+The edges of cells are at least half the cutoff. Each pair is computed once, in the row of one of its dipoles: the
+dipoles of a block of cells and of half of the cells near it are collected, those within the cutoff are selected, and
+their arithmetic is vectorised. The contributions of a plane of cells to itself and to the next two planes are stored
+separately and added in a fixed order, so that results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def near_pairs(
 
 @reordered
 def _sorted(arrows, n, m, truncation):
-    """Return where each cell begins in the dipoles sorted by cells, these dipoles, and their arrows within the box."""
+    """Return the start of each cell, the dipoles sorted by cells, and their arrows within the box."""
     places, cell = np.empty((3, n)), np.zeros(n, np.int64)
     for d in range(3):
         edge = truncation[d]
@@ -91,7 +91,7 @@ def _sorted(arrows, n, m, truncation):
 
 @inner_reordered
 def _collect(first, last, slab, sx, sy, sz, placed, found, who, row):
-    """Append dipoles first ... last, moved by a shift, to those found; return their number."""
+    """Append dipoles first ... last, displaced by a shift, to those found; return their number."""
     begin, to, more = np.uint64(first), np.uint64(row), np.uint64(last - first)
     for j in range(more):
         found[0, to + j] = placed[0, begin + j] + sx
@@ -106,7 +106,7 @@ def _collect(first, last, slab, sx, sy, sz, placed, found, who, row):
 
 @inner_reordered
 def _partners(cell, block, heads, placed, m, truncation, found, who):
-    """Put the dipoles of a block of cells and of half of those around it together; return their number."""
+    """Collect the dipoles of a block of cells and of half of the surrounding cells; return their number."""
     x, y, z = cell // (m[1] * m[2]), cell // m[2] % m[1], cell % m[2]
     row = _collect(heads[cell], heads[cell + block], 0, 0.0, 0.0, 0.0, placed, found, who, 0)
     for dx in range(_REACH + 1):
@@ -126,7 +126,7 @@ def _partners(cell, block, heads, placed, m, truncation, found, who):
 
 @inner_reordered
 def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, truncation):
-    """Return energy, force and field of a dipole u from k others, and leave what these get in `work`.
+    """Return energy, force and field of a dipole u from k others, and leave the reactions on these in `work`.
 
     The rows of `work` are r² and the vector r to the other, the other's u, then force and field.
     """
@@ -153,7 +153,7 @@ def _arithmetic(k, u, work, repulsion, coupling, attraction, minimum, alpha, tru
 def _slabs(
     first, last, heads, placed, m, repulsion, coupling, attraction, minimum, alpha, truncation, energies, partial
 ):
-    """Sum the pairs of the dipoles in some planes of cells with those in half of the cells around."""
+    """Sum the pairs of dipoles in given planes of cells with those in half of the surrounding cells."""
     n, end = placed.shape[1], truncation[3]
     found, far, work = np.empty((3, 2 * n)), np.empty(2 * n), np.zeros(13 * _CHUNK)
     who, hits = np.empty(2 * n, np.uint64), np.empty(2 * n + 1, np.uint64)  # of 64 bits, as no index is negative
@@ -209,7 +209,7 @@ def _slabs(
 
 @reordered
 def _add_up(dipoles, partial, forces, fields):
-    """Add up what each dipole got from the planes of cells, and put it into its place."""
+    """Add up the contributions of the planes of cells to each dipole, in the original order."""
     for q in range(len(dipoles)):
         i = dipoles[q]
         for d in range(3):

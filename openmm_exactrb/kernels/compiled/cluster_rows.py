@@ -15,7 +15,7 @@ from openmm_exactrb.mathematics.quaternions import TO_GRID
 
 @inner
 def gather(x, first, count, start, block):
-    """Copy clusters `start` and on into a block (., n, 3 L); the last cluster pads it."""
+    """Copy clusters from `start` on into a block (., n, 3 L), padded with the last cluster."""
     sums, atoms, width = block.shape
     L = width // 3
     used = min(L, count - start)
@@ -142,7 +142,7 @@ def differences(a, pairs, scale, u):
 
 @inner_reordered
 def on_atoms(F, pairs, factor, a):
-    """Write the sums of F_c over the pairs of an atom, with their signs, times its factor."""
+    """Write the signed sums of F_c over the pairs of each atom, times its factor."""
     a[:] = 0.0
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]

@@ -4,7 +4,8 @@ With r_c = x_i - x_j for each constraint c = (i, j), and s_ca = 1 for a = i, -1 
 
     x_a'' = sum_c s_ca F_c / m_a,  F_c = lambda_c r_c,  r_c'' = sum_d B_cd F_d,  B_cd = sum_a s_ca s_da / m_a.
 
-That closes in the r_c. Their power series, in the time of the drift as a unit, with w = (k + 1)(k + 2):
+These equations are closed in the r_c. Their power series, in units of the time of the drift, with w = (k + 1)(k + 2),
+is:
 
     r_c,k+2 = sum_d B_cd F_d,k / w,   F_c,k = lambda_c,k r_c,0 + sum_(j < k) lambda_c,j r_c,k-j.
 
@@ -13,8 +14,9 @@ The multipliers follow from r_c.r_c = d_c², order by order, with one matrix A_c
     sum_d A_cd lambda_d,k = -w q_c - r_c,0 . sum_d B_cd sum_(j < k) lambda_d,j r_d,k-j,
     q_c = sum_(0 < j < k + 2) r_c,j . r_c,k+2-j / 2.
 
-A is factorised once a drift. With the same factor the rounding errors of the initial positions, (d_c² - r_c.r_c)/2, and
-momenta, r_c.r_c', are corrected. So a drift starts with the projection of the momentum, and kicks before it need none.
+A is factorised once per drift. With the same factor the rounding errors of the initial positions, (d_c² - r_c.r_c)/2,
+and momenta, r_c.r_c', are corrected. A drift therefore starts with the projection of the momentum, and kicks before it
+need none.
 
 Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x and p are double-doubles (2, 3, M), or
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
@@ -144,7 +146,7 @@ def _still_large(r, k, bound):
 
 @inner
 def _bounds(r, bound):
-    """Write how small a component of a term has to be: SETTLED times the largest first one of the cluster."""
+    """Write the bound for components of a term: SETTLED times the largest one of the cluster's first term."""
     m, L = len(r), r.shape[1] // 3
     for l in range(L):
         largest = 0.0
@@ -214,7 +216,7 @@ def _step(X, P, t, graph, work):
 
 @inner
 def _give_up(X, P, work):
-    """Make clusters nan whose series has not converged."""
+    """Set clusters to nan whose series have not converged."""
     r, bound = work.r, work.bound
     L = bound.shape[1] // 3
     for c in range(len(bound)):
@@ -228,12 +230,12 @@ def _give_up(X, P, work):
 
 @compiled("f3 f3 f i i i", Graph, "F3 F3")
 def advance(x, p, t, moves, first, count, graph, x1, p1):
-    """Write where the clusters of a kind are after the time t, and their momenta.
+    """Write the positions and momenta of the clusters of a kind after the time t.
 
-    A cluster with a number that is not finite, at a singular place, or too fast to be followed becomes nan.
+    A cluster becomes nan if a number is not finite, its positions are singular, or it is too fast.
 
-    The kind has `count` clusters from column `first` on. Unless it `moves`, the momenta lose their parts along the
-    constraints, so that r_c.r_c' = 0, and that is all. The results x1 and p1 may be x and p.
+    The kind has `count` clusters from column `first` on. Unless it `moves`, only the momenta are projected, so that
+    r_c.r_c' = 0. The results x1 and p1 may overwrite x and p.
     """
     L = min(count, LANES)
     X, P = np.empty((len(x), len(graph.inverse), 3 * L)), np.empty((len(x), len(graph.inverse), 3 * L))

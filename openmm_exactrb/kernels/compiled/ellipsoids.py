@@ -19,7 +19,7 @@ def _anisotropy(a, b, c, chi):
 
 @inner
 def _pair(r, a, b, c, chi, chi_prime, sigma, shift, scale):
-    """Return the energy and its derivatives by r, a = u.r/r, b = v.r/r and c = u.v; not a number where they overlap."""
+    """Return the energy and its derivatives by r, a = u.r/r, b = v.r/r and c = u.v; nan if the ellipsoids overlap."""
     H, Ha, Hb, Hc = _anisotropy(a, b, c, chi)
     K, Ka, Kb, Kc = _anisotropy(a, b, c, chi_prime)
     width = sigma / np.sqrt(H)
@@ -45,11 +45,11 @@ def gay_berne(x, box, law, forces, energy):
     Parameters
     ----------
     x : (2 n, 3) array
-        Positions (nm): centre and a point of the axis of the first ellipsoid, of the second, ...
+        Positions (nm): centre and a point on the axis of the first ellipsoid, of the second, ...
     box : (3,) array
         Edges (nm) of a rectangular periodic box.
     law : (7,) array
-        chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and begin of the switch (nm).
+        chi, chi', diameter and shift (nm), 4 epsilon (kJ/mol), cutoff and start of the switch (nm).
     """
     n = len(x) // 2
     chi, chi_prime, sigma, shift, scale, cutoff, begin = law

@@ -129,7 +129,7 @@ def carlson_rj(x, y, z, p):
 
 @inlined
 def rescaled(y1, y2):
-    """Return (y1, y2)/unit, unit a power of two where fourth powers would vanish; (0, 1) and 0 where both are zero."""
+    """Return (y1, y2)/unit and unit, a power of two if fourth powers would underflow; (0, 1) and 0 if both are zero."""
     size = max(abs(y1), abs(y2))
     if size >= VANISHING:
         return y1, y2, 1.0

@@ -1,7 +1,7 @@
 """The Ewald sum of point dipoles in reciprocal space, compiled.
 
-S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). The waves are standing ones here, products
-of a cosine or a sine along each axis, so that sums over them are sums along one axis after the other.
+S. W. de Leeuw, J. W. Perram and E. R. Smith, Proc. R. Soc. A 373, 27 (1980). Standing waves are used, products of a
+cosine or a sine along each axis, so that sums over them are successive sums along the axes.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ Edges = tuple[float, float, float]
 
 
 def number_of_waves(edges: Edges, k_max: float) -> float:
-    """Return about how many wave vectors the sum has, each of which represents its opposite too."""
+    """Return the approximate number of wave vectors, each of which also represents its opposite."""
     return math.prod(edges) * k_max**3 / (12.0 * math.pi**2)
 
 
 def reciprocal_space(
     r: Array, u: Array, edges: Edges, alpha: float, k_max: float, dielectric: float, threads: int = 1
 ) -> tuple[float, Array, Array]:
-    """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
+    """Return the energy of dipoles u (3, n) at r (3, n) and its negative derivatives by r and u: forces and fields.
 
     Each dipole is in the Gaussian clouds of inverse width `alpha` of all others, in all images of a rectangular box
-    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Any number of threads gives
-    the same bits.
+    with these `edges`, and a medium of the relative permittivity `dielectric` around them. Results are bit-identical
+    for any number of threads.
     """
     weights, counts = _spectrum(edges, alpha, k_max)
     kx, ky, kz = (_wave_numbers(edge, k_max) for edge in edges)
@@ -62,8 +62,8 @@ def _wave_numbers(edge: float, k_max: float) -> Array:
 def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[np.int64]]:
     """Return weights W of the products of waves along x, y and z, and how many along z each of the others has.
 
-    Along an axis the waves are a cosine and a sine of each wave number, in turns; any but zero is its opposite too. The
-    second is sin 0: nothing.
+    Along an axis, waves alternate between the cosine and the sine of each wave number; each nonzero one also represents
+    its opposite. The second wave is sin 0 = 0.
     """
     kx, ky, kz = (_wave_numbers(edge, k_max).repeat(2) for edge in edges)
     k2 = kx[:, None, None] ** 2 + ky[:, None] ** 2 + kz**2
@@ -77,7 +77,7 @@ def _spectrum(edges: Edges, alpha: float, k_max: float) -> tuple[Array, NDArray[
 
 @reordered
 def _standing_waves(x, k):
-    """Return cos k x and sin k x in turns, (2 k, n)."""
+    """Return alternating cos k x and sin k x, (2 k, n)."""
     waves = np.empty((2 * len(k), len(x)))
     waves[0], waves[1] = 1.0, 0.0
     for m in range(1, len(k)):
@@ -106,7 +106,7 @@ def _differentiated(waves, k):
 
 @reordered
 def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
-    """Sum u.grad over all dipoles, for the waves of some rows of x."""
+    """Sum u.grad over all dipoles, for the waves of given rows of x."""
     n = u.shape[1]
     across, along = np.empty((2, n))
     for a in range(first, last):
@@ -130,9 +130,9 @@ def _amplitudes(first, last, u, x, y, z, kz, counts, amplitudes):
 
 @reordered
 def _derivatives(first, last, u, x, y, z, kz, counts, factors, forces, fields):
-    """Sum factors times u.grad over all waves, and take minus its derivatives, for some dipoles.
+    """Sum factors times u.grad over all waves, and compute the negative derivatives, for given dipoles.
 
-    First the sums over waves along z, with their derivatives; then those along y of these, then those along x.
+    Sums over waves along z and their derivatives come first, then sums of these along y, then along x.
     """
     first, last = np.uint64(first), np.uint64(last)  # no index is negative: this keeps the loops in vector registers
     g, gz, gzz, h, hy, hyy, hz, hyz, hzz = np.empty((9, u.shape[1]))

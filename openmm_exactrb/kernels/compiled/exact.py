@@ -1,7 +1,7 @@
 """The exact flow of the free rigid body, compiled: the twin of `plain.exact`, with its formulas and its names.
 
-Steps with b G h <= 0.3 go through `_short` in blocks of bodies; it has neither branches nor calls, so that it is
-vectorised. All other steps go through `_long`, body by body.
+Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies; it has neither branches nor calls, so that it is
+vectorised. All other steps are computed by `_long`, one body at a time.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _short_block(block):
 
 @inlined
 def _short(b, rho, sigma, inverse_I3, x1, x2, x3, t):
-    """Return the rotation of a step less one, the change of the momentum, and whether the step is short enough."""
+    """Return the rotation of a step minus one, the change of the momentum, and whether the step is short enough."""
     square_G = x1 * x1 + x2 * x2 + x3 * x3
     G = math.sqrt(square_G)
     hG = t * G
@@ -162,7 +162,7 @@ def _long(body, block, i, means):
 
 @compiled("f2 f3 f3 f1 F3 F3")
 def advance(body, q, m, t, q1, m1):
-    """Do as `plain.exact.advance`; q1 and m1 may be q and m."""
+    """Advance bodies like `plain.exact.advance`; q1 and m1 may overwrite q and m."""
     block, means = np.zeros(_ROWS * _BLOCK), np.empty((2, LANDEN))
     each, every, summing = body.shape[1] > 1, t.shape[0] > 1, q.shape[0] > 1
     n = m.shape[2]

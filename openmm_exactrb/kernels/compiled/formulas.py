@@ -1,4 +1,4 @@
-"""Formulas in numpy that compiled code calls as they are."""
+"""Formulas in numpy that compiled code calls unchanged."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """Inner steps of multiple time stepping, compiled: drifts and kicks by bonded forces in one call.
 
-Molecules with bonds are few compared with their solvent, so that calls from Python would cost more than the arithmetic.
+Molecules with bonds are few compared with their solvent, so that calls from Python would take longer than the
+arithmetic.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from openmm_exactrb.kernels.records import Bodies, Terms
 
 @inner
 def _place(R, q, bodies, x):
-    """Write R + Q b of the sites b of all particles, of which single ones do not turn."""
+    """Write R + Q b of the sites b of all particles, of which single ones do not rotate."""
     for p in range(len(bodies.particles)):
         row, body = bodies.particles[p], bodies.owners[p]
         if body < q.shape[2]:
@@ -32,7 +33,7 @@ def _place(R, q, bodies, x):
 
 @inner
 def _collect(q, bodies, forces, total, torque):
-    """Sum the forces on particles to those (3, N) and the torques (3, K) of their owners."""
+    """Sum the forces on particles to the forces (3, N) and torques (3, K) on their bodies."""
     total[:] = 0.0
     torque[:] = 0.0
     for p in range(len(bodies.particles)):
@@ -47,7 +48,7 @@ def _collect(q, bodies, forces, total, torque):
 
 @inner
 def _move_single(R, P, mass, first, last, t):
-    """Let the centres of bodies from `first` to `last` move freely."""
+    """Advance the centres of bodies from `first` to `last` by free motion."""
     for row in range(3):
         for i in range(first, last):
             R[0, row, i], R[1, row, i] = two_sum(R[0, row, i], t * (P[0, row, i] / mass[i]) + R[1, row, i])
@@ -67,7 +68,7 @@ def _mean_energy(P, m, mass, moments):
 
 @inner
 def _move_clusters(R, P, t, places, graphs):
-    """Let the clusters of all kinds move freely."""
+    """Advance the clusters of all kinds by free motion."""
     for k in range(len(places) - 1):
         first, count, n, m, e, r, s, p = places[k]
         _, _, n1, m1, e1, r1, s1, p1 = places[k + 1]
@@ -87,13 +88,13 @@ def _move_clusters(R, P, t, places, graphs):
 
 @compiled("i1 f1 f f i", Bodies, "i2", Graph, Terms, "F3 F3 F3 F3 F2 F2 F2 F2 F1")
 def advance(kicks, parts, t, hottest, known, bodies, places, graph, terms, R, P, q, m, x, forces, total, torque, found):
-    """Make a sequence of kicks and drifts, of which `kicks` (k,) says which is which, over parts (k,) of the time t.
+    """Perform a sequence of kicks, marked by `kicks` (k,), and drifts over fractions (k,) of the time t.
 
-    R to m are changed in place. `places` (kinds + 1, 8) are the first column and the number of clusters of each kind,
-    and where its part of the fields of `graph`, those of all kinds behind each other, begins: of atoms, constraints,
-    entries, rows, starts and products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and
-    `torque` (3, K) are those at the start. A kick that leaves more kinetic energy per body (kJ/mol) than the hottest
-    bodies have is the last one. `found` (2,) is how often forces were evaluated, and this energy.
+    R to m are changed in place. `places` (kinds + 1, 8) contains the first column and the number of clusters of each
+    kind, and the starts of its parts of the concatenated fields of `graph`: of atoms, constraints, entries, rows,
+    starts and products. x (., 3) and `forces` (., 3) are overwritten. If `known`, `total` (3, N) and `torque` (3, K)
+    are those at the start. The sequence ends after a kick if the kinetic energy per body (kJ/mol) exceeds that of the
+    hottest bodies. `found` (2,) receives the number of force evaluations, and this energy.
     """
     first = places[0, 0]  # of the clusters, behind which there are none
     last = places[len(places) - 1, 0]

@@ -1,8 +1,8 @@
 """The Ewald sum of point dipoles in reciprocal space on a mesh, compiled.
 
-Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is
-Q = sum (u.grad) W(r - mesh), W a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and
-fields are its exact derivatives, by those of the spline. One transform there, one back.
+Smooth particle mesh Ewald (Essmann et al., J. Chem. Phys. 103, 8577 (1995)) of dipoles: the mesh charge is Q = sum
+(u.grad) W(r - mesh), W a B-spline, and the energy is half the sum of G(k) times the square of Q(k). Forces and fields
+are its exact derivatives, from those of the spline. An evaluation takes one transform forward and one back.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def reciprocal_space(
 ) -> tuple[float, Array, Array]:
     """Return the energy of dipoles u (3, n) at r (3, n), and minus its derivatives by r and u: forces and fields.
 
-    As `ewald.reciprocal_space`, with splines of this even `order` on a mesh of so many `points`. The mesh moves with
-    the mean of r: the energy does not change when all dipoles move alike, and the forces add up to zero. Any number of
-    threads gives the same bits.
+    The function corresponds to `ewald.reciprocal_space`, with splines of even `order` on a mesh with given numbers of
+    `points`. The mesh moves with the mean of r, so that the energy is invariant under translations, and the forces add
+    up to zero. Results are bit-identical for any number of threads.
     """
     C, steps, (nx, ny, nz) = spline(order), tuple(range(order)), points
     base, rest = _places(r, r.mean(axis=1), edges, points)
@@ -58,7 +58,7 @@ def reciprocal_space(
 
 
 def fast_size(points: float) -> int:
-    """Return the least number of points, not below these up to roundoff, of which the Fourier transform is fast."""
+    """Return the smallest number of points, at least the given one up to roundoff, with a fast Fourier transform."""
     return int(scipy.fft.next_fast_len(math.ceil(points * (1.0 - 1e-9)), real=True))
 
 
@@ -86,10 +86,10 @@ def spline(order: int) -> Array:
 
 @lru_cache(maxsize=2)  # a barostat goes back and forth between two boxes
 def influence_function(edges: Edges, alpha: float, points: Points, order: int) -> Array:
-    """Return the influence function G(k) of the mesh that makes the forces of random dipoles most exact.
+    """Return the influence function G(k) of the mesh that minimises the errors of the forces of random dipoles.
 
-    It is G k^6 W²/(sum k² W² sum k^4 W²), the sums over all aliases of k, where G is that of the Ewald sum and W the
-    transform of the spline.
+    It is G k^6 W²/(sum k² W² sum k^4 W²), with sums over all aliases of k, where G is that of the Ewald sum and W is
+    the transform of the spline.
     """
     k = [2.0 * math.pi / edge * scipy.fft.fftfreq(n, 1.0 / n) for edge, n in zip(edges, points, strict=True)]
     k[2] = k[2][: points[2] // 2 + 1]
@@ -120,7 +120,7 @@ def alias_sums(k, steps, order):
 
 @reordered
 def _places(r, origin, edges, points):
-    """Return the first mesh point (n, 3) of each dipole, and how far it is from it, in steps of the mesh."""
+    """Return the first mesh point (n, 3) of each dipole, and the distance to it in units of the mesh spacing."""
     base, rest = np.empty((r.shape[1], 3), np.int64), np.empty((r.shape[1], 3))
     for d in range(3):
         n = points[d]
@@ -135,7 +135,7 @@ def _places(r, origin, edges, points):
 
 @reordered
 def _sorted(base, nx, ny):
-    """Return where each column of the mesh begins in the dipoles sorted by columns, and these dipoles."""
+    """Return the start of each column of the mesh in the dipoles sorted by columns, and these dipoles."""
     heads, dipoles = np.zeros(nx * ny + 1, np.int64), np.empty(len(base), np.int64)
     for i in range(len(base)):
         heads[base[i, 0] * ny + base[i, 1] + 1] += 1
@@ -158,7 +158,7 @@ def _weigh(i, rest, scale, C, steps, w):
 
 @reordered
 def _spread(first, last, u, base, rest, scale, heads, dipoles, C, steps, points, mesh):
-    """Sum the mesh charge in some planes, whose margins belong to the other side."""
+    """Sum the mesh charge in given planes, whose margins wrap around."""
     nx, ny, nz = points
     order, height, stride = len(steps), mesh.shape[1], mesh.shape[2]
     w = np.empty((3, 3, C.shape[2]))
@@ -183,7 +183,7 @@ def _spread(first, last, u, base, rest, scale, heads, dipoles, C, steps, points,
 
 @reordered
 def _multiply(first, last, influence, Q, nz, energies):
-    """Multiply some planes of the half spectrum by the influence function, and sum the energy of the whole."""
+    """Multiply given planes of the half spectrum by the influence function, and sum the energy of the full spectrum."""
     for x in range(first, last):
         energy = 0.0
         for y in range(Q.shape[1]):
@@ -197,7 +197,7 @@ def _multiply(first, last, influence, Q, nz, energies):
 
 @reordered
 def _pad(first, last, phi, mesh):
-    """Copy some planes into those with margins."""
+    """Copy given planes into planes with margins."""
     ny, nz = phi.shape[1:]
     for x in range(first, last):
         for y in range(mesh.shape[1]):
@@ -210,7 +210,7 @@ def _pad(first, last, phi, mesh):
 
 @reordered
 def _gather(first, last, u, base, rest, scale, dipoles, C, steps, phi, forces, fields):
-    """Take minus the derivatives of the energy of some dipoles in the potential on the mesh."""
+    """Compute the negative derivatives of the energy of given dipoles in the potential on the mesh."""
     nx, height, stride = phi.shape
     w, sums = np.empty((3, 3, C.shape[2])), np.empty((6, C.shape[2]))
     for q in range(first, last):

@@ -14,7 +14,7 @@ _FAR = 6.5
 
 
 def _polynomial(coefficients):
-    """Return a function for a polynomial, as four of x^4: their steps do not wait for each other."""
+    """Return a function for a polynomial, as four independent polynomials of x^4."""
     C = np.zeros((-(-len(coefficients) // 4), 4))
     C.flat[: len(coefficients)] = coefficients
     highest, rest = tuple(map(float, C[-1])), C[-2::-1].copy()
@@ -50,7 +50,7 @@ _erfcx = _polynomial(
 
 @inlined
 def screened(r2, i, alpha):
-    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; the derivative of each is -r the next."""
+    """Return B1, B2 and B3 of a pair with the energy B1 u.v - B2 u.r v.r; each has the derivative -r times the next."""
     s = min(alpha * alpha * r2, _FAR**2)
     x = math.sqrt(s)
     gauss = _root_of_exp((_MIDDLE - s) / 32.0)
@@ -92,7 +92,7 @@ def pair(r2, uv, ur, vr, repulsion, coupling, attraction, minimum, alpha, trunca
 def truncated(r2, uv, core, slope, energy, a, b, c, coupling, truncation):
     """Add the reaction field to the dipoles' part, and multiply both parts by their switches.
 
-    A switch S(r²) is smooth to the sixth derivative. The spheres' energy is shifted before.
+    A switch S(r²) is smooth to the sixth derivative. The energy of the spheres is shifted before it is switched.
     """
     _, _, _, _, end, rate, reaction, end_of_core, rate_of_core, shift = truncation
     b -= coupling * reaction

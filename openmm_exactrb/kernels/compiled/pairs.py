@@ -1,7 +1,7 @@
 """The sum over soft dipoles in compiled double precision.
 
-Where the cutoff leaves no room for cells every sphere sums over all others, so that a pair is computed twice: rows are
-independent, the inner loop is vectorised, and any number of threads gives the same bits.
+If the cutoff leaves no room for cells, every sphere sums over all others, so that each pair is computed twice: rows are
+independent, the inner loop is vectorised, and results are bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ def soft_dipoles(
         of their switch in r²), strength of the reaction field; squared cutoff of the spheres, 1/(width of their switch
         in r²), and the energy that is subtracted from theirs.
     threads : int, optional
-        By default all cores, where the pairs are worth it. Any number gives the same bits.
+        By default all cores, if there are enough pairs. Results are bit-identical for any number.
     attraction : float, optional
         4 epsilon sigma^6.
     minimum : (squared distance, depth), optional
-        Where the energy of the spheres ends, raised by the depth (Weeks, Chandler and Andersen).
+        The end of the energy of the spheres, which is raised by the depth (Weeks, Chandler and Andersen).
     ewald : (alpha, k_max, dielectric) or (alpha, steps, order, dielectric), optional
         Inverse width of the Gaussians of an Ewald sum; its largest wave number, or the steps of its mesh along the
         edges and the order of its splines; and relative permittivity outside.
@@ -81,7 +81,7 @@ def soft_dipoles(
 
 
 def _work(n: int, truncation: Truncation | None, ewald: Ewald | None) -> float:
-    """Return the work in pairs without screening."""
+    """Return the work in units of pairs without screening."""
     waves = number_of_waves(truncation[:3], ewald[1]) if truncation and ewald and len(ewald) == 3 else 0.0
     return n * (n + waves / 10)
 
@@ -117,7 +117,7 @@ def _split(x):
 
 @reordered
 def _rows(first, last, arrows, repulsion, coupling, attraction, minimum, alpha, truncation, energies, forces, fields):
-    """Sum twice the energy, and the forces, of some spheres with all others."""
+    """Sum twice the energy, and the forces, of given spheres with all others."""
     n = len(energies)
     for i in range(first, last):
         xi, yi, zi, ux, uy, uz = arrows[:, i]

@@ -44,7 +44,7 @@ def norm_defect(q0, q1, q2, q3):
 
 @inlined
 def rotate_short(y1, y2, y3, cn, dn, w, cn_less, dn_less, r, s, cosine, sine):
-    """Do as `rotate`, but return the rotation less one and the change of y; `cn_less` is 1 - cn, `dn_less` 1 - dn."""
+    """Return the rotation of `rotate` minus one, and the change of y; `cn_less` is 1 - cn, `dn_less` is 1 - dn."""
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
     inverse = 1.0 / (cn * cn + rw2)
@@ -79,7 +79,7 @@ def versine(cosine, sine):
 def rotate(y1, y2, y3, f1, f2, unit, cn, dn, w, r, s, extra_re, extra_im, cosine, sine):
     """Apply the addition theorem to y = (f1 unit, f2 unit, y3) and assemble the rotation of the step.
 
-    `cosine` and `sine` are those of half the angle to which half the argument of the twist is added.
+    `cosine` and `sine` are those of half the angle, to which half the argument of the twist is added.
     """
     wy3, cd = w * y3, cn * dn
     inverse = 1.0 / (cn * cn + r * wy3 * wy3)
@@ -127,7 +127,7 @@ def turned(q0, q1, q2, q3, t0, t1, t2, t3):
 
 @inlined
 def norm_conserving(d1, d2, d3, x1, x2, x3, square_G):
-    """Return the change of x, corrected so that it keeps the norm."""
+    """Return the change of x, corrected to conserve the norm."""
     n1, n2, n3 = x1 + d1, x2 + d2, x3 + d3
     correction = (d1 * (x1 + n1) + d2 * (x2 + n2) + d3 * (x3 + n3)) * (0.5 / square_G)
     return d1 - n1 * correction, d2 - n2 * correction, d3 - n3 * correction

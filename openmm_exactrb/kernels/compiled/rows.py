@@ -1,4 +1,4 @@
-"""Rows of the mesh in vector registers, as LLVM's instructions: numba leaves loops of ten turns to scalar ones."""
+"""Rows of the mesh in vector registers, as LLVM instructions: numba does not vectorise loops of ten iterations."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FUSED = ("contract",)
 
 
 class _Code:
-    """Instructions for rows of `order` numbers, filled up to full vectors."""
+    """Instructions for rows of `order` numbers, padded to full vectors."""
 
     zero = ir.Constant(_ROW, [0.0] * LANES)
 
@@ -27,7 +27,7 @@ class _Code:
         self.width = LANES * self.vectors
 
     def pointer(self, kind, array, at=_FIRST):
-        """Return where an element of a flat array of this type is."""
+        """Return a pointer to an element of a flat array of this type."""
         return self.builder.gep(self.context.make_array(kind)(self.context, self.builder, array).data, [at])
 
     def after(self, pointer, n):

@@ -8,15 +8,15 @@ With inertia I1 <= I2 <= I3, x = m/G, G = norm(m), time s = b G t and
 
     b = (I3 - I1)/(I1 I3),  rho = I3 (I2 - I1)/(I2 (I3 - I1)),  sigma = 1 - rho = I1 (I3 - I2)/(I2 (I3 - I1)),
 
-Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They do not change when the axes 1 and 3
-and rho and sigma change places, so one formula serves both families of orbits: y = (x_l, x2, x_j), where j is the
-axis that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S = 0 is the separatrix), and
-(r, s) = (sigma, rho) or (rho, sigma). A turn by pi about axis 2 makes y3 >= 0.
+Euler's equations read x1' = -sigma x2 x3, x2' = x3 x1, x3' = -rho x1 x2. They are invariant under the exchange of axes
+1 and 3 and of rho and sigma, so one formula serves both families of orbits: y = (x_l, x2, x_j), where j is the axis
+that the momentum circles, 3 if S = rho x1² - sigma x3² < 0 and 1 otherwise (S = 0 is the separatrix), and (r, s) =
+(sigma, rho) or (rho, sigma). A rotation by pi about axis 2 makes y3 >= 0.
 
-Exchanging two axes mirrors the body, so angles change sign where j = 1.
+Exchanging two axes mirrors the body, so that angles change sign if j = 1.
 
 A short step computes changes, with an error in proportion to them. Orientations and momenta may be double-doubles
-(`openmm_exactrb.mathematics.compensated`), to which the changes are added: then a run has no other roundoff.
+(`openmm_exactrb.mathematics.compensated`), to which the changes are added; a run then has no other roundoff.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ def _step_long(body: Array, q: Array, m: Array, G: Array, t: Array) -> tuple[Arr
 
 
 def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
-    """Return the rotation less one and the change of the momentum for b G h <= 0.3.
+    """Return the rotation minus one and the change of the momentum for b G h <= 0.3.
 
-    Series instead of elliptic functions, and either family by the one form j = 3.
+    Series replace elliptic functions, and the form for j = 3 serves both families.
     """
     b, rho, sigma, inverse_I3 = body[:4]
     flip = np.copysign(1.0, m[2])
@@ -101,7 +101,7 @@ def _short(body: Array, m: Array, G: Array, t: Array) -> tuple[Array, Array]:
 
 
 def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
-    """Step of any length, from any momentum."""
+    """Return a step of any length, from any momentum."""
     b, rho, sigma, inverse_I3 = body[:4]
     exponent = np.frexp(np.abs(m).max(axis=0))[1]
     m = np.ldexp(m, -exponent)
@@ -145,7 +145,7 @@ def _long(body: Array, m: Array, _: Array, t: Array) -> tuple[Array, Array]:
 def _rotate_short(
     y: Array, cn: Array, dn: Array, w: Array, cn_less: Array, dn_less: Array, r: Array, s: Array, angle: Array
 ) -> tuple[Array, Array]:
-    """Do as `_rotate`, but return the rotation less one and the change of y; `cn_less` is 1 - cn, `dn_less` 1 - dn."""
+    """Return the rotation of `_rotate` minus one, and the change of y; `cn_less` is 1 - cn, `dn_less` is 1 - dn."""
     y1, y2, y3 = y
     wy3, cd = w * y3, cn * dn
     rw2 = r * wy3 * wy3
@@ -186,7 +186,7 @@ def _rotate(
 ) -> tuple[Array, Array]:
     """Apply the addition theorem to y and assemble the rotation of the step, around the frame y.
 
-    With xi = y1 + i y2 and a = 1 + y3, p = (a, y2, -y1, 0)/sqrt(2a) is the smallest rotation that takes y to e3, and
+    With xi = y1 + i y2 and a = 1 + y3, p = (a, y2, -y1, 0)/sqrt(2a) is the smallest rotation from y to e3, and
     the step is conj(p(0)) (cos psi, 0, 0, sin psi) p(h).
     """
     y1, y2, y3 = y
@@ -216,7 +216,7 @@ def _rotate(
 
 
 def _rescaled(y1: Array, y2: Array) -> tuple[Array, Array, Array | float]:
-    """Return (y1, y2)/unit, unit a power of two where fourth powers would vanish; (0, 1) and 0 where both are zero."""
+    """Return (y1, y2)/unit and unit, a power of two if fourth powers would underflow; (0, 1) and 0 if both are zero."""
     size = np.maximum(np.abs(y1), np.abs(y2))
     vanishing = size < VANISHING
     if not vanishing.any():
@@ -235,7 +235,7 @@ def _complex(real: Array, imag: Array) -> NDArray[np.complex128]:
 
 
 def _norm_conserving(change: Array, m: Array, G: Array) -> Array:
-    """Return the change of m, corrected so that it keeps the norm."""
+    """Return the change of m, corrected to conserve the norm."""
     m1 = m + change
     change -= m1 * (np.einsum("in,in->n", change, m + m1) * (0.5 / (G * G)))
     return change
@@ -244,7 +244,7 @@ def _norm_conserving(change: Array, m: Array, G: Array) -> Array:
 def separatrix_difference(I1: Numbers, I2: Numbers, I3: Numbers, m1: Numbers, m3: Numbers) -> tuple[Numbers, Numbers]:
     """Return d = I3 (I2 - I1) m1² - I1 (I3 - I2) m3², which vanishes on the separatrix, and the sum of its two terms.
 
-    The difference is taken in double-double: near the separatrix a double would lose all digits of it.
+    The difference is computed in double-double, because near the separatrix a double would lose all of its digits.
     """
     first = times_squared(times(I3, two_difference(I2, I1)), m1)
     third = times_squared(times(I1, two_difference(I3, I2)), m3)
