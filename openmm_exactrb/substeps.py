@@ -210,11 +210,6 @@ class LastForcesKick(Substep):
 
         return flow
 
-    def padded(self, part: float, memory: tuple[int, int]) -> tuple[float, ...]:
-        """Return the weights for given numbers of forces and differences, times a fraction of the step."""
-        pairs = zip((self.weights, self.differences), memory, strict=True)
-        return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
-
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the kick, with the number of its weights of forces."""
         return (Move(Op.LAST_KICK, part, len(self.weights), weights=(*self.weights, *self.differences)),)

@@ -14,6 +14,6 @@ def load(name: str) -> ModuleType:
     name : str
         "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation),
         "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions), "inner_steps" (of
-        multiple time stepping), "pairs" and "mesh" (dipoles) or "ellipsoids".
+        multiple time stepping), "pairs" and "mesh" (dipoles), "ellipsoids" or "parameters" (of OpenMM's forces).
     """
     return import_module(f"{__name__}.compiled.{name}")
