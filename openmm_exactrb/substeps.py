@@ -200,9 +200,10 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance, memory = advancing(), environment.forces().memory
+        advance, own = advancing(), environment.forces()
 
         def flow(state: State, tau: float) -> State:
+            memory = own.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (np.asarray(sum(w * value[i] for w, value in terms)) for i in (0, 1))
