@@ -67,8 +67,8 @@ class Corrected(NamedTuple):
         return self.mean + self.correction, math.hypot(self.error, self.correction_error)
 
 
-def as_if(file: Path, method: str, fs: float) -> Path:
-    """Return a file of the frames of a LangevinMiddleIntegrator with the settings of another integrator."""
+def as_if(file: Path, method: str, fs: float, other: Path) -> None:
+    """Write the frames of a LangevinMiddleIntegrator to another file, with the settings of another integrator."""
     lines, settings = file.read_text(encoding="utf-8").splitlines(keepends=True), read(file)[0]
     own = method == LFM
     order = second_order(with_thermostat(scheme_for_thermostat("BAOA" if own else method)))
@@ -78,9 +78,7 @@ def as_if(file: Path, method: str, fs: float) -> Path:
     changed = replace(
         settings, step=step, alpha=order.alpha, beta=order.beta, slopes=(order.slope, order.alpha), chords=own
     )
-    other = Path(tempfile.mkdtemp()) / "frames.csv"
     other.write_text(head(changed, lines[1].strip().split(",")) + "".join(lines[2:]), encoding="utf-8")
-    return other
 
 
 def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[str, Any]]:
@@ -89,10 +87,12 @@ def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[st
     run = {"model": model, "masses": "plain", "scheme": LFM, "fs": 4.0, "ensemble": ensemble, "bar": bar}
     file = averages.frames(run | {"ps": ps, "seed": seed})
     for method, fs in itertools.product(METHODS, STEPS):
-        other = as_if(file, method, fs)
         row = dict.fromkeys(COLUMNS, "nan")
         for name, quantity, of_molecule in QUANTITIES[ensemble]:
-            found = rb.corrected(other, quantity)
+            with tempfile.TemporaryDirectory() as folder:
+                other = Path(folder) / "frames.csv"
+                as_if(file, method, fs, other)
+                found = rb.corrected(other, quantity)
             per = averages.MOLECULES if of_molecule else 1
             row |= {name: f"{found.correction / per:.4g}", f"{name} error": f"{found.correction_error / per:.2g}"}
         yield row | {"model": model, "ensemble": ensemble, "method": method, "fs": fs, "ps": ps, "seed": seed}
@@ -100,15 +100,14 @@ def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[st
 
 def points(model: str, ensemble: str, name: str) -> list[Corrected]:
     """Return the averages of a model that have a correction, by method and step."""
+    corrections = [row for row in RECORD.rows().values() if (row["model"], row["ensemble"]) == (model, ensemble)]
     found = []
     for point in equipartition_record.points(equipartition_record.read(equipartition_record.RECORD)):
-        same = {"model": model, "ensemble": ensemble, "method": point.method, "fs": str(point.interval)}
-        rows = [row for row in RECORD.rows().values() if all(row[key] == value for key, value in same.items())]
+        same = point.method, str(point.interval)
+        rows = [row for row in corrections if (row["method"], row["fs"]) == same]
         if (point.model, point.ensemble, point.friction) == (model, ensemble, FRICTION) and rows:
-            values = np.array([[float(row[name]), float(row[f"{name} error"])] for row in rows])
-            weights = values[:, 1] ** -2.0 / (values[:, 1] ** -2.0).sum()
-            correction, error = weights @ values[:, 0], math.sqrt(weights**2 @ values[:, 1] ** 2)
-            found.append(Corrected(point.method, point.interval, *point.found[name], correction, error))
+            *correction, _ = agreement([(float(row[name]), float(row[f"{name} error"])) for row in rows])
+            found.append(Corrected(point.method, point.interval, *point.found[name], *correction))
     return sorted(found, key=lambda point: (METHODS.index(point.method), point.fs))
 
 
