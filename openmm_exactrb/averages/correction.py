@@ -283,9 +283,13 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     frames = len(columns["step"])
     array = checks.array(values, "values", "a number for each frame")
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
-    slopes = [np.broadcast_to(np.asarray(s, dtype=np.float64), (frames,)) for s in given]
-    if array.shape != (frames,) or len(slopes) != 2:
-        raise ValueError(f"an observable needs one value, and one slope, for each of the {frames} frames of the file")
+    slopes = [checks.array(s, "slope", "a number for each frame, or two of them") for s in given]
+    fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
+    if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
+        raise ValueError(
+            f"an observable needs one finite value, and one slope, for each of the {frames} frames of the file"
+        )
+    slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
     steps = columns["step"]
 
     def estimate(some: Columns) -> _Estimate:

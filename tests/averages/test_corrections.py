@@ -329,6 +329,9 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, "density")
     with pytest.raises(ValueError, match="for each of the 100 frames"):
         rb.corrected(file, np.zeros(99))
+    for values, slope in ((np.full(100, np.nan), None), (np.zeros(100), np.zeros(99)), (np.zeros(100), np.inf)):
+        with pytest.raises(ValueError, match="one finite value, and one slope, for each of the 100 frames"):
+            rb.corrected(file, values, slope)
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
     with pytest.raises(ValueError, match="at constant volume, which has no pressure to correct to"):
@@ -337,6 +340,13 @@ def test_what_a_file_lacks_is_said(tmp_path):
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    for wrong in ("nan", "inf", "x"):
+        last = lines[-1].replace("2000000.0", wrong)
+        assert last != lines[-1]
+        few.write_text("".join([*lines[:-1], last]))
+        with pytest.raises(ValueError, match=r"line 102 of .* has a value that is not a finite number"):
+            rb.corrected(few, "pressure")
     (tmp_path / "no.csv").write_text("step,time\n")
     with pytest.raises(ValueError, match="was not written by an AverageReporter"):
         rb.corrected(tmp_path / "no.csv", "pressure")
