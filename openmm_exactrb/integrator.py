@@ -176,7 +176,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         before, self._h = self._h, picoseconds(size)
         super().setStepSize(self._h)
         self._changed()
-        if self._propagator is not None and not self._propagator.outdated:
+        if self._propagator is not None and not self._propagator.sync.outdated:
             try:
                 self._settle(self._propagator.sync.context)
             except ValueError:
@@ -353,7 +353,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def _unsettled(self) -> bool:
         """Return whether the Context is unknown, was reinitialised, or has the state of another engine."""
         propagator = self._propagator
-        return propagator is None or propagator.outdated or self.getGlobalVariable(0) not in self._selection.marks
+        return propagator is None or propagator.sync.outdated or self.getGlobalVariable(0) not in self._selection.marks
 
     def _settle(self, context: Any) -> None:
         """Choose the engine for a Context, and create a propagator if the engine changes."""

@@ -200,20 +200,16 @@ class LastForcesKick(Substep):
 
     def bind(self, environment: Environment) -> Flow[State]:
         """Return P + tau sum_k w_k F_k and m + tau sum_k w_k N_k."""
-        advance, memory = advancing(), environment.forces().memory
+        advance, own = advancing(), environment.forces()
 
         def flow(state: State, tau: float) -> State:
+            memory = own.memory
             terms = [*zip(self.weights, memory.forces, strict=False)]
             terms += zip(self.differences, memory.differences, strict=False)
             force, torque = (np.asarray(sum(w * value[i] for w, value in terms)) for i in (0, 1))
             return state._replace(P=advance(state.P, force, tau), m=advance(state.m, torque, tau))
 
         return flow
-
-    def padded(self, part: float, memory: tuple[int, int]) -> tuple[float, ...]:
-        """Return the weights for given numbers of forces and differences, times a fraction of the step."""
-        pairs = zip((self.weights, self.differences), memory, strict=True)
-        return tuple(part * w for weights, n in pairs for w in (*weights, *(0.0,) * (n - len(weights))))
 
     def device_moves(self, part: float) -> tuple[Move, ...]:
         """Return the kick, with the number of its weights of forces."""

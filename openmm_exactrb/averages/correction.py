@@ -5,13 +5,14 @@ and W = f·M⁻¹f_s. The error that a splitting of steps h gives the average of
 
     h² {-(alpha + beta) Cov(A, S)/kT - kappa <grad A · M⁻¹f_s> + J},
 
-where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. For a friction far
-below and far above the frequencies of the liquid,
+where kappa = alpha + y²/2 - c (`openmm_exactrb.schemes.second_order`) and J depends on the friction. If friction is far
+slower than the exchange of energy between motions, and if it is far faster than all motions,
 
     J = 2 alpha <W> Cov(A, U)/(n kT²),        J = -2 alpha <grad A · M⁻¹f_s> - alpha Cov(A, W)/kT,
 
-with n degrees of freedom; the second is exact only without inner steps. A correction uses the first, and its bracket
-contains both. Drifts along chords conserve h² T in addition (`openmm_exactrb.averages.chord`), which adds
+with n degrees of freedom; the second is exact only without inner steps, and also holds for harmonic motions that
+exchange no energy, at any friction. A correction takes the middle of these limits. Drifts along chords conserve h² T in
+addition (`openmm_exactrb.averages.chord`), which adds
 
     -Cov(A, T)/kT + 4 <T> Cov(A, U)/(n kT²)
 
@@ -36,13 +37,10 @@ from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
 from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
-from openmm_exactrb.support.warn import warn
 
 Array = NDArray[np.float64]
 # Blocks of the jackknife, and the fewest frames that they can be made of.
 _BLOCKS, _FEWEST = 20, 40
-# Statistical errors that the limits of friction may differ by without a warning.
-_DISTINCT = 3.0
 # kg/m³ per Da/nm³.
 _DENSITY = 1.66053906660
 
@@ -56,13 +54,13 @@ class Average:
     mean : float
         The average minus the step-size error.
     error : float
-        The statistical error of the mean, one standard deviation.
+        The standard deviation of the mean: of statistics and of the correction.
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float
-        The statistical error of the correction.
+        The standard deviation of the correction: of statistics, and of a uniform distribution over `bracket`.
     bracket : (float, float)
-        The corrected averages for weak and for strong friction; the first is `mean`.
+        The corrected averages for weak and for strong friction; `mean` is halfway between them.
     """
 
     mean: float
@@ -79,7 +77,7 @@ class PressureOffset:
     Attributes
     ----------
     bar, error : float
-        The error of the pressure and its statistical error, in bar.
+        The error of the pressure and the standard deviation of this, in bar; see `Average`.
     bracket : (float, float)
         For weak and for strong friction.
     scheme, step, temperature : str, float (ps), float (K)
@@ -140,11 +138,6 @@ def corrected(
     ------
     ValueError
         If the file lacks data that the correction needs, or the theory does not apply to the run.
-
-    Warns
-    -----
-    UserWarning
-        If the limits of weak and strong friction differ by more than three statistical errors.
     """
     settings, columns = _checked(file)
     excess = 0.0
@@ -167,9 +160,7 @@ def corrected(
         value, observable_of = of(some)
         return value, *_errors(settings, some, observable_of, local, excess)
 
-    found = _jackknife(columns, result)
-    _warn_of_friction(found)
-    return found
+    return _jackknife(columns, result)
 
 
 def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
@@ -184,11 +175,6 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
     ------
     ValueError
         If the file has no pressure.
-
-    Warns
-    -----
-    UserWarning
-        If the limits of weak and strong friction differ by more than three statistical errors.
     """
     settings, columns = _checked(file)
     if "pressure" not in columns:
@@ -199,8 +185,7 @@ def pressure_offset(file: str | os.PathLike[str]) -> PressureOffset:
         return value, *_at_fixed_volume(settings, some, of, False, some["volume"] if settings.barostat else None)
 
     found = _jackknife(columns, result)
-    _warn_of_friction(found)
-    weak, strong = (-found.correction + found.bracket[0] - mean for mean in found.bracket)
+    weak, strong = (found.mean - found.correction - mean for mean in found.bracket)
     return PressureOffset(
         -found.correction, found.correction_error, (weak, strong), settings.scheme, settings.step, settings.temperature
     )
@@ -254,17 +239,6 @@ def _covariance(a: Array, b: Array, given: Array | None = None) -> float:
     return own - _covariance(a, given) * _covariance(b, given) / _covariance(given, given)
 
 
-def _warn_of_friction(found: Average) -> None:
-    """Warn of an average that differs between the limits of weak and strong friction."""
-    weak, strong = found.bracket
-    if abs(weak - strong) > _DISTINCT * found.error:
-        warn(
-            f"the corrected average is {weak:.6g} if all motions exchange energy faster than friction does, but "
-            f"{strong:.6g} if none does, as for bonds that vibrate in the kicks; its error does not include this "
-            "difference: constrain such bonds, or use a shorter step"
-        )
-
-
 def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
     """Return an average over all frames, with jackknife errors."""
     frames = len(columns["step"])
@@ -273,10 +247,13 @@ def _jackknife(columns: Columns, of: Callable[[Columns], _Result]) -> Average:
     for block in np.array_split(np.arange(frames), _BLOCKS):
         kept = np.ones(frames, dtype=bool)
         kept[block] = False
-        some = of({name: values[kept] for name, values in columns.items()})
-        left_out.append((some[0] - some[1], some[1]))
-    spread = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
-    return Average(value - weak, float(spread[0]), -weak, float(spread[1]), (value - weak, value - strong))
+        mean, *limits = of({name: values[kept] for name, values in columns.items()})
+        left_out.append((mean - np.mean(limits), np.mean(limits)))
+    statistical = np.std(left_out, axis=0) * np.sqrt(_BLOCKS - 1.0)
+    between = abs(weak - strong) / np.sqrt(12.0)  # of a uniform distribution
+    error, of_correction = map(float, np.hypot(statistical, between))
+    off = 0.5 * (weak + strong)
+    return Average(value - off, error, -off, of_correction, (value - weak, value - strong))
 
 
 # -- observables ---------------------------------------------------------------------------------------------------
@@ -306,9 +283,13 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     frames = len(columns["step"])
     array = checks.array(values, "values", "a number for each frame")
     given = [0.0, 0.0] if slope is None else list(slope) if np.ndim(slope) == 2 else [slope, np.zeros(frames)]
-    slopes = [np.broadcast_to(np.asarray(s, dtype=np.float64), (frames,)) for s in given]
-    if array.shape != (frames,) or len(slopes) != 2:
-        raise ValueError(f"an observable needs one value, and one slope, for each of the {frames} frames of the file")
+    slopes = [checks.array(s, "slope", "a number for each frame, or two of them") for s in given]
+    fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
+    if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
+        raise ValueError(
+            f"an observable needs one finite value, and one slope, for each of the {frames} frames of the file"
+        )
+    slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
     steps = columns["step"]
 
     def estimate(some: Columns) -> _Estimate:

@@ -91,13 +91,20 @@ def _settings(line: str) -> Settings:
     return Settings(**{**known, **tuples})
 
 
+def _value(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return np.nan
+
+
 def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     """Return the settings and the columns of a run, whose names are without units.
 
     Raises
     ------
     ValueError
-        If the file is not from an `AverageReporter`, or a line is incomplete.
+        If the file is not from an `AverageReporter`, or a line is incomplete or has a value that is not finite.
     OSError
         If the file cannot be read.
     """
@@ -109,5 +116,11 @@ def read(file: str | os.PathLike[str]) -> tuple[Settings, dict[str, Array]]:
     for number, row in enumerate(rows, start=3):
         if len(row) != len(names):
             raise ValueError(f"line {number} of {file} is incomplete: delete this line")
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(names))
+    values = np.array([[*map(_value, row)] for row in rows]).reshape(-1, len(names))
+    finite = np.isfinite(values).all(axis=1)
+    if not finite.all():
+        raise ValueError(
+            f"line {3 + np.argmin(finite)} of {file} has a value that is not a finite number: look for what went wrong "
+            "in the run, and delete the lines from there on"
+        )
     return _settings(lines[0]), dict(zip(names, values.T, strict=True))

@@ -109,7 +109,7 @@ def _equilibrated(
         simulation.context.setPositions(box.positions)
     if not box.moves:
         flexible = len(integrator.bodyState()[0].clusters) > 0  # which OpenMM's minimiser takes
-        if flexible and (why := why_not_by_default(platform)):
+        if flexible and (why := why_not_by_default(platform.getName())):
             warn(f"{why}: use --platform CPU if this run ends without a message")
         minimise(integrator)
         integrator.setVelocitiesToTemperature(args.temperature, args.seed)

@@ -55,7 +55,7 @@ def _lines() -> Iterator[str]:
     yield from (f"{name} engine: {engine.information()}" for name, engine in ENGINES.items())
     yield "platforms, fastest first:"
     for found in platforms():
-        why = why_not_by_default(found)
+        why = why_not_by_default(found.getName())
         yield f"  {found.getName()}, speed {found.getSpeed():g}{f'; used only if named: {why}' if why else ''}"
     for failure in openmm.Platform.getPluginLoadFailures():
         yield f"  a plugin could not be loaded: {' '.join(failure.split())}"

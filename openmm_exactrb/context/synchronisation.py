@@ -16,7 +16,7 @@ from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import Shapes
-from openmm_exactrb.mechanics.state import BodyState, Remembered, State
+from openmm_exactrb.mechanics.state import Remembered, State
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.support.types import Array
 
@@ -98,6 +98,8 @@ class Synchronisation:
         The writer of the positions into the Context.
     """
 
+    _same, _rigid = (_SAME, _SAME_PART), _RIGID
+
     def __init__(
         self,
         context: openmm.Context,
@@ -173,7 +175,7 @@ class Synchronisation:
         self.positions.moved()
         self.particles[:], self._v[:] = x, v  # particles without mass that are no virtual sites stay where they are
         self._seen = (x, v)
-        if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles), _RIGID)):
+        if len(_differs(self.bodies, x, self.bodies.positions(self.state.rounded, self.particles), self._rigid)):
             self.push()
         return True
 
@@ -188,17 +190,10 @@ class Synchronisation:
 
     def compared(self, known: State, x: Array, v: Array) -> State:
         """Return a known state, with bodies refitted whose particles are not at its positions."""
-        return self._compared(known, x, v, _SAME, _SAME_PART)
-
-    def _compared(self, known: State, x: Array, v: Array, same: float, part: float) -> State:
-        rounded = known.rounded
-        moved = _differs(self.bodies, x, self.bodies.positions(rounded, x.copy()), same, part)
-        pushed = _differs(self.bodies, v, self._velocities(rounded, v.copy()), same, part)
+        bodies, rounded = self.bodies, known.rounded
+        moved = _differs(bodies, x, bodies.positions(rounded, x.copy()), *self._same)
+        pushed = _differs(bodies, v, bodies.velocities(rounded, v.copy()), *self._same)
         return self._refitted(known, x, v, moved, pushed)
-
-    def _velocities(self, rounded: BodyState, v: Array) -> Array:
-        """Write the velocities of a state into v (n_particles, 3), as the Context shows them."""
-        return self.bodies.velocities(rounded, v)
 
     def _refitted(self, known: State, x: Array, v: Array, moved: Indices, pushed: Indices) -> State:
         """Return a known state, with bodies refitted that were moved or whose velocities changed."""

@@ -6,8 +6,6 @@ a ValueError is raised if there is evidence that the box has split them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import openmm
 from numpy.typing import NDArray
@@ -60,19 +58,14 @@ def molecular_links(system: openmm.System, molecule: Indices) -> Links:
 
 def _with_bonds(system: openmm.System, held: Rows) -> Rows:
     """Return the particles (m, 2) of constraints and bonds, and their lengths (m,) in nm or nan."""
-    pairs, lengths = zip(held, *_bonds(system), strict=True)
-    return np.concatenate(pairs), np.concatenate(lengths)
-
-
-def _bonds(system: openmm.System) -> Iterator[Rows]:
-    """Yield the particles of the bonds of forces, and their lengths at rest in nm, nan for bonds by a formula."""
+    pairs, lengths = [held[0]], [held[1]]
     for force in system.getForces():
-        if isinstance(force, openmm.HarmonicBondForce):
+        if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             particles, numbers = parameters.terms(force)
-            yield particles, numbers[:, 0]
-        elif isinstance(force, openmm.CustomBondForce):
-            particles, _ = parameters.terms(force)
-            yield particles, np.full(len(particles), np.nan)
+            pairs.append(particles)
+            known = isinstance(force, openmm.HarmonicBondForce)  # a formula may have no length at rest
+            lengths.append(numbers[:, 0] if known else np.full(len(particles), np.nan))
+    return np.concatenate(pairs), np.concatenate(lengths)
 
 
 def whole_positions(
@@ -182,7 +175,13 @@ def _by_common_shape(X: Array, box: Array) -> tuple[Array, NDArray[np.bool_]]:
         return X, confirmed
     apart = (gaps - gaps[0]) @ np.linalg.inv(box)
     if np.abs(apart - np.round(apart)).max() <= RIGIDITY / half_width(box):  # all are turned alike
-        _check_clear(near[0], box)
+        longest = _steps(near[0]).max()
+        if longest > _CLEAR * half_width(box):
+            raise ValueError(
+                f"bodies of {len(near[0])} particles with the same masses differ in shape only by the periodic images "
+                f"of their particles, and across a gap of at least {longest:.3g} nm either image may be meant: "
+                + _REMEDY
+            )
         return _joined_to(near[0], X, box), confirmed
     common = _common_images(X, box)
     joint = _joined_to(common, X, box)
@@ -227,16 +226,6 @@ def _joined_to(shape: Array, X: Array, box: Array) -> Array:
     except ValueError:
         return X
     return np.asarray(y.reshape(X.shape))
-
-
-def _check_clear(near: Array, box: Array) -> None:
-    """Raise ValueError if a body (k, 3) joined by nearest images has an ambiguous gap."""
-    longest = _steps(near).max()
-    if longest > _CLEAR * half_width(box):
-        raise ValueError(
-            f"bodies of {len(near)} particles with the same masses differ in shape only by the periodic images of "
-            f"their particles, and across a gap of at least {longest:.3g} nm either image may be meant: {_REMEDY}"
-        )
 
 
 def _congruent(shape: Array, X: Array, within: float = RIGIDITY) -> NDArray[np.bool_]:

@@ -77,15 +77,11 @@ class Propagator(Protocol):
 
     @property
     def sync(self) -> Synchronisation:
-        """The state of the bodies."""
+        """The state of the bodies; when it is outdated, so is the propagator."""
 
     @property
     def updates(self) -> ContextUpdates:
         """OpenMM's actions between steps."""
-
-    @property
-    def outdated(self) -> bool:
-        """Whether a new propagator is needed: the Context is gone, was reinitialised, or must be prepared again."""
 
     @property
     def last_exchange(self) -> tuple[State, State] | None:

@@ -7,5 +7,13 @@ from types import ModuleType
 
 
 def load(name: str) -> ModuleType:
-    """Import a module of `compiled` by its name, which compiles it or finds it in numba's cache."""
+    """Import a module of compiled kernels, compiling it unless it is in numba's cache.
+
+    Parameters
+    ----------
+    name : str
+        "bodies" (positions of the particles of rigid bodies, forces and torques), "exact" (the free rotation),
+        "clusters" (the free flow of constrained clusters), "bonded" (bonds, angles and torsions), "inner_steps" (of
+        multiple time stepping), "pairs" and "mesh" (dipoles), "ellipsoids" or "parameters" (of OpenMM's forces).
+    """
     return import_module(f"{__name__}.compiled.{name}")

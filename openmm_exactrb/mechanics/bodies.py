@@ -37,6 +37,11 @@ class Kind:
     mass: float
     inertia: Array  #: ascending moments (1, 3) or (n, 3): the first is 0 on a line, all are in a point
 
+    def only(self, chosen: NDArray[np.bool_]) -> Kind:
+        """Return some of the bodies (n,), numbered as before."""
+        sites, inertia = (a if len(a) == 1 else a[chosen] for a in (self.sites, self.inertia))
+        return replace(self, particles=self.particles[chosen], sites=sites, inertia=inertia)
+
     @property
     def turns(self) -> bool:
         """Whether the bodies have an orientation, unlike single and coincident particles."""
@@ -124,10 +129,8 @@ class RigidBodies:
         for kind in self.kinds:
             own = bodies[kind.bodies]
             if own.any():
-                stop = start + int(own.sum())
-                sites, inertia = (a if len(a) == 1 else a[own] for a in (kind.sites, kind.inertia))
-                rows = number[kind.particles[own]]
-                kinds.append(replace(kind, particles=rows, bodies=slice(start, stop), sites=sites, inertia=inertia))
+                some, stop = kind.only(own), start + int(own.sum())
+                kinds.append(replace(some, particles=number[some.particles], bodies=slice(start, stop)))
                 start = stop
         return RigidBodies(kinds, n_particles, self.clusters.chosen(bodies[self.clustered], number))
 

@@ -7,10 +7,8 @@ this potential does not act have a single drift.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
 
 import numpy as np
 import openmm
@@ -18,7 +16,6 @@ import openmm
 from openmm_exactrb.context.forces import ContextForces, EvaluatedForces, Remainder, SlowGroups
 from openmm_exactrb.context.synchronisation import Positions, Synchronisation
 from openmm_exactrb.context.timings import Timings
-from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.free_motion import Kinetic, free_motion, only_distances, rigid
 from openmm_exactrb.mechanics.state import Flow, State
@@ -37,20 +34,18 @@ _COUNTER = "fast_evaluations"
 
 
 class InnerDrift:
-    """Drifts of the bodies of a Context with fast forces in them."""
+    """Drifts of the bodies of a Context with fast forces in them, and the resonances of what these move."""
 
     def __init__(self, fast: FastForces, sync: Synchronisation, rotor: Rotor, timings: Timings) -> None:
         self.fast, self._bodies, self._timings = fast, sync.bodies, timings
-        self._own = None if fast.excerpt is None else ExcerptContext(fast.excerpt, sync)
-        self._part = sync.bodies if fast.excerpt is None else fast.excerpt.part.bodies
+        excerpt = fast.excerpt
+        self._own = None if excerpt is None else ExcerptPositions(excerpt, sync)
+        self._part = sync.bodies if excerpt is None else excerpt.part.bodies
         self._rotor, self._free = rotor, free_motion(self._part, rotor)
-        forces = None if fast.excerpt is None else fast.excerpt.forces
-        self._resonances = Resonances(sync.context.getSystem(), fast.named or range(32), forces)
+        self.resonances = Resonances(
+            sync.context.getSystem(), fast.named or range(32), None if excerpt is None else excerpt.forces
+        )
         self._rigid = rigid(sync.bodies.mass, rotor_of_sums(rotor, sync.bodies.inertia, checked=False))
-
-    def warn_of_resonances(self, scheme: Scheme, h: float) -> None:
-        """Warn once if slow forces in steps of h (ps) are in resonance with the motion within the drifts."""
-        self._resonances.warn(scheme, abs(h))
 
     def split(
         self,
@@ -86,12 +81,15 @@ class InnerDrift:
         def of_others(state: State, tau: float) -> State:
             return part.into(others(state, tau), part.of(state))
 
-        split = {"inner": own.kept_up(timed(of_inner, passes=False)), "others": own.kept_up(timed(of_others))}
-        return own.kept_up(timed(of_all)), split, Remainder(forces, fast, part)
+        split = {
+            "inner": _followed_by(own.keep_up, timed(of_inner, passes=False)),
+            "others": _followed_by(own.keep_up, timed(of_others)),
+        }
+        return _followed_by(own.keep_up, timed(of_all)), split, Remainder(forces, fast, part)
 
     def _of_excerpt(
         self,
-        own: ExcerptContext,
+        own: ExcerptPositions,
         forces: ContextForces,
         divergence: DivergenceCheck,
         inner: Sequence,
@@ -100,13 +98,13 @@ class InnerDrift:
         """Return the drift with inner steps for the bodies of the excerpt, and their fast forces."""
         terms, of_groups = terms_of(own.excerpt.numbered, forces.groups), (forces.groups, self._timings, _COUNTER)
         if terms is None:
-            fast = ContextForces(own.positions, *of_groups)
+            fast = ContextForces(own, *of_groups)
         else:
-            fast = BondedForces(terms, own.positions, *of_groups)
+            fast = BondedForces(terms, own, *of_groups)
             if self._rotor in COMPILED and only_distances():
                 return CompiledInnerSteps(fast, inner, repetitions, divergence), fast
         fast_kick = kick(fast, divergence.of_inner_steps(self._part))
-        return inner_steps(own.counting_moves(self._free.drift), fast_kick, inner, repetitions), fast
+        return inner_steps(_followed_by(own.moved, self._free.drift), fast_kick, inner, repetitions), fast
 
     def _of_others(self, kinetic: Kinetic) -> Flow[State]:
         """Return a drift that is valid for bodies outside of the excerpt; that of rigid bodies is cheaper."""
@@ -131,63 +129,40 @@ def inner_steps(
     return lambda state, tau: through(rows(tau), state)
 
 
-class ExcerptContext:
-    """The Context of an excerpt, which follows box, parameters and massless particles of another Context."""
+def _followed_by(notice: Callable[[], None], drift: Flow[State]) -> Flow[State]:
+    """Return a drift after which a function is called."""
+
+    def flow(state: State, tau: float) -> State:
+        state = drift(state, tau)
+        notice()
+        return state
+
+    return flow
+
+
+class ExcerptPositions(Positions):
+    """Positions of an excerpt in a Context of its own, with box, parameters and massless particles of the whole.
+
+    They are updated whenever those of the whole have changed, except by the excerpt's own drift.
+    """
 
     def __init__(self, excerpt: Excerpt, sync: Synchronisation) -> None:
-        self.excerpt, self._sync = excerpt, sync
         platform = openmm.Platform.getPlatform("Reference")  # few forces: threads and launches would cost more
-        self._context = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
-        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._context.getParameters()))
+        self._own = openmm.Context(excerpt.system, openmm.VerletIntegrator(0.001), platform)
+        self.excerpt, self._whole, self._seen, self._count = excerpt, sync.positions, -1, 0
+        super().__init__(self._own, excerpt.part.bodies, sync.particles[excerpt.particles])
+        self._changes = excerpt.system.usesPeriodicBoundaryConditions() or bool(len(self._own.getParameters()))
         self._massless = np.flatnonzero(parameters.masses(excerpt.system) == 0.0)
-        self._x = sync.particles[excerpt.particles]
-        self._all = sync.positions
-        follow = weakref.WeakMethod(self._follow)  # no cycle, which would keep the Context until it is collected
-        self.positions = FollowingPositions(self._context, excerpt.part.bodies, self._x, sync.positions, follow)
-
-    def counting_moves(self, drift: Flow[State]) -> Flow[State]:
-        """Return a drift of the bodies of the excerpt that changes its positions."""
-
-        def flow(state: State, tau: float) -> State:
-            state = drift(state, tau)
-            self.positions.version += 1
-            return state
-
-        return flow
-
-    def kept_up(self, drift: Flow[State]) -> Flow[State]:
-        """Return a drift of all bodies that also updates the positions of the excerpt."""
-
-        def flow(state: State, tau: float) -> State:
-            state = drift(state, tau)
-            self.positions.keep_up()
-            return state
-
-        return flow
-
-    def _follow(self) -> None:
-        self._x[self._massless] = self._sync.particles[self.excerpt.particles[self._massless]]
-        if not self._changes:
-            return
-        arrays.take_surroundings(self._context, self._all.context.getState(parameters=True))
-
-
-class FollowingPositions(Positions):
-    """Positions of an excerpt, updated whenever those of the whole have changed, except by the excerpt's own drift."""
-
-    def __init__(
-        self, context: Any, bodies: RigidBodies, x: Any, followed: Positions, follow: Callable[[], Any]
-    ) -> None:
-        self._followed, self._follow, self._seen, self._count = followed, follow, -1, 0
-        super().__init__(context, bodies, x)
 
     @property
     def version(self) -> int:
         """The version, which follows that of the positions of the whole."""
-        if self._seen != self._followed.version:
+        if self._seen != self._whole.version:
             self.keep_up()
             self._count += 1
-            self._follow()()
+            self.particles[self._massless] = self._whole.particles[self.excerpt.particles[self._massless]]
+            if self._changes:
+                arrays.take_surroundings(self._own, self._whole.context.getState(parameters=True))
         return self._count
 
     @version.setter
@@ -196,4 +171,4 @@ class FollowingPositions(Positions):
 
     def keep_up(self) -> None:
         """Record that the present positions are those of the whole."""
-        self._seen = self._followed.version
+        self._seen = self._whole.version

@@ -45,7 +45,8 @@ def frequencies(
     by_group = sorted(bonds, key=lambda bond: bond[0])  # those of the groups last, which count
     pairs, lengths = zip(held, *((particles, r) for _, particles, r, _ in by_group), strict=True)
     known = _Lengths(np.concatenate(pairs), np.concatenate(lengths))
-    inverse = _inverse(parameters.masses(system))
+    masses = parameters.masses(system)
+    inverse = np.divide(1.0, masses, out=np.zeros_like(masses), where=masses != 0.0)  # frozen particles have 0
     for own, particles, _, strength in bonds:
         if own:
             free = ~constrained(particles)
@@ -128,8 +129,3 @@ def _at_lengths(bonds: Bonded, lengths: Array) -> Array:
         context.setPositions(x.reshape(-1, 3))
         found.append(-arrays.forces(context.getState(forces=True)).reshape(n, 2, 3)[:, 1, 0])
     return np.nan_to_num(np.array(found))
-
-
-def _inverse(mass: Array) -> Array:
-    """Return the inverse masses, 0 for massless particles."""
-    return np.divide(1.0, mass, out=np.zeros_like(mass), where=mass != 0.0)

@@ -1,22 +1,27 @@
-"""The parameters of a System and its forces as arrays.
+"""The parameters of a System and its forces as arrays, by OpenMM's C interface.
 
-OpenMM's functions are called below the layer that creates Quantities, which takes several times as long: a membrane has
-a million bonds. The parameters of a term of a custom force are in the order of their names.
+A call from Python takes some microseconds for each bond, of which a membrane has a million. What has parameters of its
+own names, a custom force, has those of a term in their order.
 """
 
 from __future__ import annotations
 
+import ctypes
+import sys
+from functools import cache
 from typing import Any
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 
+from openmm_exactrb import kernels
 from openmm_exactrb.support.types import Array, Indices
 
 #: Whole numbers of terms, particles among them (n, k), and other numbers (n, m), as OpenMM has them, in its units.
 Rows = tuple[Indices, Array]
 
-# What the terms of a force are called, and how many whole and other numbers they have: no count for those of a tuple.
+# What the terms of a force are called, and how many whole and other numbers they have: no count for those of arrays.
 _TERMS = {
     openmm.HarmonicBondForce: ("Bond", 2, 2),
     openmm.HarmonicAngleForce: ("Angle", 3, 2),
@@ -27,40 +32,80 @@ _TERMS = {
     openmm.CustomAngleForce: ("Angle", 3, None),
     openmm.CustomTorsionForce: ("Torsion", 4, None),
 }
+_MOST = 10
 
 
 def terms(force: Any) -> Rows:
     """Return the bonds, angles or torsions of a bonded force."""
     name, whole, others = _TERMS[type(force)]
-    rows = _rows(force, f"get{name}Parameters", getattr(force, f"getNum{name}s")())
+    count = getattr(force, f"getNum{name}s")()
     if others is None:
-        rows = [[*row[:whole], *row[whole]] for row in rows]
         others = getattr(force, f"getNumPer{name}Parameters")()
-    return _divided(rows, whole, others)
+        return _rows_of_arrays(force, f"get{name}Parameters", count, whole, others)
+    return _rows(force, f"get{name}Parameters", count, whole, others)
 
 
 def exceptions(force: openmm.NonbondedForce) -> Rows:
     """Return particles, and product of charges, sigma and epsilon of the exceptions of a force."""
-    return _divided(_rows(force, "getExceptionParameters", force.getNumExceptions()), 2, 3)
+    return _rows(force, "getExceptionParameters", force.getNumExceptions(), 2, 3)
 
 
 def constraints(system: openmm.System) -> Rows:
     """Return the particles (n, 2) of constraints, and their lengths (n,) in nm."""
-    particles, lengths = _divided(_rows(system, "getConstraintParameters", system.getNumConstraints()), 2, 1)
+    particles, lengths = _rows(system, "getConstraintParameters", system.getNumConstraints(), 2, 1)
     return particles, lengths[:, 0]
 
 
 def masses(system: openmm.System) -> Array:
     """Return the masses of all particles in dalton."""
-    return np.array(_rows(system, "getParticleMass", system.getNumParticles()), dtype=np.float64)
+    out = np.empty(system.getNumParticles())
+    _loops().values(_address("System_getParticleMass"), int(system.this), out)
+    return out
 
 
-def _rows(source: Any, function: str, count: int) -> list[Any]:
-    """Return the results of a method for each index, without units."""
-    get = getattr(openmm._openmm, f"{type(source).__name__}_{function}")  # noqa: SLF001
-    return [get(source, i) for i in range(count)]
+def _rows(source: Any, function: str, count: int, whole: int, others: int) -> Rows:
+    particles, numbers = np.empty((count, whole), dtype=np.int64), np.empty((count, others))
+    row, real = np.empty(whole, dtype=np.int32), np.empty(others)
+    targets = _targets(*_places(row), *_places(real))
+    address = _address(f"{type(source).__name__}_{function}")
+    _loops().rows(address, int(source.this), *targets, row, real, particles, numbers)
+    return particles, numbers
 
 
-def _divided(rows: list[Any], whole: int, others: int) -> Rows:
-    particles = np.array([row[:whole] for row in rows], dtype=np.int64).reshape(-1, whole)
-    return particles, np.array([row[whole:] for row in rows], dtype=np.float64).reshape(len(rows), others)
+def _rows_of_arrays(source: Any, function: str, count: int, whole: int, others: int) -> Rows:
+    particles, numbers = np.empty((count, whole), dtype=np.int64), np.empty((count, others))
+    row = np.empty(whole, dtype=np.int32)
+    create, destroy = (_library()[f"OpenMM_DoubleArray_{name}"] for name in ("create", "destroy"))
+    create.restype = ctypes.c_void_p
+    array = create(others)
+    try:
+        address, element = _address(f"{type(source).__name__}_{function}"), _address("DoubleArray_get")
+        targets = _targets(*_places(row), array)
+        _loops().rows_of_arrays(address, element, array, int(source.this), *targets, row, particles, numbers)
+    finally:
+        destroy(ctypes.c_void_p(array))
+    return particles, numbers
+
+
+def _places(row: NDArray[Any]) -> tuple[int, ...]:
+    """Return the addresses of the elements of an array."""
+    return tuple(row.ctypes.data + row.itemsize * i for i in range(len(row)))
+
+
+def _targets(*addresses: int) -> tuple[int, tuple[int, ...]]:
+    """Return how many there are, and as many as any function has, for which loops are compiled."""
+    return len(addresses), addresses + (0,) * (_MOST - len(addresses))
+
+
+def _loops() -> Any:
+    return kernels.load("parameters")
+
+
+@cache
+def _library() -> Any:
+    """Return the library of OpenMM, whose functions are found by way of Python's module where it is linked to it."""
+    return ctypes.CDLL("OpenMM.dll" if sys.platform == "win32" else openmm._openmm.__file__)  # noqa: SLF001
+
+
+def _address(function: str) -> int:
+    return int(ctypes.cast(_library()[f"OpenMM_{function}"], ctypes.c_void_p).value or 0)

@@ -38,19 +38,15 @@ def platform_of(name: str | openmm.Platform | None = None) -> openmm.Platform:
     by_case = {known.lower(): known for known in found}
     wanted = name if name is not None else os.environ.get("OPENMM_DEFAULT_PLATFORM")
     if not wanted:
-        return next(platform for platform in found.values() if not why_not_by_default(platform))
+        return next(platform for name, platform in found.items() if not why_not_by_default(name))
     if str(wanted).lower() not in by_case:
         raise ValueError(f"there is no platform {wanted!r} here: choose one of {', '.join(found)}")
     return found[by_case[str(wanted).lower()]]
 
 
-def why_not_by_default(platform: openmm.Platform) -> str | None:
-    """Return why a platform is used only if the user names it, or None."""
-    return _why_not_by_default(platform.getName())
-
-
 @cache
-def _why_not_by_default(name: str) -> str | None:
+def why_not_by_default(name: str) -> str | None:
+    """Return why the platform of a name is taken only where the user names it, or None."""
     if name != "OpenCL":
         return None
     system = openmm.System()
@@ -79,13 +75,6 @@ def mixed(platform: openmm.Platform) -> dict[str, str]:
     return {_PRECISION: "mixed"} if _PRECISION in platform.getPropertyNames() else {}
 
 
-def is_single(context: Any) -> bool:
-    """Return whether a Context computes in the single precision of its platform."""
-    platform = context.getPlatform()
-    return platform.getName() in DEVICES and platform.getPropertyValue(context, _PRECISION) == "single"
-
-
-def is_double(context: Any) -> bool:
-    """Return whether a Context computes in double precision throughout."""
-    platform = context.getPlatform()
-    return platform.getName() not in DEVICES or platform.getPropertyValue(context, _PRECISION) == "double"
+def precision(context: Any) -> str:
+    """Return whether a Context of a device computes in single, mixed or double precision."""
+    return str(context.getPlatform().getPropertyValue(context, _PRECISION))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -49,8 +49,9 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
     for force in system.getForces():
         if isinstance(force, openmm.CustomNonbondedForce):
             present = {_sorted(force.getExclusionParticles(i)) for i in range(force.getNumExclusions())}
-            for pair in _missing(within, present):
-                force.addExclusion(*pair)
+            for pair in within:
+                if pair not in present:
+                    force.addExclusion(*pair)
         elif isinstance(force, openmm.NonbondedForce | openmm.GayBerneForce):
             _except(force, within)
     return len(within)
@@ -71,10 +72,6 @@ def _except(force: Any, within: list[Pair]) -> None:
             parameter, exception, *_ = force.getExceptionParameterOffset(i)
             if exception in gone:
                 force.setExceptionParameterOffset(i, parameter, exception, 0.0, 0.0, 0.0)
-
-
-def _missing(within: list[Pair], present: set[Pair]) -> Iterator[Pair]:
-    return (pair for pair in within if pair not in present)
 
 
 def _sorted(pair: Iterable[int]) -> Pair:

@@ -63,11 +63,10 @@ def test_the_correction_of_rotors_in_a_field_leads_to_the_exact_average(tmp_path
         simulation.step(1500)
     exact = 1.0 / np.tanh(2.0) - 0.5
     values = read(file)[1]
-    with pytest.warns(UserWarning, match="constrain such bonds, or use a shorter step"):
-        found, energy, by_hand = (
-            rb.corrected(file, *of)
-            for of in (("cosine",), ("potential energy",), (values["cosine"], values["cosine slope"]))
-        )
+    found, energy, by_hand = (
+        rb.corrected(file, *of)
+        for of in (("cosine",), ("potential energy",), (values["cosine"], values["cosine slope"]))
+    )
     uncorrected = found.mean - found.correction
     assert abs(uncorrected - exact) > 6.0 * found.error
     # What is left is of fourth order, and what the limit of weak friction misses.
@@ -243,15 +242,22 @@ def test_at_constant_pressure_averages_follow_the_pressure_at_a_fixed_volume(tmp
     file = made(tmp_path, np.random.default_rng(5))
     h2 = 0.024**2
     fixed = 500.0 * 0.8e5  # Cov(P, S) at a fixed volume
-    offset = h2 * (-6e-3 * fixed / KT - 8e-3 * 1e7)
+    # Friction adds nothing, as P and U are independent, or -2 alpha <slope> - alpha Cov(P, W)/kT: the middle.
+    offset = h2 * (-6.5e-3 * fixed / KT - 9e-3 * 1e7)
     volume = rb.corrected(file, "volume")
     assert -volume.correction == pytest.approx(0.02**2 * offset / (KT * BAR), rel=0.1)
-    own = h2 * (-6e-3 * 40.0 * 0.6e5 / KT + 8e-3 * 2e6 + 2e-3 * 2e6 * 40.0**2 / (384 * KT**2))
+    square = 40.0 * 0.6e5  # Cov(U, S) at a fixed volume
+    weak, strong = 2e-3 * 2e6 * 40.0**2 / (384 * KT**2), 2e-3 * 2e6 - 1e-3 * square / KT
+    own = h2 * (-6e-3 * square / KT + 8e-3 * 2e6 + 0.5 * (weak + strong))
     energy = rb.corrected(file, "potential energy")
     assert -energy.correction == pytest.approx(own - 300.0 * 0.02**2 * offset / (KT * BAR), rel=0.05)
-    assert rb.pressure_offset(file).bar == pytest.approx(offset, rel=0.05)
+    found = rb.pressure_offset(file)
+    assert found.bar == pytest.approx(offset, rel=0.05)
+    assert found.bracket == pytest.approx(
+        [h2 * (-6e-3 * fixed / KT - 8e-3 * 1e7), h2 * (-7e-3 * fixed / KT - 1e-2 * 1e7)], rel=0.05
+    )
     # A barostat that has the offset needs the correction at a fixed volume only.
-    without = 1.0 - rb.pressure_offset(file).bar
+    without = 1.0 - found.bar
     assert rb.corrected(file, "volume", pressure=without).correction == pytest.approx(0.0, abs=1e-12)
     assert -rb.corrected(file, "potential energy", pressure=without).correction == pytest.approx(own, rel=0.05)
     less = rb.corrected(file, "volume", pressure=101.0 * unit.bar).mean - volume.mean
@@ -323,6 +329,9 @@ def test_what_a_file_lacks_is_said(tmp_path):
         rb.corrected(file, "density")
     with pytest.raises(ValueError, match="for each of the 100 frames"):
         rb.corrected(file, np.zeros(99))
+    for values, slope in ((np.full(100, np.nan), None), (np.zeros(100), np.zeros(99)), (np.zeros(100), np.inf)):
+        with pytest.raises(ValueError, match="one finite value, and one slope, for each of the 100 frames"):
+            rb.corrected(file, values, slope)
     with pytest.raises(ValueError, match=r"create the AverageReporter with around=\(particles, distance\)"):
         rb.corrected(file, "pressure", local=True)
     with pytest.raises(ValueError, match="at constant volume, which has no pressure to correct to"):
@@ -331,6 +340,13 @@ def test_what_a_file_lacks_is_said(tmp_path):
     few.write_text("".join(file.read_text(encoding="utf-8").splitlines(keepends=True)[:20]))
     with pytest.raises(ValueError, match="18 frames, but error estimates need at least 40: run longer"):
         rb.corrected(few, "pressure")
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    for wrong in ("nan", "inf", "x"):
+        last = lines[-1].replace("2000000.0", wrong)
+        assert last != lines[-1]
+        few.write_text("".join([*lines[:-1], last]))
+        with pytest.raises(ValueError, match=r"line 102 of .* has a value that is not a finite number"):
+            rb.corrected(few, "pressure")
     (tmp_path / "no.csv").write_text("step,time\n")
     with pytest.raises(ValueError, match="was not written by an AverageReporter"):
         rb.corrected(tmp_path / "no.csv", "pressure")

@@ -12,6 +12,21 @@ CPU = openmm.Platform.getPlatform("CPU")
 R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
+def system_of(masses, constraints=()):
+    """Return a System of particles without forces, with constraints (i, j, length)."""
+    system = openmm.System()
+    for mass in masses:
+        system.addParticle(mass)
+    for constraint in constraints:
+        system.addConstraint(*constraint)
+    return system
+
+
+def apart(x):
+    """Return the distances (n, n) of all pairs of places."""
+    return np.linalg.norm(x[:, None] - x[None], axis=2)
+
+
 def put(context, start, velocities=None):
     """Put a Context to a State, or to positions and velocities."""
     if isinstance(start, openmm.State):

@@ -5,13 +5,12 @@ import warnings
 import numpy as np
 import openmm
 import pytest
-from openmm import app, unit
+from openmm import app
 
 import openmm_exactrb as rb
-from starts import topology_of
+from starts import R, apart, masses_of, positions_of, system_of, topology_of, velocities_of
 
 REFERENCE = openmm.Platform.getPlatform("Reference")
-R = unit.MOLAR_GAS_CONSTANT_R.value_in_unit(unit.kilojoule_per_mole / unit.kelvin)
 
 
 def domains(remover=False):
@@ -50,21 +49,13 @@ def simulation_of(system, x, integrator):
     return simulation
 
 
-def apart(x):
-    return np.linalg.norm(x[:, None] - x[None], axis=2)
-
-
-def places(context):
-    return context.getState(positions=True).getPositions(asNumpy=True)._value
-
-
 def test_the_minimiser_of_a_simulation_keeps_their_shape():
     system, x = domains()
     simulation = simulation_of(system, x, rb.ExactRigidBodyIntegrator(0.001, bodies=DOMAINS))
     before = simulation.context.getState(energy=True).getPotentialEnergy()
     simulation.minimizeEnergy(maxIterations=20)
     assert simulation.context.getState(energy=True).getPotentialEnergy() < before
-    y = places(simulation.context)
+    y = positions_of(simulation)
     for body in DOMAINS:
         np.testing.assert_allclose(apart(y[list(body)]), apart(x[list(body)]), rtol=0.0, atol=1e-13)
     assert np.abs(y - x).max() > 1e-3
@@ -76,7 +67,7 @@ def test_the_minimiser_is_openmms_where_no_body_is_named():
     for integrator in (rb.ExactRigidBodyIntegrator(0.001), openmm.VerletIntegrator(0.001)):
         simulation = simulation_of(system, x, integrator)
         simulation.minimizeEnergy(maxIterations=20)
-        ends.append(places(simulation.context))
+        ends.append(positions_of(simulation))
     np.testing.assert_array_equal(*ends)
 
 
@@ -105,7 +96,7 @@ def test_temperatures_of_groups_are_those_of_momenta_that_were_drawn(remover):
 
 
 def shares(system):
-    mass = np.array([system.getParticleMass(i)._value for i in range(28)])
+    mass = masses_of(system)
     return np.array([mass[list(group)].sum() for group in GROUPS.values()]) / mass.sum()
 
 
@@ -137,11 +128,7 @@ def test_groups_that_are_none_are_refused(group, message):
 
 
 def test_a_group_has_all_atoms_of_a_cluster():
-    system = openmm.System()
-    for _ in range(3):
-        system.addParticle(12.0)
-    for k in range(2):
-        system.addConstraint(k, k + 1, 0.15)
+    system = system_of(3 * [12.0], [(k, k + 1, 0.15) for k in range(2)])
     integrator = rb.ExactRigidBodyIntegrator(0.001)
     _kept = simulation_of(system, np.array([[0.0, 0.0, 0.0], [0.15, 0.0, 0.0], [0.15, 0.15, 0.0]]), integrator)
     integrator.setVelocitiesToTemperature(300, 1)
@@ -156,11 +143,9 @@ def test_a_group_has_all_atoms_of_a_cluster():
 def test_a_body_whose_masses_openmm_moved_to_four_particles_is_pointed_out():
     """As createRigidBodies leaves a domain: four particles with mass, which hold the others as virtual sites."""
     rng = np.random.default_rng(1)
-    x, system = rng.uniform(-1.0, 1.0, (12, 3)), openmm.System()
-    for k in range(12):
-        system.addParticle(25.0 if k < 4 else 0.0)
-        if k >= 4:
-            system.setVirtualSite(k, openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [-1, 0, 1], x[k]))
+    x, system = rng.uniform(-1.0, 1.0, (12, 3)), system_of(4 * [25.0] + 8 * [0.0])
+    for k in range(4, 12):
+        system.setVirtualSite(k, openmm.LocalCoordinatesSite([0, 1, 2], [1, 0, 0], [-1, 1, 0], [-1, 0, 1], x[k]))
     integrator = rb.ExactRigidBodyIntegrator(0.001, bodies=[range(12)])
     _kept = simulation_of(system, x, integrator)
     with pytest.warns(rb.ShapeWarning, match="body 0 has the mass and inertia of 4 particles, because the other 8 are"):
@@ -179,19 +164,16 @@ def test_a_named_water_with_a_virtual_site_is_not():
 
 def lone_chain():
     """Return the chain of `domains` alone."""
-    (full, x), system, bonds = domains(), openmm.System(), openmm.HarmonicBondForce()
-    for k in range(16):
-        system.addParticle(full.getParticleMass(k))
-        if k:
-            bonds.addBond(k - 1, k, 0.3, 8000.0)
+    (full, x), bonds = domains(), openmm.HarmonicBondForce()
+    system = system_of(masses_of(full)[:16])
+    for k in range(1, 16):
+        bonds.addBond(k - 1, k, 0.3, 8000.0)
     system.addForce(bonds)
     return system, x[:16]
 
 
 def angular_momentum(context):
-    state, system = context.getState(positions=True, velocities=True), context.getSystem()
-    x, v = (getattr(state, f"get{what}")(asNumpy=True)._value for what in ("Positions", "Velocities"))
-    masses = np.array([system.getParticleMass(k)._value for k in range(16)])
+    x, v, masses = positions_of(context), velocities_of(context), masses_of(context.getSystem())
     return np.cross(x - masses @ x / masses.sum(), masses[:, None] * v).sum(axis=0)
 
 

@@ -6,35 +6,24 @@ import pytest
 
 import openmm_exactrb as rb
 from openmm_exactrb.detection.find import find_bodies
-from starts import context_of
+from starts import apart, context_of, positions_of, system_of
 
 
 def test_a_cluster_that_is_not_rigid_is_one_of_single_particles():
-    system = openmm.System()
-    for _ in range(4):
-        system.addParticle(1.0)
-    for i in range(3):
-        system.addConstraint(i, i + 1, 0.1)
+    system = system_of(4 * [1.0], [(i, i + 1, 0.1) for i in range(3)])
     bodies = find_bodies(system, np.random.default_rng(1).random((4, 3)))
     assert (len(bodies), bodies.n_turning, len(bodies.clusters)) == (4, 0, 1)
     assert bodies.translational_freedom == 12 - 3
 
 
 def test_impossible_distances_are_refused():
-    system = openmm.System()
-    for _ in range(3):
-        system.addParticle(1.0)
-    for i, j, d in ((0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.3)):
-        system.addConstraint(i, j, d)
+    system = system_of(3 * [1.0], [(0, 1, 0.1), (1, 2, 0.1), (0, 2, 0.3)])
     with pytest.raises(ValueError, match="cannot be satisfied in three dimensions"):
         find_bodies(system, np.zeros((3, 3)))
 
 
 def test_particles_alone_are_bodies_that_do_not_turn():
-    system = openmm.System()
-    for _ in range(3):
-        system.addParticle(2.0)
-    bodies = find_bodies(system, np.zeros((3, 3)))
+    bodies = find_bodies(system_of(3 * [2.0]), np.zeros((3, 3)))
     assert (len(bodies), bodies.n_turning) == (3, 0)
 
 
@@ -47,12 +36,10 @@ def test_bodies_of_the_dipole_fluid_are_one_kind():
 
 def rings(n=4):
     """Return a System of rings of six particles without constraints, and positions."""
-    system, x = openmm.System(), []
-    for particle in range(6 * n):
-        system.addParticle(13.0)
-        angle = np.pi / 3 * (particle % 6)
-        x.append([0.14 * np.cos(angle), 0.14 * np.sin(angle), 0.42 * (particle // 6)])
-    return system, np.array(x)
+    particle = np.arange(6 * n)
+    angle = np.pi / 3 * (particle % 6)
+    x = np.column_stack([0.14 * np.cos(angle), 0.14 * np.sin(angle), 0.42 * (particle // 6)])
+    return system_of(6 * n * [13.0]), x
 
 
 @pytest.mark.parametrize(
@@ -86,23 +73,16 @@ def test_drude_particles_are_refused_by_name():
 
 
 OCTAHEDRON = 0.2 / np.sqrt(2.0) * np.concatenate([np.eye(3), -np.eye(3)])
+EDGES = [(i, j) for i in range(6) for j in range(i) if i - j != 3]
 
 
 def octahedron(scale, integrator):
     """Return a Context of six particles, whose twelve edges of 0.2 nm are constrained: rigid, but not all distances."""
-    system = openmm.System()
-    for _ in range(6):
-        system.addParticle(10.0)
-    for i in range(6):
-        for j in range(i):
-            if i - j != 3:
-                system.addConstraint(i, j, 0.2)
-    return context_of(system, integrator, scale * OCTAHEDRON)
+    return context_of(system_of(6 * [10.0], [(*edge, 0.2) for edge in EDGES]), integrator, scale * OCTAHEDRON)
 
 
 def edges(context):
-    x = context.getState(positions=True).getPositions(asNumpy=True)._value
-    return [np.linalg.norm(x[i] - x[j]) for i in range(6) for j in range(i) if i - j != 3]
+    return apart(positions_of(context))[tuple(np.transpose(EDGES))]
 
 
 def test_constraints_that_do_not_name_every_pair_give_the_shape():
@@ -129,18 +109,7 @@ def test_redundant_constraints_may_be_rounded(digits):
     """A distorted cube held by 24 of its 28 distances, four of which follow from the others but for rounding."""
     x = 0.2 * np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
     x += 0.01 * np.random.default_rng(3).normal(size=x.shape)
-    system = openmm.System()
-    for _ in range(8):
-        system.addParticle(12.0)
-    for i in range(8):
-        for j in range(i):
-            if i + j != 7:
-                system.addConstraint(i, j, round(float(np.linalg.norm(x[i] - x[j])), digits))
-    bodies = find_bodies(system, x)
+    held = [(i, j, round(float(apart(x)[i, j]), digits)) for i in range(8) for j in range(i) if i + j != 7]
+    bodies = find_bodies(system_of(8 * [12.0], held), x)
     assert (len(bodies), bodies.n_turning) == (1, 1)
-    sites = bodies.kinds[0].sites[0]
-    for i in range(8):
-        for j in range(i):
-            assert np.linalg.norm(sites[i] - sites[j]) == pytest.approx(
-                np.linalg.norm(x[i] - x[j]), abs=10.0**-digits + 1e-13
-            )
+    np.testing.assert_allclose(apart(bodies.kinds[0].sites[0]), apart(x), rtol=0.0, atol=10.0**-digits + 1e-13)

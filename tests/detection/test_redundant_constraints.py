@@ -3,14 +3,14 @@
 import itertools
 
 import numpy as np
-import openmm
 import pytest
 from openmm import unit
 
 import openmm_exactrb as rb
+import starts
 from benchmarks.constraints.small_molecules import MOLECULES, ring
 from openmm_exactrb.detection.find import find_bodies
-from starts import context_of
+from starts import apart, context_of, positions_of, velocities_of
 
 KB = 0.00831446261815324
 
@@ -21,14 +21,10 @@ def every_pair(n):
 
 def system_of(masses, x, pairs, copies=1, longer=None):
     """Return a System of copies with these distances constrained; `longer` adds to some of them."""
-    system, n = openmm.System(), len(masses)
-    for copy in range(copies):
-        for mass in masses:
-            system.addParticle(mass)
-        for i, j in pairs:
-            length = np.linalg.norm(x[i] - x[j]) + (longer or {}).get((i, j), 0.0)
-            system.addConstraint(n * copy + i, n * copy + j, length)
-    return system
+    n = len(masses)
+    lengths = [apart(x)[pair] + (longer or {}).get(pair, 0.0) for pair in pairs]
+    held = [(n * k + i, n * k + j, d) for k in range(copies) for (i, j), d in zip(pairs, lengths, strict=True)]
+    return starts.system_of(copies * [*masses], held)
 
 
 def moving(system, x, integrator):
@@ -66,7 +62,7 @@ def test_its_temperature_is_that_of_its_degrees_of_freedom(molecule):
     measured = []
     for seed in range(1, draws + 1):
         integrator.setVelocitiesToTemperature(300 * unit.kelvin, seed)
-        v = context.getState(velocities=True).getVelocities(asNumpy=True)._value
+        v = velocities_of(context)
         measured.append((np.tile(masses, copies)[:, None] * v**2).sum() / freedom / KB)
     assert sum(integrator.degreesOfFreedom()) == freedom
     assert abs(np.mean(measured) - 300.0) < 4.0 * 300.0 * np.sqrt(2.0 / (freedom * draws))
@@ -85,7 +81,7 @@ def test_it_moves_as_the_same_body_named_by_hand(molecule):
             v = context.getState(velocities=True).getVelocities()
         context.setVelocities(v)
         integrator.step(100)
-        ends.append(context.getState(positions=True).getPositions(asNumpy=True)._value)
+        ends.append(positions_of(context))
     assert np.abs(ends[0] - x).max() > 0.02
     np.testing.assert_allclose(*ends, rtol=0.0, atol=2e-13)
 
@@ -108,7 +104,7 @@ def test_the_molecules_of_openmms_issue_move_as_the_how_to_says(name, without, f
     integrator.setVelocitiesToTemperature(300, 1)
     integrator.step(200)
     assert sum(integrator.degreesOfFreedom()) == freedom
-    moved = context.getState(positions=True).getPositions(asNumpy=True)._value
+    moved = positions_of(context)
     missed = [abs(np.linalg.norm(moved[i] - moved[j]) - np.linalg.norm(x[i] - x[j])) for i, j in every_pair(len(x))]
     for pair, error in zip(every_pair(len(x)), missed, strict=True):
         assert bool(error < 1e-13) is (freedom < 7 or pair not in without)
@@ -161,7 +157,7 @@ def test_a_constraint_too_many_changes_nothing():
         before = integrator.totalEnergy()._value
         integrator.step(200)
         assert abs(integrator.totalEnergy()._value / before - 1.0) < 1e-14
-        x = context.getState(positions=True).getPositions(asNumpy=True)._value
+        x = positions_of(context)
         for i, j in PAIRS:
             assert abs(np.linalg.norm(x[i] - x[j]) - np.linalg.norm(BENDING[i] - BENDING[j])) < 1e-15
         ends.append(x)

@@ -13,22 +13,23 @@ from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.detection.whole import whole_positions
 from openmm_exactrb.mathematics import quaternions
 from openmm_exactrb.openmm_access.parameters import constraints
+from starts import apart, positions_of
 
-REFERENCE = openmm.Platform.getPlatform("Reference")
 SEEDS = st.integers(0, 2**32 - 1)
 CUBE = 3.0 * np.eye(3)
 
 
 def system_of(n, box, constraints=(), bonds=(), mass=12.0):
     """Return a System of particles without forces, with bonds of these lengths that do nothing."""
-    system, pairs, springs = openmm.System(), openmm.NonbondedForce(), openmm.HarmonicBondForce()
+    system, pairs, springs = (
+        starts.system_of(n * [mass], constraints),
+        openmm.NonbondedForce(),
+        openmm.HarmonicBondForce(),
+    )
     for _ in range(n):
-        system.addParticle(mass)
         pairs.addParticle(0.0, 0.1, 0.0)
     pairs.setNonbondedMethod(pairs.CutoffPeriodic)
     pairs.setCutoffDistance(0.2)
-    for constraint in constraints:
-        system.addConstraint(*constraint)
     for bond in bonds:
         springs.addBond(*bond, 0.0)
     for force in (pairs, springs) if bonds else (pairs,):
@@ -43,20 +44,12 @@ def context_of(system, x, bodies=None, step=1e-4):
     return context, integrator
 
 
-def places(context, **options):
-    return context.getState(positions=True, **options).getPositions(asNumpy=True)._value
-
-
-def apart(x):
-    return np.linalg.norm(x[:, None] - x[None], axis=2)
-
-
 def wrapped(x, box):
     return x - np.floor(x @ np.linalg.inv(box)) @ box
 
 
 def lengths(x, pairs):
-    return [(int(i), int(j), float(np.linalg.norm(x[i] - x[j]))) for i, j in pairs]
+    return [(int(i), int(j), float(apart(x)[i, j])) for i, j in pairs]
 
 
 def tree(rng, n):
@@ -88,11 +81,11 @@ def test_a_named_body_has_the_shape_of_its_positions(length):
     x = np.array([[0.2, 0.3, 0.4], [0.2 + length, 0.3, 0.4]])
     context, integrator = context_of(system_of(2, CUBE), x, [[0, 1]])
     integrator.step(1)
-    np.testing.assert_allclose(places(context), x, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(positions_of(context), x, rtol=0.0, atol=1e-15)
     assert integrator.bodyState()[0].inertia[0, 2] == pytest.approx(6.0 * length**2, rel=1e-14)
     context.setPositions(wrapped(x + 1.5, CUBE))  # the shape is known by now
     integrator.step(1)
-    assert np.linalg.norm(np.diff(places(context), axis=0)) == pytest.approx(length, abs=1e-14)
+    assert np.linalg.norm(np.diff(positions_of(context), axis=0)) == pytest.approx(length, abs=1e-14)
 
 
 @pytest.mark.filterwarnings("ignore::openmm_exactrb.ShapeWarning")
@@ -136,15 +129,15 @@ def test_later_positions_are_read_in_all_images(named, seed):
     context, integrator = context_of(system, x, [range(n)] if named else None)
     integrator.setVelocitiesToTemperature(300, 1)
     integrator.step(2)
-    moved = places(context)
+    moved = positions_of(context)
     for state in (context.getState(positions=True, velocities=True, enforcePeriodicBox=on) for on in (True, False)):
         context.setState(state)
         integrator.step(1)
-        np.testing.assert_allclose(apart(places(context)), apart(x), rtol=0.0, atol=1e-11)
+        np.testing.assert_allclose(apart(positions_of(context)), apart(x), rtol=0.0, atol=1e-11)
     for images in (wrapped(moved, box), moved + rng.integers(-1, 2, x.shape) @ box, moved):
         context.setPositions(images)
         integrator.step(1)
-        np.testing.assert_allclose(apart(places(context)), apart(x), rtol=0.0, atol=1e-11)
+        np.testing.assert_allclose(apart(positions_of(context)), apart(x), rtol=0.0, atol=1e-11)
 
 
 def ring(n=10, bond=0.29):
@@ -158,14 +151,14 @@ def test_a_constrained_chain_may_end_near_its_own_image():
     bonds = lengths(x, [(k, k + 1) for k in range(9)])
     context, integrator = context_of(system_of(10, CUBE, bonds), x)
     integrator.step(1)
-    np.testing.assert_allclose(places(context), x, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(positions_of(context), x, rtol=0.0, atol=1e-14)
     integrator.setVelocitiesToTemperature(300, 1)
     integrator.step(3)
     state = context.getState(positions=True, velocities=True, enforcePeriodicBox=True)
-    for images in (state.getPositions(asNumpy=True)._value, wrapped(places(context), CUBE)):
+    for images in (state.getPositions(asNumpy=True)._value, wrapped(positions_of(context), CUBE)):
         context.setPositions(images)
         integrator.step(1)
-        y = places(context)
+        y = positions_of(context)
         assert max(abs(np.linalg.norm(y[i] - y[j]) - length) for i, j, length in bonds) < 1e-13
 
 
@@ -317,23 +310,20 @@ def test_a_barostat_may_make_the_box_smaller_than_a_body():
     for _ in range(100):
         integrator.step(5)
         box = np.array(context.getState().getPeriodicBoxVectors()._value)
-        context.setPositions(wrapped(places(context), box))
+        context.setPositions(wrapped(positions_of(context), box))
         edge = box[0, 0]
         if edge < 1.1:
             break
     assert edge < 1.1
     integrator.step(1)
-    np.testing.assert_allclose(apart(places(context)[:4]), apart(x[:4]), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(apart(positions_of(context)[:4]), apart(x[:4]), rtol=0.0, atol=1e-12)
 
 
 # -- degenerate shapes -------------------------------------------------------------------------------------------------
 
 
 def free(masses, x, bodies, step=1e-5):
-    system = openmm.System()
-    for mass in masses:
-        system.addParticle(mass)
-    return context_of(system, x, bodies, step)
+    return context_of(starts.system_of(masses), x, bodies, step)
 
 
 LINE = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.25, 0.0, 0.0]])
@@ -354,7 +344,7 @@ def test_sites_that_weigh_almost_nothing_beside_a_line_of_heavy_beads_keep_their
     assert integrator.degreesOfFreedom() == (3, 3)
     integrator.setVelocitiesToTemperature(1e-3, 1)
     integrator.step(5)
-    np.testing.assert_allclose(apart(places(context)), apart(x), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(apart(positions_of(context)), apart(x), rtol=0.0, atol=1e-14)
 
 
 def test_beads_and_sites_on_one_line_are_a_line_whatever_they_weigh():
@@ -383,7 +373,7 @@ def test_particles_that_coincide_are_a_point():
     integrator.step(50)
     assert integrator.totalEnergy()._value == pytest.approx(start, abs=0.02)
     assert sorted(integrator.bodyState()[0].mass) == [1.0, 16.0]
-    y = places(context)
+    y = positions_of(context)
     np.testing.assert_array_equal(y[0], y[1])
     assert np.linalg.norm(y[0] - x[0]) > 1e-3
     np.testing.assert_allclose(np.array([12.0, 4.0, 1.0]) @ (y - x), 0.0, atol=1e-13)
@@ -397,4 +387,4 @@ def test_particles_that_coincide_within_a_larger_body_turn_with_it():
     context, integrator = free([1.0, 2.0, 3.0, 4.0], x, [range(4)], 0.001)
     integrator.setVelocitiesToTemperature(300 * unit.kelvin, 1)
     integrator.step(10)
-    np.testing.assert_allclose(apart(places(context)), apart(x), rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(apart(positions_of(context)), apart(x), rtol=0.0, atol=1e-15)

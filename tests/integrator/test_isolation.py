@@ -18,7 +18,7 @@ import starts
 import three_masses
 from benchmarks.paper import problems
 from openmm_exactrb.mathematics import quaternions
-from openmm_exactrb.multiple_time_steps.inner_drift import ExcerptContext
+from openmm_exactrb.multiple_time_steps.inner_drift import ExcerptPositions
 from openmm_exactrb.openmm_access.find_context import find_context
 from peptides import peptide
 
@@ -174,7 +174,7 @@ def nested_and_dropped():
     integrator = rb.ExactRigidBodyIntegrator(0.002, "S2_2", fast="bonded")
     context = starts.context_of(system, integrator, x)
     integrator.step(1)
-    inner = [found for found in gc.get_objects() if isinstance(found, ExcerptContext)]
+    inner = [found for found in gc.get_objects() if isinstance(found, ExcerptPositions)]
     assert len(inner) == 1
     return [weakref.ref(integrator), weakref.ref(context), weakref.ref(inner[0])]
 

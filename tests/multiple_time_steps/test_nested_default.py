@@ -14,7 +14,7 @@ from on_device import platform_for
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.substeps import DRIFT, Kick, Substep
 from peptides import bonded_apart, end_of, moving, peptide, positions_of
-from starts import context_of, force_of
+from starts import context_of, force_of, system_of
 
 
 @dataclass(frozen=True)
@@ -227,9 +227,7 @@ def bond_of(period, scheme, often):
 
     The momentum and the length of a free bond stay on an ellipse; from canonical momenta it follows what q² is.
     """
-    system = openmm.System()
-    for _ in range(3):
-        system.addParticle(12.0)
+    system = system_of(3 * [12.0])
     stiffness = 6.0 * (2.0 * np.pi / period) ** 2
     bond, outer = openmm.HarmonicBondForce(), openmm.CustomExternalForce("0*x")
     bond.addBond(0, 1, 0.15, stiffness)

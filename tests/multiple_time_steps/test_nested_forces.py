@@ -18,7 +18,7 @@ from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.schemes.sequence import spelled
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, bonded_apart, end_of, moving, peptide, positions_of
-from starts import REFERENCE, context_of, force_of
+from starts import REFERENCE, context_of, force_of, system_of
 
 
 @pytest.mark.parametrize("constraints", ["HBonds", "None"])
@@ -310,9 +310,7 @@ def test_a_particle_held_by_a_bond_of_no_length_moves_as_with_openmm():
     """An anchor without mass at the same place, as restraints are often made."""
     ends = []
     for fast in ("bonded", None):
-        system = openmm.System()
-        for mass in (0.0, 12.0, 12.0):
-            system.addParticle(mass)
+        system = system_of([0.0, 12.0, 12.0])
         bonds, pull = openmm.HarmonicBondForce(), openmm.CustomExternalForce("3*x*y")
         bonds.addBond(0, 1, 0.0, 1e3)
         bonds.addBond(1, 2, 0.15, 1e5)

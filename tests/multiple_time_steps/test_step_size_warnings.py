@@ -13,7 +13,7 @@ from openmm_exactrb.multiple_time_steps.resonance import Resonances, growth
 from openmm_exactrb.schemes import splitting
 from openmm_exactrb.substeps import DRIFT
 from peptides import in_water, peptide
-from starts import context_of
+from starts import context_of, system_of
 
 
 def floquet(scheme, angle, strength):
@@ -40,9 +40,7 @@ def test_an_oscillator_grows_at_the_rate_of_the_resonance(name, k):
 
 def driven(scheme, interval, strength=2.8e5, mass=1.0):
     """Return by how much the energy grows in 4 ps: a bond to hydrogen in the drifts, and a slow spring in the kicks."""
-    system = openmm.System()
-    system.addParticle(12.0)
-    system.addParticle(mass)
+    system = system_of([12.0, mass])
     bond, spring = openmm.HarmonicBondForce(), openmm.CustomExternalForce("0.5*12544*((x-0.1)^2+y^2+z^2)")
     bond.addBond(0, 1, 0.1, strength)
     spring.addParticle(1, [])

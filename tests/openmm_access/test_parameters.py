@@ -1,4 +1,4 @@
-"""Parameters as arrays are those that OpenMM's Python functions return."""
+"""Parameters by OpenMM's C interface are those that its Python functions return."""
 
 import numpy as np
 import openmm

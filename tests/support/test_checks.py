@@ -10,6 +10,7 @@ from openmm import unit
 
 import openmm_exactrb as rb
 from openmm_exactrb.support import checks
+from starts import system_of
 
 ROWS = [[0, 1, 2], [3, 4, 5]]
 
@@ -31,9 +32,7 @@ def test_lists_of_particles_may_be_iterators(given):
 
 def test_an_iterator_names_the_bodies():
     """Two molecules without constraints: a step keeps their shapes."""
-    system = openmm.System()
-    for _ in range(6):
-        system.addParticle(1.0)
+    system = system_of(6 * [1.0])
     integrator = rb.ExactRigidBodyIntegrator(0.01, bodies=iter(ROWS))
     context = openmm.Context(system, integrator, openmm.Platform.getPlatform("Reference"))
     corners = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]])

@@ -255,7 +255,7 @@ def test_reporters_and_velocities_tell_the_temperature_of_the_step_s_end(tmp_pat
 def test_tuning_advises_a_scheme_for_constant_energy():
     simulation = droplet_of(langevin(30.0, 1.0, 0.01))
     simulation.step(20)
-    result = rb.tune(simulation, target=0.1, schemes="S2_2", duration=0.5, horizon=1.0, levels=4)
+    result = rb.tune(simulation, target=0.1, schemes=["V2", "S2_2"], duration=0.5, horizon=1.0, levels=4)
     assert type(result.best().integrator()) is rb.ExactRigidBodyIntegrator
 
 

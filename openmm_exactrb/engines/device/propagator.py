@@ -70,11 +70,6 @@ class DevicePropagator:
             warn(evaluated.warning)
 
     @property
-    def outdated(self) -> bool:
-        """Whether the Context is gone or has been reinitialised."""
-        return self.sync.outdated
-
-    @property
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, which the device does not keep."""
         raise ValueError("momenta within a step are not available on the device: use engine='host'")
@@ -108,7 +103,7 @@ class DevicePropagator:
             self._served.evaluated,
         )
         self.device.load(assembly.program.text)
-        self.sync.begin(self.device, assembly.parts, self._processed, platforms.is_single(context))
+        self.sync.begin(self.device, assembly.parts, self._processed, platforms.precision(context) == "single")
         for part in assembly.parts:
             for name, values in part.tables().items():
                 self.device.upload(name, values)
@@ -118,7 +113,7 @@ class DevicePropagator:
     def _flexible(self) -> Flexible | None:
         """The flexible molecules, with fast forces in double precision where all forces are."""
         molecules = self._served.molecules
-        precision = np.float64 if platforms.is_double(self.sync.context) else np.float32
+        precision = np.float64 if platforms.precision(self.sync.context) == "double" else np.float32
         return None if molecules is None else Flexible(molecules, self.sync.particles, precision)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,7 @@ class RigidPart:
     ) -> None:
         self._demands, self._prefix, self._lanes = demands, prefix, lanes
         some = [kind for kind in kinds if chosen[kind.bodies].any()]
-        self._kinds = [_only(kind, chosen[kind.bodies]) for kind in some]
+        self._kinds = [kind.only(chosen[kind.bodies]) for kind in some]
         ranges = [np.arange(kind.bodies.start, kind.bodies.stop)[chosen[kind.bodies]] for kind in some]
         self.columns = np.concatenate([np.zeros(0, dtype=np.intp), *ranges])  # of the bodies, among all
         self.n = len(self.columns)
@@ -247,12 +247,6 @@ def _sum_of(rule: tuple[Array, Array]) -> str:
     """Return the text of a sum of the integrand in kernels/rotation.cl at the nodes of a rule."""
     pairs = zip(*rule, strict=True)
     return "(" + "+".join(f"{float(weight)!r}*integrand({float(x[0])!r}*u, x, z, b)" for x, weight in pairs) + ")"
-
-
-def _only(kind: Kind, chosen: NDArray[np.bool_]) -> Kind:
-    """Return selected bodies of a kind (n,)."""
-    sites, inertia = (a if len(a) == 1 else a[chosen] for a in (kind.sites, kind.inertia))
-    return replace(kind, particles=kind.particles[chosen], sites=sites, inertia=inertia)
 
 
 def _constants(kind: Kind) -> Iterator[tuple[float, ...]]:

@@ -14,7 +14,6 @@ from openmm_exactrb.context.synchronisation import Synchronisation
 from openmm_exactrb.engines.device.library import Device
 from openmm_exactrb.mechanics.fit import fit
 from openmm_exactrb.mechanics.state import BodyState, State
-from openmm_exactrb.support.types import Array
 
 # Bits of what others changed, see `Device.changes`.
 SET, LOADED = 3, 8
@@ -33,7 +32,9 @@ class DeviceState(Synchronisation):
 
     def begin(self, device: Device, parts: Sequence[Any], processed: bool, single: bool) -> None:
         """Use the arrays of a program for the state; bodies are those of its parts."""
-        self._device, self._parts, self._processed, self._single = device, parts, processed, single
+        self._device, self._parts, self._processed = device, parts, processed
+        if single:
+            self._same, self._rigid = (_SINGLE, _SINGLE_PART), _SINGLE
 
     def pull(self) -> bool:
         """Update the state from the device, and both with changes to the Context."""
@@ -54,10 +55,6 @@ class DeviceState(Synchronisation):
         if np.abs(x - self.bodies.positions(self.state.rounded, self.particles)).max() > self._rigid:
             self.push()
         return True
-
-    @property
-    def _rigid(self) -> float:
-        return _SINGLE if self._single else 1e-9
 
     def settle(self) -> bool:
         """Pull if there are changes; return whether the state changed."""
@@ -110,12 +107,6 @@ class DeviceState(Synchronisation):
         for part in self._parts:
             part.read(self._device, out, copied)
         return State.of(out)
-
-    def compared(self, known: State, x: Array, v: Array) -> State:
-        """Return a known state, with bodies refitted whose particles are not at its positions."""
-        if not self._single:
-            return super().compared(known, x, v)
-        return self._compared(known, x, v, _SINGLE, _SINGLE_PART)
 
     def push(self) -> None:
         """Write the state into the Context, and to the device."""

@@ -112,11 +112,6 @@ class HostPropagator:
         self._left: State | None = None  # what the last call of `advance` ended with
 
     @property
-    def outdated(self) -> bool:
-        """Whether the Context is gone or was reinitialised."""
-        return self.sync.outdated
-
-    @property
     def last_exchange(self) -> tuple[State, State] | None:
         """The states before and after the last heat exchange, if the present state is the end of its step."""
         return self.environment.last_exchange if self._left is self.sync.state else None
@@ -337,7 +332,7 @@ class HostPropagator:
             h = settings.h / settings.splits
             drift, split, slow = inner.split(forces, kinetic, self._timed, divergence, scheme, h)
             if any(substep.kicks for substep, _ in settings.scheme.sequence):  # Metropolis's rule rejects what is hot
-                inner.warn_of_resonances(scheme, h)
+                inner.resonances.warn(scheme, abs(h))
         if clusters:  # a cluster may find no way along its constraints; rigid bodies always do
             drift, split = _checked(drift, check), {name: _checked(some, check) for name, some in split.items()}
         return Kinetic(drift, displaced, kinetic.tangent, split), slow

@@ -11,7 +11,7 @@ from scipy import stats
 import openmm_exactrb as rb
 from orders import slope
 from peptides import FORCE_FIELD, PEPTIDE, R, end_of, in_water, moving, peptide, positions_of, violations
-from starts import REFERENCE, context_of, force_of, simulation_of, velocities_of
+from starts import REFERENCE, context_of, force_of, simulation_of, system_of, velocities_of
 
 # -- constraints ------------------------------------------------------------------------------------------------
 
@@ -89,9 +89,7 @@ def test_positions_far_from_the_constraints_are_refused():
 
 def test_a_singular_place_is_refused():
     """A rhombus of constraints that lies on a line."""
-    system = openmm.System()
-    for _ in range(4):
-        system.addParticle(10.0)
+    system = system_of(4 * [10.0])
     for i in range(4):
         system.addConstraint(i, (i + 1) % 4, 0.1)
     context = context_of(

@@ -6,7 +6,7 @@ import pytest
 
 import openmm_exactrb as rb
 from benchmarks.constraints import martini, martini_rings
-from starts import context_of
+from starts import context_of, system_of
 
 SIDE, SPEED = 0.2, 2.0
 
@@ -75,9 +75,7 @@ def test_a_hinge_passes_180_degrees_and_keeps_its_energy():
     x, masses = molecule["places"][:4].copy(), molecule["masses"][:4]
     x -= x[1]
     axis = x[2] / np.linalg.norm(x[2])
-    system = openmm.System()
-    for mass in masses:
-        system.addParticle(mass)
+    system = system_of(masses)
     for i, j, length in molecule["constraints"]:
         system.addConstraint(i, j, length)
     integrator = rb.ExactRigidBodyIntegrator(0.02, scheme="S2_2")
@@ -107,9 +105,7 @@ def folding(angle, h):
     """Return the Context of four rods in a ring that fold in their plane, onto a line after the time angle/SPEED."""
     x = SIDE * np.array([[np.cos(angle), 0, 0], [0, np.sin(angle), 0], [-np.cos(angle), 0, 0], [0, -np.sin(angle), 0]])
     away = np.array([[-np.sin(angle), 0, 0], [0, np.cos(angle), 0], [np.sin(angle), 0, 0], [0, -np.cos(angle), 0]])
-    system = openmm.System()
-    for _ in range(4):
-        system.addParticle(12.0)
+    system = system_of(4 * [12.0])
     for k in range(4):
         system.addConstraint(k, (k + 1) % 4, SIDE)
     integrator = rb.ExactRigidBodyIntegrator(h, "S2_2")

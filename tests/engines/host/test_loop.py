@@ -52,7 +52,7 @@ def flows_of(scheme, forces, kinetic, inertia):
         if isinstance(substep, GradientKick):
             flows[substep] = gradient_kick(forces, kinetic, inertia, substep.strength)
         elif isinstance(substep, LastForcesKick):
-            flows[substep] = substep.bind(forces)  # it looks at the memory alone
+            flows[substep] = substep.bind(SimpleNamespace(forces=lambda: forces))  # it looks at the memory alone
     return flows
 
 

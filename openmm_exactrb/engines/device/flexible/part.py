@@ -188,11 +188,6 @@ class FlexiblePart:
         """The indices of these bodies among all."""
         return np.sort(self.columns[self.columns >= 0])
 
-    @property
-    def has_fixed(self) -> bool:
-        """Whether there are massless atoms, which may be moved externally."""
-        return bool((self._mass == 0.0).any())
-
 
 def _drifts(part: Moves) -> bool:
     return any(move.op == Op.DRIFT for move in part)
