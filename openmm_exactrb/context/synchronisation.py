@@ -27,7 +27,7 @@ _SAME, _SAME_PART = 1e-13, 3e-14
 _RIGID = 1e-9
 # A change of centres (nm), orientations, velocities (nm/ps) and angular velocities (1/ps) is small for an inner state.
 _SMALL = 1e-8
-# OpenMM's Reference platform loses pairs of particles whose coordinate (nm) is less than 0 by a rounding of the box.
+# In a periodic box OpenMM's Reference platform loses pairs of particles that are below 0 (nm) by a rounding of the box.
 _LOST = 1e-14
 
 
@@ -42,7 +42,8 @@ class Positions:
         self._context, self.bodies, self.particles = weakref.ref(context), bodies, x
         self.version = 0
         self._written = -1
-        self._loses_pairs = context.getPlatform().getName() == "Reference"
+        periodic = context.getSystem().usesPeriodicBoundaryConditions()
+        self._loses_pairs = periodic and context.getPlatform().getName() == "Reference"
 
     @property
     def context(self) -> Any:

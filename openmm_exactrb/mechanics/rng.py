@@ -20,17 +20,16 @@ from __future__ import annotations
 
 import itertools
 import math
-import threading
 from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.random import Generator, Philox
 from numpy.typing import NDArray
+
+from openmm_exactrb import kernels
 
 Array = NDArray[np.float64]
 
-_WORD = 2**64 - 1
 # Words of a block.
 _BLOCK = 4
 # Of a gamma variate that are looked at together: one in twenty fails.
@@ -56,20 +55,15 @@ class Instant(NamedTuple):
     step: int
     substep: int
 
-    def generator(self, purpose: Purpose) -> Generator:
-        """Return the generator that starts at the first random number for a purpose."""
-        return Generator(Philox(**self._address(purpose)))
-
     def uniform(self, purpose: Purpose) -> float:
-        """Return one uniform number on [0, 1) for a purpose."""
-        return float(self.generator(purpose).random())
+        """Return one number, uniform in (0, 1), for a purpose."""
+        return float(self._uniforms(purpose, 0, 1, 1)[0, 0])
 
     def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
         """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""
         *rows, n = shape
         count = math.prod(rows)
-        blocks = [_normals_of(self._words(purpose, block, n)) for block in range(-(-count // _BLOCK))]
-        return np.ascontiguousarray(np.concatenate([np.zeros((0, n)), *blocks])[:count].reshape(shape))
+        return _normals_of(self._uniforms(purpose, 0, -(-count // _BLOCK), n))[:count].reshape(shape)
 
     def gamma(self, purpose: Purpose, shape: float) -> float:
         """Return one gamma variate for a purpose, independent of its first four normals of a body.
@@ -80,8 +74,8 @@ class Instant(NamedTuple):
             return 0.0
         d = (shape + 1.0 if shape < 1.0 else shape) - 1.0 / 3.0
         for n in itertools.count(_ATTEMPTS, _ATTEMPTS):
-            words = self._words(purpose, 1, n)
-            x, u = _normals_of(words)[0], _open_uniforms(words)
+            u = self._uniforms(purpose, 1, 1, n)
+            x = _normals_of(u)[0]
             root = 1.0 + x / math.sqrt(9.0 * d)
             v = np.where(root > 0.0, root, 1.0) ** 3
             (good,) = np.nonzero((root > 0.0) & (np.log(u[2]) < 0.5 * x * x + d * (1.0 - v + np.log(v))))
@@ -90,44 +84,18 @@ class Instant(NamedTuple):
                 return float(d * v[first] * (u[3, first] ** (1.0 / shape) if shape < 1.0 else 1.0))
         raise AssertionError
 
-    def _words(self, purpose: Purpose, block: int, n: int) -> NDArray[np.uint64]:
-        """Return words of a block of n bodies, (4, n)."""
-        shared = _local.generator.bit_generator
-        address = self._address(purpose)
-        address["counter"][1] = block
-        shared.state = {"bit_generator": "Philox", "state": address, **_EMPTY}
-        return np.ascontiguousarray(shared.random_raw(_BLOCK * n).reshape(n, _BLOCK).T)
-
-    def _address(self, purpose: Purpose) -> dict[str, NDArray[np.uint64]]:
-        """Return key and counter in front of the first number."""
-        stream = self.substep * PURPOSES + purpose
-        return {
-            "key": np.array([self.seed & _WORD, 0], dtype=np.uint64),
-            "counter": np.array([0, 0, stream, self.step & _WORD], dtype=np.uint64),
-        }
+    def _uniforms(self, purpose: Purpose, first: int, blocks: int, n: int) -> Array:
+        """Return numbers of the open interval (0, 1) from blocks of n bodies, (4 blocks, n)."""
+        u, kernel = np.empty((_BLOCK * blocks, n)), kernels.load("random").uniforms
+        for block in range(blocks):
+            rows = u[_BLOCK * block : _BLOCK * (block + 1)]
+            kernel(self.seed, self.step, self.substep * PURPOSES + purpose, first + block, rows)
+        return u
 
 
-def _open_uniforms(words: NDArray[np.uint64]) -> Array:
-    """Return numbers in the open interval (0, 1): the 53 upper bits of words plus a half."""
-    return np.asarray(((words >> np.uint64(11)) + 0.5) * 2.0**-53, dtype=np.float64)
-
-
-def _normals_of(words: NDArray[np.uint64]) -> Array:
-    """Return the four normals of each block (4, n)."""
-    u = _open_uniforms(words)
+def _normals_of(u: Array) -> Array:
+    """Return two normals for each two neighbouring rows of uniform numbers."""
     radius, angle = np.sqrt(-2.0 * np.log(u[::2])), 2.0 * np.pi * u[1::2]
     out = np.empty(u.shape)
     out[::2], out[1::2] = radius * np.cos(angle), radius * np.sin(angle)
     return out
-
-
-class _Local(threading.local):
-    """One generator per thread, because rewinding takes a tenth of the time of creation."""
-
-    def __init__(self) -> None:
-        self.generator = Generator(Philox())
-
-
-_local = _Local()
-# Apart from the address, the state of a generator that has drawn nothing.
-_EMPTY = {"buffer": np.zeros(4, np.uint64), "buffer_pos": 4, "has_uint32": 0, "uinteger": 0}
