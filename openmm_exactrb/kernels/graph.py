@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.records import F1, I1, I2
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 class Graph(NamedTuple):

@@ -6,9 +6,8 @@ import heapq
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+from openmm_exactrb.support.types import Indices
 
 
 def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:

@@ -24,11 +24,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 # Words of a block.
 _BLOCK = 4
