@@ -53,9 +53,9 @@ class Instant(NamedTuple):
     step: int
     substep: int
 
-    def uniform(self, purpose: Purpose) -> float:
-        """Return one number, uniform in (0, 1), for a purpose."""
-        return float(self._uniforms(purpose, 0, 1, 1)[0, 0])
+    def uniforms(self, purpose: Purpose, n: int) -> Array:
+        """Return numbers of n bodies, uniform in (0, 1), for a purpose."""
+        return self._uniforms(purpose, 0, 1, n)[0]
 
     def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
         """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""
