@@ -55,7 +55,8 @@ class Instant(NamedTuple):
 
     def uniforms(self, purpose: Purpose, n: int) -> Array:
         """Return numbers of n bodies, uniform in (0, 1), for a purpose."""
-        return self._uniforms(purpose, 0, 1, n)[0]
+        first: Array = self._uniforms(purpose, 0, 1, n)[0]
+        return first
 
     def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
         """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""
