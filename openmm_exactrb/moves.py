@@ -90,5 +90,5 @@ def of_substep(substep: Any, part: float) -> tuple[Move, ...]:
     if moves is None:
         raise ValueError(f"the substep {substep!r} has no code for a device: define its method device_moves()")
     if any(move.op == Op.OWN and not MOVE.search(move.text) for move in moves):
-        raise ValueError(f"the code of {substep!r} has no `DEVICE inline void NAME(Body* body, double tau)`")
+        raise ValueError(f"the code of {substep!r} must define `DEVICE inline void NAME(Body* body, double tau)`")
     return moves

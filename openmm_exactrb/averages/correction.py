@@ -272,7 +272,7 @@ def _named(settings: Settings, name: str) -> Callable[[Columns], _Estimate]:
 
     def estimate(columns: Columns) -> _Estimate:
         if needs not in columns:
-            raise ValueError(f"the {name} needs the {needs}: report with pressure=True")
+            raise ValueError(f"the {name} needs the {needs}: create the AverageReporter with pressure=True")
         return of(settings, columns)
 
     return estimate
@@ -287,7 +287,7 @@ def _given(values: Any, slope: Any, columns: Columns) -> Callable[[Columns], _Es
     fits = array.shape == (frames,) and len(slopes) == 2 and all(s.shape in ((), (frames,)) for s in slopes)
     if not fits or not all(np.isfinite(some).all() for some in (array, *slopes)):
         raise ValueError(
-            f"an observable needs one finite value, and one slope, for each of the {frames} frames of the file"
+            f"observable and slope must have one finite number for each of the {frames} frames of the file"
         )
     slopes = [np.broadcast_to(s, (frames,)) for s in slopes]
     steps = columns["step"]

@@ -173,7 +173,9 @@ class _ScaledContext:
         context, system = simulation.context, simulation.system
         self._context = context
         if not system.usesPeriodicBoundaryConditions():
-            raise ValueError("a System without a periodic box has no pressure: report with pressure=False")
+            raise ValueError(
+                "a System without a periodic box has no pressure: create the AverageReporter with pressure=False"
+            )
         platform = context.getPlatform()
         properties = {name: platform.getPropertyValue(context, name) for name in platform.getPropertyNames()}
         kept = {name: value for name, value in properties.items() if name in ("Precision", "Threads", "DeviceIndex")}

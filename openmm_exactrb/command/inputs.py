@@ -137,7 +137,10 @@ def _serialised(args: argparse.Namespace) -> Box:
         raise ValueError(f"{args.files[1]} has no positions: save it with simulation.saveState")
     positions = state.getPositions(asNumpy=True)
     if len(positions) != system.getNumParticles():
-        raise ValueError(f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}")
+        raise ValueError(
+            f"the State has {len(positions)} particles, but the System has {system.getNumParticles()}: "
+            "give files of one run"
+        )
     return Box(topology_of(system, state), system, positions, state)
 
 
@@ -151,8 +154,8 @@ def _with_topology(args: argparse.Namespace, topology: Path, places: Path) -> Bo
     content: Any = _understood(str(topology), read_topology, str(topology), periodicBoxVectors=vectors)
     if len(start.positions) != content.topology.getNumAtoms():
         raise ValueError(
-            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: they "
-            "do not belong together"
+            f"{places} has {len(start.positions)} particles, but {topology} has {content.topology.getNumAtoms()}: give "
+            "files of the same molecules"
         )
     system = _system(args, content.createSystem, content.topology, vectors)
     return Box(content.topology, system, start.positions)

@@ -46,7 +46,7 @@ def on_constraints(particles: Indices, masses: Array, distances: Array, position
     """
     X = positions[particles]
     if not np.isfinite(X).all():
-        raise ValueError("positions are not finite: set them before the first step")
+        raise ValueError("positions are not finite: set finite ones before the first step")
     first, second = np.nonzero(np.triu(~np.isnan(distances), 1))
     if not len(first):  # named by hand: the shape is that of the positions
         return positions
@@ -172,7 +172,7 @@ def _kind(particles: Indices, masses: Array, distances: Array) -> Kind:
     if residual > RESIDUAL * distances.max():
         raise ValueError(
             f"the constraints between particles {', '.join(map(str, particles[0]))} cannot be satisfied in three "
-            f"dimensions: a distance is off by {residual:.2g} nm"
+            f"dimensions, by {residual:.2g} nm: correct their lengths"
         )
     # The largest spread comes first: moments ascend, and a linear body lies on axis 1.
     return Kind(particles, slice(0), masses, sites[None], mass, (spread.sum() - spread)[None])

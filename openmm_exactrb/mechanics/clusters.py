@@ -173,8 +173,9 @@ class ClusterKind:
             i, j = self.particles[worst, self.graph.pairs[constraint[worst]]]
             raise ValueError(
                 f"{self.name(worst).capitalize()} is in a singular configuration, where the constraint of particles "
-                f"{i} and {j} follows from the others, as for three particles of a triangle on a line: move them, or "
-                "remove it; a flat or straight part must be rigid as a whole, by all its distances or by bodies="
+                f"{i} and {j} follows from the others, as in a triangle whose particles are on a line: move them, or "
+                "remove this constraint; a flat or straight part must be rigid as a whole: constrain all its "
+                "distances, or name it in bodies="
             )
 
 

@@ -99,7 +99,7 @@ def _groups(fast: Any) -> tuple[int, ...]:
     if not groups or not groups <= set(range(32)):
         raise ValueError(
             f'fast must be "auto", None, "bonded" or force groups such as (1, 2), not {reprlib.repr(fast)}: '
-            "force.getForceGroup() returns that of a force"
+            "force.getForceGroup() returns the group of a force"
         )
     return tuple(sorted(groups))
 
@@ -223,7 +223,7 @@ def _of_groups(system: openmm.System, settings: MultipleTimeSteps) -> FastForces
         )
         return None
     if present <= set(groups):
-        raise ValueError("fast names all forces of the System: there is nothing left for longer steps")
+        raise ValueError("fast names all forces of the System, so none is left for longer steps: name fewer groups")
     frequency = fastest(system, groups)
     if not frequency and settings.steps is None:
         warn(f"{_NO_INNER_STEPS}{_NO_PERIOD}")

@@ -180,7 +180,7 @@ class Benchmark:
         self.characteristics = characteristics(integrator, context)
         now = context.getState(positions=True, forces=True, groups=state.groups)
         if not now.getForces(asNumpy=True)._value.any():
-            raise ValueError("no force acts: there is no energy error to measure")
+            raise ValueError("no force acts, so there is no energy error to measure: add forces to the System")
         bodies, bodies_state = integrator.bodyState()
         context.setPositions(bodies.positions(bodies_state, now.getPositions(asNumpy=True)._value))
         context.computeVirtualSites()

@@ -61,7 +61,7 @@ def characteristics(integrator: ExactRigidBodyIntegrator, context: openmm.Contex
         raise ValueError("the forces at the start are not finite: minimise the energy first")
     (force, torque), kinetic = bodies.forces(state, forces), sum(bodies.kinetic_energies(state))
     if not kinetic > 0.0:
-        raise ValueError("nothing moves: there is no energy error to measure")
+        raise ValueError("nothing moves, so there is no energy error to measure: give particles a mass")
     moments = np.broadcast_to(bodies.inertia.T, torque.shape)
     turning = torque[moments > 0.0] ** 2 / moments[moments > 0.0]
     square = float((force**2 / bodies.mass).sum() + turning.sum())
