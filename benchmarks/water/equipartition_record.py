@@ -61,7 +61,8 @@ class Run(NamedTuple):
     method: str
     interval: float  # fs per force
     molecules: int
-    friction: float  # 1/ps
+    friction: float  # 1/ps; of Nosé-Hoover chains the collision frequency
+    kelvin: float
     ps: float
     seed: int
 
@@ -82,6 +83,7 @@ class Point(NamedTuple):
     friction: float
     ps: float
     found: Means
+    kelvin: float
 
 
 def read(file: Path) -> Record:
@@ -113,6 +115,7 @@ def points(record: Record) -> list[Point]:
                 for name in MEASURED
                 if np.isfinite(values := np.array([record[run][name] for run in runs])).all()
             },
+            kind.kelvin,
         )
         for kind, runs in alike.items()
     ]

@@ -26,7 +26,7 @@ from benchmarks.water.equipartition_record import (
 
 def record_of(*values):
     """Return a record of runs with seeds 1, 2, ... that have these potential energies."""
-    runs = [Run("spce", "NVT", "W2_3m", 6.0, 216, 5.0, 50.0, seed) for seed in range(1, 1 + len(values))]
+    runs = [Run("spce", "NVT", "W2_3m", 6.0, 216, 5.0, 298.15, 50.0, seed) for seed in range(1, 1 + len(values))]
     return {
         run: dict.fromkeys(MEASURED, 1.0) | {"U": U, "acceptance": math.nan}
         for run, U in zip(runs, values, strict=True)
