@@ -18,12 +18,9 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mechanics.bodies import RigidBodies
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 # Constraints less independent than this, relative to the others of a cluster, follow from them. It is the square of a
 # slope, such as that of a flat pyramid, which has to be far above h²ω² of a rotation by ω.

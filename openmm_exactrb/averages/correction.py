@@ -30,15 +30,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from openmm import unit
 
 from openmm_exactrb.averages.frames import BAR
 from openmm_exactrb.averages.record import Settings, read
 from openmm_exactrb.openmm_access.units import plain
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 # Blocks of the jackknife, and the fewest frames that they can be made of.
 _BLOCKS, _FEWEST = 20, 40
 # kg/m³ per Da/nm³.

@@ -24,9 +24,8 @@ from openmm_exactrb.openmm_access.molecules import in_flexible_molecules
 from openmm_exactrb.schemes import scheme_for_thermostat
 from openmm_exactrb.schemes.second_order import SecondOrder, second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostats.langevin import Langevin
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

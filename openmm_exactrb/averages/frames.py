@@ -19,8 +19,8 @@ from openmm_exactrb.multiple_time_steps.fast_forces import FastForces
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.openmm_access.molecules import molecule_of
 from openmm_exactrb.openmm_access.units import gas_constant_times
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 #: An observable of the positions (n_particles, 3) of all particles, in nm.
 Observable = Callable[[Array], float]
 

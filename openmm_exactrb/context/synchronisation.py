@@ -13,12 +13,12 @@ import openmm
 from openmm_exactrb.context import variables
 from openmm_exactrb.detection.find import find_bodies
 from openmm_exactrb.mathematics.compensated import add
-from openmm_exactrb.mechanics.bodies import Indices, RigidBodies
+from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.fit import fit, refit
 from openmm_exactrb.mechanics.images import Shapes
 from openmm_exactrb.mechanics.state import Remembered, State
 from openmm_exactrb.openmm_access import arrays
-from openmm_exactrb.support.types import Array
+from openmm_exactrb.support.types import Array, Indices
 
 # Positions (nm) and velocities (nm/ps) of a state that was saved are its own if they differ by less than this, and by
 # less than this part of them: it continues in full precision, though mixed precision has rounded them.

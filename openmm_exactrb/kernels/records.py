@@ -19,6 +19,20 @@ I1 = Annotated[NDArray[np.int64], "I1"]
 I2 = Annotated[NDArray[np.int64], "I2"]
 
 
+class Graph(NamedTuple):
+    """The graph of clusters of n atoms with m constraints, and the e nonzero entries of the Cholesky factor of A."""
+
+    inverse: F1  #: inverse masses of the atoms (n,)
+    pairs: I2  #: the two atoms of each constraint (m, 2)
+    lengths: F1  #: of the constraints (m,)
+    weights: F1  #: B_cd of each entry (e,), row by row, the diagonal last
+    rows: I1  #: first entry of each row (m + 1,)
+    columns: I1  #: column of each entry (e,)
+    starts: I1  #: first of the products that are subtracted from each entry (e + 1,)
+    left: I1  #: first entry of each product
+    right: I1  #: second entry of each product
+
+
 class Bodies(NamedTuple):
     """Bodies, of which those that turn come first."""
 

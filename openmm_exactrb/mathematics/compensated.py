@@ -9,11 +9,9 @@ The functions from `two_sum` on are error-free transformations, for arrays, and 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.quaternions import Numbers
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 def exactly(x: Array) -> Array:

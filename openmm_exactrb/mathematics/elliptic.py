@@ -7,11 +7,9 @@ rigid body kc is tiny and k has lost its digits. `scipy.special.ellipj` takes kÂ
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.quaternions import Numbers
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: Beyond this argument sech(v)Â² would leave the range of float64; on the separatrix nothing changes any more.
 SEPARATRIX_LIMIT = 345.0

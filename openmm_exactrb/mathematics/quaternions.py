@@ -8,9 +8,10 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
+
 #: An array, or in compiled code a scalar.
 Numbers: TypeAlias = Any
 

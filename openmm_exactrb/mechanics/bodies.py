@@ -17,10 +17,7 @@ from openmm_exactrb import kernels
 from openmm_exactrb.kernels.records import Particles
 from openmm_exactrb.mechanics.clusters import Clusters, ClusterState
 from openmm_exactrb.mechanics.state import BodyState, State
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-
+from openmm_exactrb.support.types import Array, Indices
 
 # Of the smallest to the largest moment: the orientation of a thinner body is where its lightest particles are.
 _THIN = 1e-6

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-from openmm_exactrb.kernels.graph import Graph, factor
-from openmm_exactrb.mechanics.elimination import eliminated
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from openmm_exactrb.kernels.records import Graph
+from openmm_exactrb.mechanics.elimination import eliminated, factor
+from openmm_exactrb.support.types import Array, Indices
 
 #: Constraints that a cluster may have.
 LARGEST = 3000

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState, State
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: The speed of light in nm/ps: OpenMM need not be asked for forces on bodies that are faster.
 LIGHT = 299_792.458

@@ -1,4 +1,4 @@
-"""The pattern of a sparse Cholesky factor, found once for a kind of matrices."""
+"""The sparse Cholesky factor of the matrix of constraints: its pattern, found once for a kind, and its entries."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import heapq
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.int64]
+from openmm_exactrb.kernels.records import Graph
+from openmm_exactrb.support.types import Array, Indices
 
 
 def eliminated(coupled: Sequence[set[int]]) -> tuple[Indices, Indices, Indices, Indices, Indices, Indices]:
@@ -65,3 +65,16 @@ def _minimum_degree(coupled: Sequence[set[int]]) -> tuple[list[int], list[set[in
             heapq.heappush(waiting, (len(neighbours[c]), c))
         order.append(chosen)
     return order, [left_of[c] for c in order]
+
+
+def factor(graph: Graph, r: Array) -> list[Array]:
+    """Return the Cholesky factor of A, entry by entry (N,), with its diagonal inverted."""
+    A: list[Array] = []
+    for c in range(len(graph.pairs)):
+        for e in range(graph.rows[c], graph.rows[c + 1]):
+            d = graph.columns[e]
+            entry = graph.weights[e] * np.einsum("in,in->n", r[:, c], r[:, d])
+            for k in range(graph.starts[e], graph.starts[e + 1]):
+                entry = entry - A[graph.left[k]] * A[graph.right[k]]
+            A.append(1.0 / np.sqrt(entry) if d == c else entry * A[graph.rows[d + 1] - 1])
+    return A

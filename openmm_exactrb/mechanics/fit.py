@@ -12,10 +12,8 @@ from openmm_exactrb.mathematics.quaternions import from_matrix, matrix, turned
 from openmm_exactrb.mechanics.bodies import Kind, RigidBodies
 from openmm_exactrb.mechanics.clusters import ClusterKind, ClusterState
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.support.types import Array, Indices
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 #: Positions further than this from a rigid body, in nm, are an error: they are of another molecule, or of two halves.
 REFUSED = 0.02

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.mathematics.compensated import exactly
@@ -15,8 +14,7 @@ from openmm_exactrb.mechanics.clusters import ClusterState
 from openmm_exactrb.mechanics.state import Flow, State
 from openmm_exactrb.rotors import Flow as Rotation
 from openmm_exactrb.rotors import Rotor, rotor_of_sums
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 @dataclass(frozen=True)

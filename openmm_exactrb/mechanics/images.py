@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.links import Links, shortest_tree
 from openmm_exactrb.mechanics.state import BodyState
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
+from openmm_exactrb.support.types import Array, Indices
 
 # Lengths (nm) that are missed by less than this may be those of a link; by less than `_EQUAL`, they are.
 _NEAR, _EQUAL = 0.02, 1e-4

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.quaternions import exponential, multiply
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import NonFiniteError
 from openmm_exactrb.mechanics.images import closest_pair
 from openmm_exactrb.mechanics.state import BodyState
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
-
-Array = NDArray[np.float64]
 
 # The unit (nm) of the last search's coordinates, which its first trial step is long.
 _LEAST = 1e-6

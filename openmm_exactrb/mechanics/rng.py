@@ -24,11 +24,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 # Words of a block.
 _BLOCK = 4
@@ -55,9 +53,10 @@ class Instant(NamedTuple):
     step: int
     substep: int
 
-    def uniform(self, purpose: Purpose) -> float:
-        """Return one number, uniform in (0, 1), for a purpose."""
-        return float(self._uniforms(purpose, 0, 1, 1)[0, 0])
+    def uniforms(self, purpose: Purpose, n: int) -> Array:
+        """Return numbers of n bodies, uniform in (0, 1), for a purpose."""
+        first: Array = self._uniforms(purpose, 0, 1, n)[0]
+        return first
 
     def normals(self, purpose: Purpose, shape: tuple[int, ...]) -> Array:
         """Return standard normal numbers of bodies, the last axis of the shape, for a purpose."""

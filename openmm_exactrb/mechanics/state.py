@@ -7,11 +7,10 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.compensated import exactly, renewed
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 _S = TypeVar("_S")
 
 #: flow(state, tau) moves a state by the time tau; it may return the state itself, and does not change what it is given.

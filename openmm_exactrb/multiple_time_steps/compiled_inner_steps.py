@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from openmm_exactrb import kernels
-from openmm_exactrb.kernels.graph import Graph
-from openmm_exactrb.kernels.records import Bodies
+from openmm_exactrb.kernels.records import Bodies, Graph
 from openmm_exactrb.mechanics.clusters import Clusters
 from openmm_exactrb.mechanics.divergence import DivergenceCheck
 from openmm_exactrb.mechanics.state import State

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
@@ -17,8 +16,7 @@ from openmm_exactrb.potentials.boundaries import OPEN, Boundary, Ewald, Images, 
 from openmm_exactrb.potentials.formula import soft_dipole_bonds, soft_dipole_hbonds
 from openmm_exactrb.potentials.spheres import SphereCutoff, cutoff_in
 from openmm_exactrb.support import checks
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 def soft_dipole_force(

@@ -11,12 +11,10 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.potentials.switching import switched
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: Largest measured error, in units of the estimate.
 SAFETY = 3.5

@@ -7,13 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.openmm_access import arrays
 from openmm_exactrb.potentials.boundaries import check_cutoff
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 class GayBerne:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 
 def switched(r: Array, cutoff: float, switch: float) -> tuple[Array, Array]:

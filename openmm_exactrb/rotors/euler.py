@@ -23,7 +23,8 @@ from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.elliptic import jacobi, third_kind_legendre
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
 from openmm_exactrb.rotors import exact
-from openmm_exactrb.rotors.flow import Array, Flow, ascending
+from openmm_exactrb.rotors.flow import Flow, ascending
+from openmm_exactrb.support.types import Array
 
 #: Bodies nearer than this to a symmetric one, to the separatrix or to a stationary rotation are left to the exact flow.
 NEAREST = 1e-14

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from openmm_exactrb import kernels
 from openmm_exactrb.kernels.plain import exact as plain
-from openmm_exactrb.rotors.flow import Array, Flow, ascending
+from openmm_exactrb.rotors.flow import Flow, ascending
+from openmm_exactrb.support.types import Array
 
 
 def compiled(inertia: Array) -> Flow:

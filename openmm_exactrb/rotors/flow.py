@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from openmm_exactrb.support import checks
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: flow(q, m, t) -> (q, m), component-first: q (4, N) scalar first, m (3, N) in the body frame, t scalar or (N,).
 #: Some also take double-doubles, (2, 4, N) and (2, 3, N).

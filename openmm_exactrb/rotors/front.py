@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from openmm_exactrb.rotors.flow import Array
 from openmm_exactrb.rotors.registry import Rotor, rotor
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 
 
 def free_rotor(

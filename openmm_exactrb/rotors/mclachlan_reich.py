@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.mathematics.quaternions import renormalise
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.support.types import Array
 
 # Axis and part of the time step.
 _SPLITTING = ((0, 0.5), (1, 0.5), (2, 1.0), (1, 0.5), (0, 0.5))

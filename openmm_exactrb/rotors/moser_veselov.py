@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.mathematics.compensated import keep_norm
 from openmm_exactrb.mathematics.quaternions import multiply, renormalise
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.support.warn import warn
 
 #: Steps of the fixed point iteration after which a body counts as not converged.

@@ -20,7 +20,8 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import multiply
 from openmm_exactrb.rotors import euler, rotation
 from openmm_exactrb.rotors.euler import Orbit, Phase, ThirdKind, carlson
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.support.types import Array
 
 
 def kosenko(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:

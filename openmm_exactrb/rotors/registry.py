@@ -17,8 +17,9 @@ from numpy.typing import ArrayLike
 
 from openmm_exactrb.mathematics.compensated import exactly
 from openmm_exactrb.rotors import euler, exact, mclachlan_reich, moser_veselov, quaternion, rotation
-from openmm_exactrb.rotors.flow import Array, Flow, fitting
+from openmm_exactrb.rotors.flow import Flow, fitting
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 
 #: Between them a moment and its reciprocal are normal numbers.
 SMALLEST_MOMENT, LARGEST_MOMENT = 1e-307, 1e307

@@ -14,7 +14,8 @@ import numpy as np
 from openmm_exactrb.mathematics.quaternions import from_matrix
 from openmm_exactrb.rotors import euler
 from openmm_exactrb.rotors.euler import Orbit, ThirdKind, carlson
-from openmm_exactrb.rotors.flow import Array, Flow
+from openmm_exactrb.rotors.flow import Flow
+from openmm_exactrb.support.types import Array
 
 
 def rotor(inertia: Array, third_kind: ThirdKind = carlson) -> Flow:

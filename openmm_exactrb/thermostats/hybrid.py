@@ -81,7 +81,7 @@ class Metropolis(Substep):
 
         def flow(state: State, tau: float) -> State:
             new, rise = proposed(state, tau)
-            u = Instant(environment.key, clock.number, 0).uniform(Purpose.METROPOLIS)
+            u = float(Instant(environment.key, clock.number, 0).uniforms(Purpose.METROPOLIS, 1)[0])
             accepted = accepts(rise, kT, u)
             numbers.present[variables.ACCEPTED] += accepted
             numbers.present[variables.PROPOSED] += 1

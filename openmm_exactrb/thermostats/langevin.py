@@ -15,7 +15,6 @@ from functools import lru_cache
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
@@ -27,10 +26,10 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin
 from openmm_exactrb.openmm_access.units import not_negative as not_negative_quantity
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
 
-Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
 # Different times of a heat exchange in a step whose factors are kept.
 _TIMES = 16

@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import ClassVar, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
@@ -27,11 +26,11 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import switch, whole
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import Options, ThermostattedIntegrator
 from openmm_exactrb.thermostats.rescaling import multiplication
 
-Array = NDArray[np.float64]
 _RATE = unit.picosecond**-1
 
 _YOSHIDA = 1.0 / (2.0 - 2.0 ** (1.0 / 3.0))

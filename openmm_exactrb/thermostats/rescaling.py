@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 from openmm import unit
 
 from openmm_exactrb.context import variables
@@ -23,10 +22,9 @@ from openmm_exactrb.openmm_access.units import gas_constant_times, kelvin, plain
 from openmm_exactrb.rotors import Rotor
 from openmm_exactrb.schemes import Scheme
 from openmm_exactrb.support.checks import positive, switch
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostat import Exchange, Factors, Thermostat
 from openmm_exactrb.thermostats.face import HeatedIntegrator, Options
-
-Array = NDArray[np.float64]
 
 _BACKWARD = "stepSize must be positive with a thermostat"
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 _WINDOWS = (8, 4, 2, 1)
 # A drift is the slope of the means of this many parts of a run. Their differences show how they scatter about a line:

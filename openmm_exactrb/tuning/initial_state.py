@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 from openmm import app, unit
 
 from openmm_exactrb.context.updates import UPDATES
@@ -21,11 +20,10 @@ from openmm_exactrb.openmm_access.platforms import mixed, platform_of
 from openmm_exactrb.openmm_access.units import gas_constant_times, stripped
 from openmm_exactrb.states import loadState
 from openmm_exactrb.support import checks
+from openmm_exactrb.support.types import Array
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
 from openmm_exactrb.tuning.budget import Budget
 from openmm_exactrb.tuning.preparation import heat, minimise
-
-Array = NDArray[np.float64]
 
 # Part of the budget that bringing a start to a temperature may take.
 _SHARE = 0.33

@@ -13,15 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import openmm
-from numpy.typing import NDArray
 
 from openmm_exactrb.integrator import ExactRigidBodyIntegrator
 from openmm_exactrb.mechanics.bodies import RigidBodies
 from openmm_exactrb.mechanics.divergence import IntegrationError, NonFiniteError
 from openmm_exactrb.mechanics.minimise import MinimisationWarning
 from openmm_exactrb.thermostats import ExactRigidBodyLangevinIntegrator
-
-Array = NDArray[np.float64]
 
 # Extent in nm that a particle is given, which has no shape.
 _EXTENT = 0.1

@@ -8,10 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from openmm_exactrb.kernels.compiled.clusters import HALVINGS, ORDERS, SETTLED
-from openmm_exactrb.kernels.graph import Array, Graph, factor
+from openmm_exactrb.kernels.records import Graph
 from openmm_exactrb.mathematics.compensated import add
 from openmm_exactrb.mathematics.quaternions import TO_GRID
 from openmm_exactrb.mechanics.clusters import Clusters
+from openmm_exactrb.mechanics.elimination import factor
+from openmm_exactrb.support.types import Array
 
 
 class ReferenceClusters(Clusters):

@@ -47,7 +47,7 @@ def test_key_and_counter_have_the_documented_layout(seed, step):
     first = philox([1, 0, 77, step & _WORD], [seed & _WORD, 0])[0]
     key, counter = (np.array(words, dtype=np.uint64) for words in ([seed & _WORD, 0], [0, 0, 77, step & _WORD]))
     assert np.random.Philox(key=key, counter=counter).random_raw() == first
-    assert drawn("uniform", seed, step, 77) == ((first >> 11) + 0.5) * 2.0**-53
+    assert drawn("uniforms", seed, step, 77, 1) == ((first >> 11) + 0.5) * 2.0**-53
 
 
 def test_normals_of_a_body_are_those_of_box_and_muller_from_its_block():
@@ -106,12 +106,12 @@ def test_first_numbers_of_successive_steps_are_independent():
 
 def test_normals_and_uniforms_have_their_distributions():
     assert stats.kstest(normals(20, 1, 2, (10, 100_000)).ravel(), "norm").pvalue > 1e-3
-    u = np.array([drawn("uniform", 21, step, 2) for step in range(20_000)])
+    u = np.array([drawn("uniforms", 21, step, 2, 1)[0] for step in range(20_000)])
     assert 0.0 < u.min() < u.max() < 1.0
     assert stats.kstest(u, "uniform").pvalue > 1e-3
 
 
 def test_substeps_and_purposes_have_streams_of_their_own():
-    first = {Instant(1, 2, substep).uniform(purpose) for substep in range(50) for purpose in Purpose}
+    first = {Instant(1, 2, substep).uniforms(purpose, 1)[0] for substep in range(50) for purpose in Purpose}
     assert len(first) == 50 * len(Purpose)
     assert 0 <= min(Purpose) < max(Purpose) < PURPOSES

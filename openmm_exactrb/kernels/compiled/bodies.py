@@ -1,7 +1,5 @@
 """Rigid bodies: positions and velocities of particles, sums of forces and torques, and updates of double-doubles."""
 
-from __future__ import annotations
-
 from openmm_exactrb.kernels.build import compiled, inlined, inner
 from openmm_exactrb.kernels.compiled.formulas import matrix_entries, two_sum
 from openmm_exactrb.kernels.compiled.vectors import cross

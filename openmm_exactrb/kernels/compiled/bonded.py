@@ -8,8 +8,6 @@ The gradient of a torsion is that of A. Blondel and M. Karplus, J. Comput. Chem.
 doi:10.1002/(SICI)1096-987X(19960715)17:9<1132::AID-JCC5>3.0.CO;2-T.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

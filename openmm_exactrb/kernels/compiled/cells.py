@@ -12,14 +12,13 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import at_first_call, inner_reordered
 from openmm_exactrb.kernels.compiled.pair import pair
 from openmm_exactrb.kernels.compiled.rows import add_columns
 from openmm_exactrb.kernels.threads import in_threads
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Cells = tuple[int, int, int]
 
 # Cells that a cutoff reaches beyond one, and pairs whose arithmetic is done in one go.

@@ -4,8 +4,6 @@ A block holds a vector of each atom or constraint as a row of 3 L numbers, compo
 constraint as a row of L. Innermost loops along such rows are vectorised.
 """
 
-from __future__ import annotations
-
 import math
 
 from openmm_exactrb.kernels.build import inner, inner_reordered

@@ -22,8 +22,6 @@ Clusters of one kind are advanced in blocks, see `cluster_rows`. State arrays x 
 plain numbers (1, 3, M); atom a of cluster i is column first + a count + i.
 """
 
-from __future__ import annotations
-
 import math
 from collections import namedtuple
 
@@ -46,7 +44,7 @@ from openmm_exactrb.kernels.compiled.cluster_rows import (
     solve,
     vectors,
 )
-from openmm_exactrb.kernels.graph import Graph
+from openmm_exactrb.kernels.records import Graph
 
 #: Orders of the multipliers that a drift may take; a step that needs more is halved.
 ORDERS = 30
@@ -93,15 +91,10 @@ def _project(X, P, graph, work):
     add_scaled(work.projection, 1.0, work.inverse, work.v)
 
 
-@inlined
-def _flat_series(series):
-    return series.reshape(len(series), -1)
-
-
 @inner_reordered
 def _next_order(k, graph, work):
     """Write the order k of the multipliers and of the forces F_c, and the order k + 2 of r."""
-    r, multipliers = _flat_series(work.r), _flat_series(work.multipliers)
+    r, multipliers = work.r.reshape(len(work.r), -1), work.multipliers.reshape(len(work.multipliers), -1)
     F, q, g = work.F.reshape(-1), work.q.reshape(-1), work.g.reshape(-1)
     r0, middle, new, order = r[0], r[k // 2 + 1], r[k + 2], float((k + 1) * (k + 2))
     for i in range(len(q)):
@@ -222,10 +215,9 @@ def _give_up(X, P, work):
     for c in range(len(bound)):
         for i in range(3 * L):
             if (ORDERS + 1) * max(abs(r[ORDERS + 1, c, i]), abs(r[ORDERS, c, i])) > bound[c, i]:
-                for s in range(len(X)):
-                    for a in range(X.shape[1]):
-                        for e in range(3):
-                            X[s, a, e * L + i % L] = P[s, a, e * L + i % L] = math.nan
+                for e in range(3):
+                    X[:, :, e * L + i % L] = math.nan
+                    P[:, :, e * L + i % L] = math.nan
 
 
 @compiled("f3 f3 f i i i", Graph, "F3 F3")

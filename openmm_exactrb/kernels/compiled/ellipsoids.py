@@ -1,7 +1,5 @@
 """The sum over uniaxial ellipsoids with the potential of Gay and Berne, mu = 2 and nu = 1."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inlined, inner

@@ -1,7 +1,5 @@
 """Jacobi's functions and the third integral of one body, compiled: `openmm_exactrb.mathematics.elliptic`."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import at_first_call
 from openmm_exactrb.kernels.threads import in_threads
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Edges = tuple[float, float, float]
 
 

@@ -4,8 +4,6 @@ Steps with b G h <= 0.3 are computed by `_short` in blocks of bodies; it has nei
 vectorised. All other steps are computed by `_long`, one body at a time.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

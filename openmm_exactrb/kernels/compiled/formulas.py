@@ -1,7 +1,5 @@
 """Formulas in numpy that compiled code calls unchanged."""
 
-from __future__ import annotations
-
 from numba.extending import register_jitable
 
 from openmm_exactrb.kernels.build import inlined

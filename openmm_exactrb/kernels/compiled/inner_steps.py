@@ -4,8 +4,6 @@ Molecules with bonds are few compared with their solvent, so that calls from Pyt
 arithmetic.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from openmm_exactrb.kernels.build import compiled, inner
@@ -13,8 +11,7 @@ from openmm_exactrb.kernels.compiled import bonded, clusters, exact
 from openmm_exactrb.kernels.compiled.bodies import advance as add_scaled
 from openmm_exactrb.kernels.compiled.bodies import collect, place
 from openmm_exactrb.kernels.compiled.formulas import two_sum
-from openmm_exactrb.kernels.graph import Graph
-from openmm_exactrb.kernels.records import Bodies, Particles, Terms
+from openmm_exactrb.kernels.records import Bodies, Graph, Particles, Terms
 
 
 @inner

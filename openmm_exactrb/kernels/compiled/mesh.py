@@ -13,15 +13,14 @@ from functools import lru_cache
 import numpy as np
 import scipy.fft
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import at_first_call, inner_reordered
 from openmm_exactrb.kernels.compiled.cells import by_cell
 from openmm_exactrb.kernels.compiled.ewald import uniform_field
 from openmm_exactrb.kernels.compiled.rows import LANES, add_plane, spline_rows, sum_plane
 from openmm_exactrb.kernels.threads import in_threads
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Edges = tuple[float, float, float]
 Points = tuple[int, int, int]
 

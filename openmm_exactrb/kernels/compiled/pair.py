@@ -1,7 +1,5 @@
 """The arithmetic of a pair of soft dipoles, inlined into the sums over pairs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -7,7 +7,6 @@ independent, the inner loop is vectorised, and results are bit-identical for any
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from openmm_exactrb.kernels.build import at_first_call
 from openmm_exactrb.kernels.compiled import mesh
@@ -15,8 +14,8 @@ from openmm_exactrb.kernels.compiled.cells import cells, near_pairs
 from openmm_exactrb.kernels.compiled.ewald import number_of_waves, reciprocal_space
 from openmm_exactrb.kernels.compiled.pair import pair
 from openmm_exactrb.kernels.threads import cores, in_threads
+from openmm_exactrb.support.types import Array
 
-Array = NDArray[np.float64]
 Truncation = tuple[float, float, float, float, float, float, float, float, float, float]
 Ewald = tuple[float, float, float] | tuple[float, mesh.Edges, int, float]
 

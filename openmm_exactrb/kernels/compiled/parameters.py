@@ -1,7 +1,5 @@
 """Loops over functions of OpenMM's C interface, which read the parameters of its objects one by one."""
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils

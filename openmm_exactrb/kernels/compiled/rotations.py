@@ -1,7 +1,5 @@
 """The rotation of one body in a step, from its unit angular momentum, compiled: the formulas of `plain.exact`."""
 
-from __future__ import annotations
-
 import math
 
 from openmm_exactrb.kernels.build import inlined

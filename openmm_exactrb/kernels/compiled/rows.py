@@ -1,7 +1,5 @@
 """Rows of the mesh in vector registers, as LLVM instructions: numba does not vectorise loops of ten iterations."""
 
-from __future__ import annotations
-
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic

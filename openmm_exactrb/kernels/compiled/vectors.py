@@ -1,7 +1,5 @@
 """Vectors of three numbers, tuples or rows of arrays, compiled."""
 
-from __future__ import annotations
-
 from openmm_exactrb.kernels.build import inlined
 
 

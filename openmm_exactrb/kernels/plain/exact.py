@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from openmm_exactrb.mathematics.compensated import add, exactly, keep_norm, times, times_squared, two_difference
 from openmm_exactrb.mathematics.elliptic import jacobi, sine_short, third_kind, third_kind_short
 from openmm_exactrb.mathematics.quaternions import Numbers, multiply, norm_defect, renormalise
-
-Array = NDArray[np.float64]
+from openmm_exactrb.support.types import Array
 
 #: Up to this b G h the series of `_short` are exact to roundoff.
 SHORT = 0.3
