@@ -37,6 +37,7 @@ from benchmarks.common.starts import R, canonical, context_of, masses_of, positi
 from benchmarks.water.equipartition_record import (
     FRICTION,
     GOALS,
+    KELVIN,
     LABELS,
     LFM,
     NAMES,
@@ -366,7 +367,7 @@ def parse() -> argparse.Namespace:
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
     add("--friction", type=float, default=FRICTION, metavar="1/PS", help="%(default)s")
-    add("--kelvin", type=float, default=298.15, metavar="K", help="%(default)s")
+    add("--kelvin", type=float, default=KELVIN, metavar="K", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")
