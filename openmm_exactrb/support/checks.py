@@ -7,6 +7,7 @@ import math
 import reprlib
 import sys
 from collections.abc import Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -85,14 +86,16 @@ def owners(bodies: Sequence[Sequence[int] | Indices], n_particles: int) -> Indic
 
     A ValueError is raised if a particle does not exist, or two bodies name it.
     """
-    owner = np.full(n_particles, -1)
-    for number, body in enumerate(bodies):
-        for particle in body:
-            if not 0 <= particle < n_particles:
-                raise ValueError(f"body {number} names particle {particle}, but the System has {n_particles} particles")
-            if owner[particle] >= 0:
-                raise ValueError(f"particle {particle} is named twice, in bodies {owner[particle]} and {number}")
-            owner[particle] = number
+    owner, numbers = np.full(n_particles, -1), np.repeat(np.arange(len(bodies)), [len(body) for body in bodies])
+    particles = np.fromiter(chain.from_iterable(bodies), np.intp, len(numbers))
+    for i in np.flatnonzero((particles < 0) | (particles >= n_particles)):
+        named = f"body {numbers[i]} names particle {particles[i]}"
+        raise ValueError(f"{named}, but the System has {n_particles} particles")
+    order = np.argsort(particles, kind="stable")
+    for i in np.flatnonzero(np.diff(particles[order]) == 0):
+        first, second = numbers[order[i : i + 2]]
+        raise ValueError(f"particle {particles[order[i]]} is named twice, in bodies {first} and {second}")
+    owner[particles] = numbers
     return owner
 
 
