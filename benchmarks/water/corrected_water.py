@@ -41,6 +41,8 @@ QUANTITIES = {
     "NVT": (("U", "potential energy", True),),
     "NPT": (("U", "potential energy", True), ("density", "density", False)),
 }
+NAMED = ("potential energy", "density", "enthalpy")
+BAR, MOLAR_MASS = 0.1, 18.0154  # kJ/mol of 1 bar in a molar volume of 1 L; g/mol
 HELD = {"NVT": "constant volume", "NPT": "1 bar"}
 COLUMNS = [f"{name}{part}" for name in ("U", "density") for part in ("", " error")]
 RECORD = Record(
@@ -117,6 +119,20 @@ def agreement(values: list[tuple[float, float]]) -> tuple[float, float, float]:
     weights = error**-2.0
     common = float(weights @ mean / weights.sum())
     return common, float(weights.sum() ** -0.5), float(weights @ (mean - common) ** 2)
+
+
+def at_small_steps(model: str, ensemble: str, name: str) -> tuple[float, float] | None:
+    """Return an average without an error of the step, the mean of all corrected ones up to 4 fs, and its error.
+
+    Enthalpies (kJ/mol per molecule) are those of averages.py, without the kinetic energy.
+    """
+    quantity = "U" if name in ("potential energy", "enthalpy") else name
+    some = [point.after for point in points(model, ensemble, quantity) if point.fs <= 4.0] if name in NAMED else []
+    if not some:
+        return None
+    mean, error, _ = agreement(some)
+    known = at_small_steps(model, ensemble, "density") if name == "enthalpy" else None
+    return (mean + BAR * MOLAR_MASS / known[0] if known else mean), error
 
 
 def studied() -> list[tuple[str, str, str]]:

@@ -12,7 +12,6 @@ are those of corrected_water.py.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -21,9 +20,10 @@ from benchmarks.common.pictures import plt
 from benchmarks.common.records import DOCS
 from benchmarks.common.starts import R
 from benchmarks.water import corrected_water
-from benchmarks.water.equipartition_record import AGAIN, FRICTION, LFM, RECORD, mean_and_error, read
+from benchmarks.water.corrected_water import BAR, MOLAR_MASS
+from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, RECORD, mean_and_error, read
 
-MOLAR_MASS, BAR = 18.0154, 0.1  # g/mol; kJ/mol of 1 bar and a molar volume in L
+STEPS = (0.5, 1.0, 2.0, 4.0)  # fs per force evaluation
 QUANTITIES = {"density": ("density (kg/m³)", 1), "enthalpy": ("enthalpy (kJ/mol per molecule)", 2)}
 ROWS = {
     LFM: "`LangevinMiddleIntegrator`",
@@ -60,62 +60,54 @@ def measured() -> Found:
     }
 
 
-def at_small_steps() -> dict[str, tuple[float, float]]:
-    """Return density and enthalpy at 298.15 K without an error of the step: the means of all corrected averages."""
-    found = {}
-    for name, quantity in (("density", "density"), ("enthalpy", "U")):
-        some = [point.after for point in corrected_water.points("tip4p2005", "NPT", quantity) if point.fs <= 4.0]
-        found[name] = corrected_water.agreement(some)[:2]
-    more = 3.0 * R * 298.15 + BAR * MOLAR_MASS / found["density"][0]
-    return found | {"enthalpy": (found["enthalpy"][0] + more, found["enthalpy"][1])}
+def corrected(name: str, method: str | None = None) -> tuple[float, float]:
+    """Return density or enthalpy at 298.15 K, corrected for the step: of a method at 4 fs, or of all up to 4 fs."""
+    quantity = "U" if name == "enthalpy" else name
+    some = corrected_water.points("tip4p2005", "NPT", quantity)
+    chosen = [p.after for p in some if (p.fs <= 4.0 if method is None else (p.method, p.fs) == (method, 4.0))]
+    mean, error, _ = corrected_water.agreement(chosen)
+    if name == "enthalpy":
+        mean += 3.0 * R * KELVIN + BAR * MOLAR_MASS / corrected("density")[0]
+    return mean, error
 
 
 def tip4p2005() -> str:
     """Return densities and enthalpies, a row for each integrator and temperature, as a table of a page."""
     found, body = measured(), []
-    steps = sorted({fs for _, _, fs in found if fs <= 4.0})
     for name, (label, digits) in QUANTITIES.items():
-        reference = with_error(*at_small_steps()[name], digits)
-        body.append([f"**{label}**, 298.15 K, mean of all, corrected", reference, *[""] * (len(steps) - 1)])
-        for kelvin in (298.15, 277.15):
+        reference = with_error(*corrected(name), digits)
+        body.append([f"**{label}**, 298.15 K, mean of all, corrected", reference, *[""] * (len(STEPS) - 1)])
+        for kelvin in (KELVIN, 277.15):
             for method, row in ROWS.items():
-                cells = [_cell(found, (kelvin, method, fs), name, digits) for fs in steps]
+                cells = [_cell(found, (kelvin, method, fs), name, digits) for fs in STEPS]
                 if any(cells):
                     body.append([f"{row}, {kelvin:g} K", *cells])
-    return table(("", *(f"{fs:g} fs" for fs in steps)), body)
+    return table(("", *(f"{fs:g} fs" for fs in STEPS)), body)
 
 
 def _cell(found: Found, point: tuple[float, str, float], name: str, digits: int) -> str:
     return with_error(*found[point][name], digits) if point in found else ""
 
 
-def lines(found: Found, name: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the methods of the picture, with times per force evaluation, values and errors, (n, 3)."""
-    for method in LINES:
-        some = sorted(
-            (fs, *values[name]) for (kelvin, which, fs), values in found.items() if which == method and kelvin > 298.0
-        )
-        yield method, np.array(some)
-
-
 def draw() -> None:
     """Draw density and enthalpy at 298.15 K against the time per force evaluation."""
-    found, reference = measured(), at_small_steps()
+    found = measured()
     figure, panels = plt.subplots(2, figsize=(5.6, 6.2), sharex=True, layout="constrained")
     for axes, (name, (label, _)) in zip(panels, QUANTITIES.items(), strict=True):
-        mean, error = reference[name]
+        mean, error = corrected(name)
         axes.axhspan(mean - error, mean + error, color="0.8", lw=0.0, label="all averages, corrected for the step")
-        for shift, (method, points) in enumerate(lines(found, name)):
-            colour, marker = LINES[method]
-            x, y, errors = points.T
+        for shift, (method, (colour, marker)) in enumerate(LINES.items()):
+            x, y, errors = np.array([(fs, *found[KELVIN, method, fs][name]) for fs in STEPS]).T
             text = ROWS[method].replace("`", "")
             axes.errorbar(
                 x * 1.02 ** (shift - 1), y, errors, color=colour, marker=marker, capsize=3, lw=1.2, label=text
             )
+        one = corrected(name, "W2_3m")
+        axes.errorbar(4.3, *one, color=LINES["W2_3m"][0], marker="D", mfc="white", capsize=3, label="W2_3m, corrected")
         axes.set_ylabel(label.replace(" (kJ", "\n(kJ"))
     panels[0].set_title("216 TIP4P/2005 at 298 K and 1 bar, 1 ns each", fontsize=11)
     panels[1].set_xscale("log", base=2)
-    panels[1].set_xticks([0.5, 1, 2, 4, 6])
+    panels[1].set_xticks(STEPS)
     panels[1].xaxis.set_major_formatter("{x:g}")
     panels[1].set_xlabel("time per force evaluation (fs)")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
