@@ -102,7 +102,7 @@ def draw() -> None:
             axes.errorbar(
                 x * 1.02 ** (shift - 1), y, errors, color=colour, marker=marker, capsize=3, lw=1.2, label=text
             )
-        one = corrected(name, "W2_3m")
+        one = corrected(name, corrected_water.AT_END)
         axes.errorbar(4.3, *one, color=LINES["W2_3m"][0], marker="D", mfc="white", capsize=3, label="W2_3m, corrected")
         axes.set_ylabel(label.replace(" (kJ", "\n(kJ"))
     panels[0].set_title("216 TIP4P/2005 at 298 K and 1 bar, 1 ns each", fontsize=11)
