@@ -30,9 +30,9 @@ def dielectric_constant(
 
         eps = (1 + (Q + 2) x)/(1 + (Q - 1) x),
 
-    for any interaction of dipoles whose uniform part is Q (M. Neumann, Mol. Phys. 50, 841 (1983)). In conducting
+    for any dipole interaction with the uniform part Q (M. Neumann, Mol. Phys. 50, 841 (1983)). In conducting
     surroundings (an Ewald sum, or a reaction field with infinite dielectric) this is eps = 1 + 3 x; without a reaction
-    field it is the formula of Clausius and Mossotti.
+    field it is the Clausius-Mossotti formula.
 
     Parameters
     ----------
@@ -46,13 +46,14 @@ def dielectric_constant(
     dielectric : float
         eps' of the surroundings, as in the `ReactionField` or `Ewald` of the run.
     blocks : int
-        Number of blocks into which the run is divided for the error. Each block should be many times as long as the
+        Number of blocks into which the run is divided to estimate the error. Each block should be much longer than the
         correlation time of the moment.
 
     Returns
     -------
     value : float
-        The dielectric constant; infinity if M fluctuates more than these surroundings allow.
+        The dielectric constant; infinity if the fluctuations of M exceed the limit of the formula for these
+        surroundings.
     error : float
         Standard error from the block means of Mx², My² and Mz², which are independent and have the same expectation.
 
@@ -64,8 +65,8 @@ def dielectric_constant(
 
     Notes
     -----
-    <M> is zero without a field, and is not estimated from the run: the mean square deviation from the mean of a short
-    run would be too small.
+    <M> is zero without a field, and is not estimated from the run, because deviations from the mean of a short run
+    would be too small.
     """
     M = checks.array(moments, "moments", _ASKED)
     if M.ndim != 2 or M.shape[1] != 3:

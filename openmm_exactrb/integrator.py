@@ -35,15 +35,15 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     """Rigid-body dynamics with the exact free rotation and a symmetric splitting.
 
     Rigid bodies are the clusters of particles that constraints of the System hold rigid. Particles without constraints,
-    and clusters that constraints do not make rigid, move with them. After every call of step(n) the Context contains
-    positions, velocities, time and step count, and changes made to it between calls are taken into account. A scheme
-    that begins and ends with a kick evaluates the forces again at the start of each call; within a call no force is
-    evaluated twice.
+    and clusters that constraints do not make rigid, are integrated as well. After every call of step(n) the Context
+    contains positions, velocities, time and step count; changes made to the Context between calls are taken into
+    account. A scheme that begins and ends with a kick evaluates the forces again at the start of each call; within a
+    call no force is evaluated twice.
 
     Parameters
     ----------
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
+        Size of a whole step of the scheme, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES`, or a scheme of your own. The default evaluates forces once per step, as
         VerletIntegrator does: "W2_1", a processed Verlet scheme, or "BAOA" with a thermostat. Nosé-Hoover chains use
@@ -55,18 +55,19 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         positions at the first step; forces within them only add a constant to the energy.
     fast : {"auto", "bonded"} or sequence of int, optional
         Forces that are integrated with inner steps within the drifts of the scheme: "bonded" for bonds, angles,
-        torsions and pairs three bonds apart, or numbers of force groups. The other forces, which determine the cost,
-        are evaluated as often as without inner steps. "auto": bonded forces, if the interval between force evaluations
+        torsions and pairs three bonds apart, or numbers of force groups. The number of evaluations of the other forces,
+        which determine the cost, does not change. "auto": bonded forces, if the interval between force evaluations
         exceeds a sixteenth of the shortest period of bonds and angles. None: no inner steps.
     inner : str or Scheme, optional
         Scheme of the inner steps: by default S2_2, or SRKN4_6b if the scheme has order above 2 or force gradients.
     innerSteps : int, optional
-        Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least
-        once per twentieth of the shortest period of bonds and angles, in schemes that contain a heat exchange once per
-        12.5th, with SRKN4_6b once per eightieth.
+        Number of inner steps per step, at least one for each drift. By default, bonded forces are evaluated at least 20
+        times per shortest period of bonds and angles; 12.5 times in schemes that contain a heat exchange, and 80 times
+        with SRKN4_6b.
     engine : {"auto", "host", "device"}, optional
-        Where steps are performed. "host": by kernels of this package. "device": by its kernels for CUDA, HIP and OpenCL
-        (docs: On a GPU). "auto": on the device if it is a GPU and supports the System (see `engineNote`).
+        Where steps are performed. "host": on the processor. "device": on the device, by kernels for CUDA, HIP and
+        OpenCL (docs: On a GPU). "auto": on the device if it is a GPU and the engine supports the System (see
+        `engineNote`).
     thermostat : Thermostat, optional
         One of `openmm_exactrb.thermostats` or your own; the scheme may then be one of
         `openmm_exactrb.schemes.WITH_THERMOSTAT` too. None for constant energy.
@@ -74,14 +75,14 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         Mean time between two force evaluations, in ps if it has no unit, instead of ``stepSize``: a step is this
         interval times `forceEvaluationsPerStep`, so that schemes with equal intervals cost about the same.
     checkDivergence : bool, optional
-        Whether a jump of the total energy is an error. Pass False if forces or substeps of your own do work, as in
-        active matter. Energies are also not compared if a force may do work: a PythonForce, or a force of a plugin.
-        Numbers that are not finite are always an error.
+        Whether to raise an error if the total energy jumps. Pass False if your own forces or substeps do work, as in
+        active matter. Energies are not compared either if the System has a PythonForce or a force of a plugin, which
+        may do work. Non-finite numbers always raise an error.
 
     Raises
     ------
     ValueError
-        If an argument is invalid, or the requested engine does not support it.
+        If an argument is invalid, or not supported by the requested engine.
 
     Attributes
     ----------
@@ -149,7 +150,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     @property
     def checkDivergence(self) -> bool:
-        """Whether a jump of the total energy is an error."""
+        """Whether a jump of the total energy raises an error."""
         return self._check
 
     @checkDivergence.setter
@@ -159,9 +160,9 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations per step. A processed scheme needs `Scheme.output_forces` more for each call of `step`.
+        """Force evaluations per step, without those of fast forces.
 
-        Evaluations of fast forces are not counted.
+        A processed scheme needs `Scheme.output_forces` additional ones per call of `step`.
         """
         return self._scheme.forces
 
@@ -226,7 +227,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
     def bind(self, context: openmm.Context) -> None:
         """Bind the integrator to its Context.
 
-        This is only needed if `step` cannot find the Context of this integrator. Positions may be set later.
+        Call this method only if `step` cannot find the Context of this integrator. Positions may be set later.
 
         Parameters
         ----------
@@ -259,7 +260,7 @@ class ExactRigidBodyIntegrator(OwnProgram, openmm.CustomIntegrator, BodyAccess):
         ------
         ValueError
             If the number is negative or not whole, there is no Context yet, nothing in the System can move, a barostat
-            would tear bodies, or positions are not finite or not rigid. The state is then unchanged.
+            would tear bodies, or positions are not finite or not rigid. The state is unchanged in these cases.
         RuntimeError
             If this integrator is already performing a step in another thread.
         IntegrationError

@@ -74,13 +74,13 @@ class EnergyReporter(_Lines):
     reportInterval : int
         Steps between two lines.
     append : bool, optional
-        Append to the lines of an existing file, and write the names of the columns only if it is empty. A file that
-        ends with an incomplete line, because a script was killed, raises a ValueError.
+        Append to the lines of an existing file, and write the names of the columns only if it is empty. A ValueError is
+        raised if the last line of the file is incomplete, because a script was killed.
 
     Notes
     -----
-    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is flushed immediately, so that a
-    run that crashes leaves all earlier lines in the file.
+    The simulation must use an `openmm_exactrb.ExactRigidBodyIntegrator`. Each line is flushed immediately, so the file
+    contains all lines written before a crash.
     """
 
     def __init__(self, file: str | os.PathLike[str] | TextIO, reportInterval: int, append: bool = False) -> None:
@@ -112,9 +112,9 @@ class EnergyReporter(_Lines):
 class MomentReporter(_Lines):
     """Write the total dipole moment as CSV, with all digits of float64.
 
-    The moment is the sum of charge times position over all particles, with molecules whole: in a periodic box they are
-    joined along constraints and bonds. For soft dipoles the charge is strength/length at the tip of an arrow and
-    its negative at the centre, as in the example `dielectric_constant.py`.
+    The moment is the sum of charge times position over all particles. In a periodic box, molecules are made whole along
+    constraints and bonds first. For soft dipoles the charge is strength/length at the tip of an arrow and its negative
+    at the centre, as in the example `dielectric_constant.py`.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class MomentReporter(_Lines):
         Steps between two lines.
     charges : (n_particles,) array_like or Quantity
         Quantities are converted to elementary charges, so that the moment is in e nm; plain numbers are used unchanged.
-        They must add up to zero in every molecule, within 0.001.
+        The charges of every molecule must add up to zero, within 0.001.
     append : bool, optional
         As for `EnergyReporter`.
 

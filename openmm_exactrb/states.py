@@ -16,7 +16,7 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     """Load a State that was saved under another integrator.
 
     OpenMM's ``simulation.loadState(file)`` and ``context.setState(state)`` fail with "Unknown property 'version'" if
-    the new integrator is a CustomIntegrator and the old one is not. Other integrators read States of this package with
+    the new integrator is a CustomIntegrator and the old one is not. In the other direction, use
     ``simulation.loadState``.
 
     Parameters
@@ -24,12 +24,13 @@ def loadState(target: app.Simulation | openmm.Context, source: str | os.PathLike
     target : openmm.app.Simulation or openmm.Context
     source : str, path or openmm.State
         A file that ``simulation.saveState`` wrote, or a State. Its positions, velocities, box, time and step count are
-        loaded, and the parameters that the target has.
+        loaded, and those of its parameters that the target also has.
 
     Raises
     ------
     ValueError
-        If the source is neither a State nor a file with one, has no positions, or has a different number of particles.
+        If the source is neither a State nor a file that contains one, has no positions, or has a different number of
+        particles.
 
     Examples
     --------

@@ -41,7 +41,7 @@ class Substep:
     kicks : bool
         Whether it changes momenta by forces at the present positions: such substeps commute.
     additive : bool
-        Whether two in succession equal one over the sum of their times, as for every flow.
+        Whether two substeps in succession equal one over the sum of their times, as for every flow.
     displaced_forces : int
         Force evaluations at positions other than the present ones.
     """
@@ -223,7 +223,7 @@ class HeatExchange(Substep):
     Parameters
     ----------
     number : int, optional
-        Its index among those of a step: each has its own random numbers.
+        Index among the heat exchanges of a step, each of which has its own random numbers.
     """
 
     number: int = 0

@@ -55,7 +55,7 @@ class Thermostat(ABC):
         The device kernel that computes the factors by which an exchange multiplies momenta, if it does so.
     scheme : str
         The default scheme of an integrator with it: "BAOA", the splitting of LangevinMiddleIntegrator, which
-        evaluates forces once per step. A deterministic thermostat has a scheme that is symmetric in time.
+        evaluates forces once per step. A deterministic thermostat needs a scheme that is symmetric in time.
     """
 
     temperature: float
@@ -66,7 +66,7 @@ class Thermostat(ABC):
 
     @property
     def relaxation(self) -> float | None:
-        """The time in ps in which the thermostat removes heat; a run that stays hot for longer has too long a step."""
+        """The time in ps in which the thermostat removes heat; if a run stays hot for longer, its step is too long."""
         return None
 
     @property
@@ -134,7 +134,7 @@ def _gain(bodies: RigidBodies, before: State, after: State) -> float:
 class Noise:
     """The seed of an integrator's noise, and the stream in use.
 
-    The noise of a step depends only on both and on the number of the step, so that ten calls of ``step(10)`` are
+    The noise of a step depends only on seed, stream and step number, so that ten calls of ``step(10)`` are
     bit-identical to ``step(100)``, as is a run that continues from a checkpoint or State in another process. If a
     loaded State or a new step count makes a run branch off, as in replica exchange, the run continues with a new
     stream; a checkpoint contains the number of its stream, and restores the noise.

@@ -54,11 +54,11 @@ class Average:
     mean : float
         The average minus the step-size error.
     error : float
-        The standard deviation of the mean: of statistics and of the correction.
+        The standard deviation of the mean, from statistics and from the correction.
     correction : float
         The difference between `mean` and the average over the frames.
     correction_error : float
-        The standard deviation of the correction: of statistics, and of a uniform distribution over `bracket`.
+        The standard deviation of the correction, from statistics and from a uniform distribution over `bracket`.
     bracket : (float, float)
         The corrected averages for weak and for strong friction; `mean` is halfway between them.
     """
@@ -77,7 +77,7 @@ class PressureOffset:
     Attributes
     ----------
     bar, error : float
-        The error of the pressure and the standard deviation of this, in bar; see `Average`.
+        The error of the pressure and its standard deviation, in bar; see `Average`.
     bracket : (float, float)
         For weak and for strong friction.
     scheme, step, temperature : str, float (ps), float (K)
@@ -116,19 +116,19 @@ def corrected(
     Parameters
     ----------
     file : str or path
-        File of an `AverageReporter`, without the frames before equilibrium.
+        File of an `AverageReporter` that contains only frames in equilibrium.
     observable : str or (frames,) array_like
         "potential energy" (kJ/mol), "pressure" (bar), "volume" (nm³), "density" (kg/m³), "enthalpy" (kJ/mol, without
-        the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), the name of an observable of the
-        reporter, or a value for each frame.
+        the kinetic energy), "heat capacity" (kJ/mol/K), "compressibility" (1/bar), the name of one of the reporter's
+        observables, or an array with one value per frame.
     slope : (frames,) array_like or two of them, optional
-        Slopes along M⁻¹f_s (1/ps²) of values that depend on positions, for bodies without and with inner steps. Not
-        needed for values that depend on the volume alone.
+        Slopes along M⁻¹f_s (1/ps²) of values that depend on positions, for bodies without and with inner steps. Omit
+        them for values that depend on the volume alone.
     local : bool, optional
-        Whether to take the curvature of the potential around the particles that the reporter was given.
+        Whether to use the curvature of the potential near the particles given as ``around`` to the reporter.
     pressure : float or Quantity, optional
-        The pressure that the average is for, in bar if it has no unit, near that of the barostat, which is the default.
-        After a run with the barostat of a `PressureOffset`, give the pressure without the offset.
+        Pressure to which the average is corrected, in bar if it has no unit: close to that of the barostat, which is
+        the default. After a run with the barostat of a `PressureOffset`, pass the pressure without the offset.
 
     Returns
     -------

@@ -20,23 +20,23 @@ from openmm_exactrb.support import checks
 class AverageReporter:
     """Write the data for `corrected` and `pressure_offset`, as CSV with all digits.
 
-    Unless pressure is requested, a report needs only the forces that Simulation evaluates for it.
+    Unless pressure is requested, a report uses only the forces that the Simulation evaluates for it.
 
     Parameters
     ----------
     file : str or path
     reportInterval : int
-        Steps between two frames. Frames that are a tenth of a ps apart are nearly independent in water.
+        Steps between two frames. In water, frames a tenth of a ps apart are nearly independent.
     pressure : bool, optional
         Whether to store the molecular pressure and its slope, at two more evaluations of energy and forces per frame.
-        Corrections at constant pressure and `pressure_offset` need it.
+        Corrections at constant pressure and `pressure_offset` need this pressure.
     observables : mapping of str to callable, optional
-        Functions of the positions, an array (n_particles, 3) in nm with whole molecules, that return a number. They are
-        evaluated at displaced positions too, for the slopes that their corrections need.
+        Functions that return a number, given the positions, an array (n_particles, 3) in nm with whole molecules. They
+        are also evaluated at displaced positions, for the slopes that the corrections need.
     around : (sequence of int, float), optional
         Particles, such as those of a solute, and a distance in nm (or a Quantity). The curvature of the potential is
-        then also stored for the bodies within this distance, which reduces the statistical error of corrections of
-        observables that depend on these particles alone: see ``local`` of `corrected`.
+        also stored for the bodies within this distance, which reduces the statistical error of corrections to
+        observables that depend only on these particles: see ``local`` of `corrected`.
     append : bool, optional
         Continue the existing file of a run with the same settings.
 

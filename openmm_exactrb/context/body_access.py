@@ -54,7 +54,7 @@ class BodyAccess:
 
         The kinetic energy is that of the bodies in float64, even if the platform rounds velocities. With a scheme whose
         steps end with a drift after a heat exchange, such as the default with a thermostat, the sum has its canonical
-        mean but fluctuates in proportion to the step size; ``effectiveEnergy`` is the conserved quantity of such a run.
+        mean but fluctuates in proportion to the step size; monitor ``effectiveEnergy`` instead.
         """
         context = self._up_to_date().sync.context
         state = context.getState(energy=True, groups=self.getIntegrationForceGroups())
@@ -64,7 +64,7 @@ class BodyAccess:
         """Return the numbers of translational and of rotational degrees of freedom.
 
         A linear body has two rotational degrees of freedom, and a particle has zero. With a CMMotionRemover, three
-        translational degrees of freedom are subtracted, whatever its interval: temperatures are those of the motion
+        translational degrees of freedom are subtracted, whatever its interval: temperatures describe the motion
         relative to the centre of mass.
         """
         return freedom_of(self._up_to_date())
@@ -81,7 +81,7 @@ class BodyAccess:
         Parameters
         ----------
         groups : dict of str to sequences of int, optional
-            Particles of groups of whole bodies and clusters, such as domains, linkers and solvent.
+            Particles of each group, which consists of whole bodies and clusters, such as domains, linkers and solvent.
 
         Returns
         -------
@@ -103,8 +103,8 @@ class BodyAccess:
     def computeSystemTemperature(self) -> unit.Quantity:
         """Return the temperature of all degrees of freedom of the bodies, in K; nan if there are none.
 
-        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method. They
-        would otherwise count the constraints of the System, and this count is wrong with redundant constraints and
+        It is the mean of `temperatures`, weighted by `degreesOfFreedom`. OpenMM's reporters call this method instead of
+        counting the constraints of the System, which gives wrong degrees of freedom with redundant constraints and
         bodies named by hand.
         """
         propagator = self._up_to_date()
@@ -114,8 +114,8 @@ class BodyAccess:
         """Draw the momenta of the bodies from the canonical distribution.
 
         The distribution is correct for linear bodies, redundant constraints and bodies without constraints. With a
-        CMMotionRemover the total momentum is 0. The method of the same name of the Context calls this one where
-        OpenMM's solver of constraints does not converge, and where bodies are named by hand.
+        CMMotionRemover the total momentum is 0. ``Context.setVelocitiesToTemperature`` calls this method if OpenMM's
+        constraint solver does not converge or bodies are named by hand.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ class BodyAccess:
         """Minimise the potential energy.
 
         Bodies stay rigid, including those named by hand; ``simulation.minimizeEnergy`` calls this method if there are
-        such bodies or redundant constraints. If molecules are constrained but not rigid, OpenMM's minimiser is used.
+        such bodies or redundant constraints. Molecules that are constrained but not rigid are minimised by OpenMM.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Where the time of a run goes."""
+"""Timings of a run."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ class Timings:
     Attributes
     ----------
     forces : float
-        Time inside OpenMM and in the compiled kernels of bonded forces, for setting positions and for evaluations.
+        Time in OpenMM and in the compiled kernels of bonded forces, for setting positions and for evaluations.
     rotor : float
-        Time of the free motion of the bodies, including bonded forces if one compiled call performs the inner steps.
+        Time for the free motion of the bodies, including bonded forces if one compiled call performs the inner steps.
     total : float
         Total time inside step().
     evaluations : int
-        Evaluations by OpenMM except for nested forces: forces, with or without the energy, and energies alone, which
-        barostats, Metropolis's rule and occasionally the check for divergence need.
+        Evaluations by OpenMM, except for nested forces: forces, with or without the energy, and energies alone, which
+        barostats, the Metropolis test and occasionally the divergence check need.
     fast_evaluations : int
         Evaluations of the forces that are nested in the drifts.
     """

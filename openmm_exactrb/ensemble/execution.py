@@ -31,9 +31,9 @@ def as_completed(
 ) -> Iterator[Result]:
     """Execute jobs and yield their results as they complete, stored ones first.
 
-    A job whose function raises, or that repeatedly kills its workers, yields a result with the error; a later call
-    tries it again. Jobs of a worker process that dies are restarted on another one. Closing the iterator cancels the
-    rest.
+    A job whose function raises an exception, or that repeatedly kills its workers, yields a result with the error; a
+    later call tries the job again. Jobs of a worker process that dies are restarted on another one. Closing the
+    iterator cancels the rest.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ def as_completed(
     Raises
     ------
     TypeError, ValueError
-        If a job is not a `Job`, or both scheduler and workers are given; before anything is started.
+        If a job is not a `Job`, or both scheduler and workers are given. No job is started in this case.
     ConnectionError
-        If the scheduler does not answer, or disappears. Results up to then are stored.
+        If the scheduler does not answer, or disappears. Earlier results are stored.
 
     Notes
     -----

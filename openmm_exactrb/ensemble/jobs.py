@@ -25,11 +25,12 @@ class Job:
     Parameters
     ----------
     function : callable
-        A function at the top level of a script or of a module that the workers can import. It must return values that
-        JSON can represent, or numpy arrays, which become lists, and depend on its arguments only, including seeds.
+        A function at the top level of a script or of a module that the workers can import. Its result must consist of
+        values that JSON can represent, or numpy arrays, which become lists, and must depend only on the arguments,
+        including seeds.
     **arguments
         Numbers, text, lists, mappings, numpy arrays, paths, Quantities, functions, dataclasses such as a `Scheme`, or a
-        System, State, Force or Integrator of OpenMM. The job keeps copies, which are sent to the worker: instead of
+        System, State, Force or Integrator of OpenMM. The job keeps copies, which are sent to the worker; instead of
         large objects, pass the path of a file, or a function that builds them. Use a ``pathlib.Path`` for a file that
         the function reads, and a str for one that it writes.
 
@@ -44,7 +45,8 @@ class Job:
     function : callable
     key : str
         Hash of the function's name, the arguments, the content of files that a ``pathlib.Path`` names, and the versions
-        of this package and OpenMM. It does not include the function's code: after changing that, use another folder.
+        of this package and OpenMM. It does not include the function's code: after changing the code, use another
+        folder.
 
     Examples
     --------

@@ -41,7 +41,7 @@ class NonFiniteError(IntegrationError):
 
 
 class DivergenceCheck:
-    """Checks the states of a run for numbers that are not finite and for a rise of the total energy.
+    """Checks the states of a run for non-finite numbers and for a rise of the total energy.
 
     potential(state) -> kJ/mol is evaluated only if momenta have grown strongly; box() -> the vectors (3, 3) of the
     periodic box in nm, or None. Energies are compared if forces are known to conserve them, and the user wants it.

@@ -28,7 +28,7 @@ _REACHED = 1e-9
 
 
 class ShapeWarning(UserWarning):
-    """Positions deviated slightly from the shapes of bodies and were corrected, or a shape may not be what is meant."""
+    """Positions deviated slightly from the shapes of bodies and were corrected, or a shape is ambiguous."""
 
 
 def fit(bodies: RigidBodies, x: Array, v: Array) -> BodyState:

@@ -33,7 +33,7 @@ Images: TypeAlias = tuple[float, float, float] | tuple[float, Edges, int, float]
 
 @dataclass(frozen=True)
 class Open:
-    """No box: all pairs, at any distance."""
+    """No periodic box: all pairs interact at any distance."""
 
     periodic: ClassVar[bool] = False
 
@@ -79,12 +79,12 @@ class _Periodic:
 
 @dataclass(frozen=True, kw_only=True)
 class ReactionField(_Periodic):
-    """A periodic box of nearest images within a cutoff, and the field of a dielectric around it.
+    """A periodic box: nearest images within a cutoff, and the field of a dielectric beyond it.
 
-    The field is -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ for a pair (Barker and Watts, Mol. Phys. 26, 789 (1973)). The
-    radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume as the switched one: a uniform
-    polarisation then has the reaction field of `dielectric`, as the fluctuation formula of `dielectric_constant`
-    requires.
+    The field adds the energy -2 (eps - 1)/(2 eps + 1) mu_i.mu_j/a³ to a pair (Barker and Watts, Mol. Phys. 26, 789
+    (1973)). The radius a³ = 3 integral S r² dr is that of a sharp sphere with the same volume as the switched one: a
+    uniform polarisation then has the reaction field of `dielectric`, as the fluctuation formula of
+    `dielectric_constant` requires.
 
     Parameters
     ----------
@@ -111,19 +111,19 @@ class ReactionField(_Periodic):
 
 @dataclass(frozen=True, kw_only=True)
 class Ewald(_Periodic):
-    """A periodic box and the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
+    """A periodic box with the dipoles of all its images (de Leeuw, Perram and Smith, Proc. R. Soc. A 373, 27 (1980)).
 
     The sum in reciprocal space is direct, or uses a mesh (smooth particle mesh Ewald). Omitted parameters are chosen
     such that the sum is fast and meets the tolerance; ``getParameters`` returns them. The spheres of `dipole_fluid`
-    have a cutoff of their own. Forces are the exact gradient of the energy: in a fixed box the energy is smooth
-    whatever the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about
-    the tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
+    have a separate cutoff. Forces are the exact gradient of the energy: in a fixed box the energy is smooth whatever
+    the tolerance, and a symplectic scheme conserves it. If the box changes, the energy jumps by up to about the
+    tolerance. An Ewald sum needs the compiled kernel, or ``kernel="openmm"`` of `dipole_fluid`.
 
     Parameters
     ----------
     cutoff, switch : float, optional
-        Distances at which the energy of a pair ends and its switch begins, in nm. By default the cutoff is the fastest
-        for a mesh, or half the shortest edge of the box for the direct sum; the switch begins at three quarters of the
+        Distances at which the energy of a pair ends and its switch begins, in nm. The default cutoff is the fastest one
+        for a mesh, and half the shortest edge of the box for the direct sum; the switch begins at three quarters of the
         cutoff.
     dielectric : float
         Relative permittivity around all images: infinity for a conductor, 1 for vacuum.
@@ -132,10 +132,10 @@ class Ewald(_Periodic):
     method : {"auto", "direct", "mesh"}
         "auto" selects the faster one.
     mesh : int or (3,) int, optional
-        Points of the mesh along each edge, with factors up to 5; implies "mesh".
+        Points of the mesh along each edge, with prime factors up to 5; implies "mesh".
     order : int, optional
-        Order of the B-splines, even, from 4 to 16: forces have order - 4 continuous derivatives. 8 or 10 by default;
-        implies "mesh".
+        Even order of the B-splines, from 4 to 16, by default 8 or 10: forces have order - 4 continuous derivatives.
+        Implies "mesh".
 
     Raises
     ------
@@ -179,7 +179,7 @@ class Ewald(_Periodic):
         Raises
         ------
         ValueError
-            If the box is too small for the cutoff, or the given parameters do not meet the tolerance.
+            If the box is too small for the cutoff, or the given parameters cannot meet the tolerance.
         """
         return _parameters(self, checks.whole(n, "n"), edges_of(box))
 

@@ -35,7 +35,7 @@ def soft_dipole_force(
     shifted: bool = False,
     kernel: str = "auto",
 ) -> openmm.CustomHbondForce | openmm.CustomCompoundBondForce | openmm.PythonForce:
-    """Soft spheres with a point dipole: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
+    """Soft spheres with point dipoles: 4 epsilon (sigma/r)^12 + mu_i.mu_j/r³ - 3 (mu_i.r)(mu_j.r)/r^5 over all pairs.
 
     Section 3.4 of the paper; with `attraction` the Stockmayer fluid.
 
@@ -54,13 +54,13 @@ def soft_dipole_force(
     wca : bool
         Whether the energy of the spheres is truncated at its minimum, and shifted to be zero there (Weeks, Chandler and
         Andersen, J. Chem. Phys. 54, 5237 (1971)). With an attraction of 1, these are the repulsive spheres of many
-        ferrofluid models. The second derivative is discontinuous there, so no scheme keeps an order above 2.
+        ferrofluid models. The second derivative is discontinuous at the minimum, so no scheme keeps an order above 2.
     box : sequence of three float, optional
         Edges in nm of a rectangular periodic box, for `ReactionField` and `Ewald`; also set them with
         ``System.setDefaultPeriodicBoxVectors``.
     boundary : Open, ReactionField or Ewald
-        Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all its images. Cutoff and switch of a
-        boundary are those of the dipoles.
+        Surroundings of the sample: nothing, a dielectric beyond a cutoff, or all periodic images. The cutoff and the
+        switch of a boundary apply to the dipoles only.
     sphere_cutoff, sphere_switch : float, optional
         Distances at which the energy of two spheres in a box ends and its switch begins, in nm. The default cutoff is 3
         sigma, or half the shortest edge of the box if that is less; the switch begins at three quarters of the cutoff.
@@ -68,10 +68,10 @@ def soft_dipole_force(
     shifted : bool
         Whether the energy of two spheres at the cutoff is subtracted from it, before the switch.
     kernel : {"auto", "openmm", "bonds", "compiled"}
-        Type of the force. "auto" or "compiled": a kernel in double precision on all cores, some fifty times faster on a
-        CPU. "openmm": a `CustomHbondForce`, if there is a cutoff, which stays on the device with
-        OpenCL, CUDA and HIP. "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on
-        Reference and supports any cutoff. `Ewald` needs the compiled kernel.
+        Type of the force. "auto" or "compiled": a kernel in double precision on all cores, about fifty times faster on
+        a CPU. "openmm": a `CustomHbondForce` if there is a cutoff, which OpenCL, CUDA and HIP evaluate on the device.
+        "bonds": a `CustomCompoundBondForce` with a bond for each pair, which is faster on Reference and supports any
+        cutoff. `Ewald` needs the compiled kernel.
 
     Returns
     -------
@@ -90,9 +90,9 @@ def soft_dipole_force(
     Notes
     -----
     With "bonds", the box is given by the Context parameters `box_x`, `box_y` and `box_z`, which a barostat does not
-    change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The latter moves centres and tips
-    to their nearest images individually, hence the condition on the cutoff, which is not checked again if the box
-    shrinks. The integrators of this package raise a ValueError for a barostat with "bonds" and "openmm".
+    change. The compiled kernel and the `CustomHbondForce` use the box of the Context. The `CustomHbondForce` moves
+    centres and tips to their nearest images individually, hence the condition on the cutoff, which is not checked again
+    if the box shrinks. With "bonds" and "openmm", the integrators of this package raise a ValueError for a barostat.
 
     XmlSerializer writes the compiled kernel's settings with pickle, as it does for every PythonForce.
     """

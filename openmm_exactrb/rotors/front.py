@@ -34,13 +34,13 @@ def free_rotor(
     -------
     q1 : (4,) or (N, 4) array
     m1 : (3,) or (N, 3) array
-        New arrays; the arguments are unchanged. A body with a number that is not finite becomes nan; other bodies are
-        not affected.
+        New arrays; the arguments are unchanged. A body with a non-finite number becomes nan; other bodies are not
+        affected.
 
     Warns
     -----
     NotConvergedWarning
-        If a step is too long for some bodies, which are then nan. Only rotors whose `largest_angle` is finite warn.
+        If a step is too long for some bodies, whose results are nan. Only rotors with a finite `largest_angle` warn.
 
     Raises
     ------

@@ -35,7 +35,7 @@ _CHUNK = 10
 class Run:
     """A Simulation with its files in one folder, which can be resumed after any interruption.
 
-    Checkpoints save the state and the lengths of all output files at intervals. A resumed run truncates the files to
+    Checkpoints store the state and the lengths of all output files at intervals. A resumed run truncates the files to
     these lengths and loads the state, so that no frame is lost or duplicated. On the Reference platform every file is
     identical, byte for byte, to that of an uninterrupted run, except for the date in the header of a DCD file.
 
@@ -50,8 +50,8 @@ class Run:
     every : float, optional
         Seconds between two checkpoints; infinite for a single one at the end.
     settings : mapping, optional
-        Further values that must be the same when the run is resumed, in addition to System, integrator, platform
-        and reporters.
+        Further values that must be the same when the run is resumed, in addition to System, integrator, platform and
+        reporters.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Run:
     FileExistsError
         If the folder contains an earlier run that is neither resumed nor overwritten.
     TypeError, ValueError
-        If the checkpoint is damaged or of another version, or an argument is invalid.
+        If the checkpoint is damaged or from another version, or an argument is invalid.
     """
 
     def __init__(
@@ -158,14 +158,14 @@ class Run:
         """Advance a Simulation to a step, from its start or from the checkpoint.
 
         On SIGINT (Ctrl-C), SIGTERM and SIGHUP the run finishes the steps in progress, writes a checkpoint and raises
-        SystemExit with the status 128 + the number of the signal. A second signal acts at once. A run that fails before
-        its first step leaves no file.
+        SystemExit with the status 128 + the number of the signal. A second signal ends the process immediately. A run
+        that fails before its first step leaves no file.
 
         Parameters
         ----------
         simulation : openmm.app.Simulation
-            A Simulation at its start. When a run is resumed, the state of the Simulation does not matter, except that
-            bodies named by hand get their shape from its positions, which must be those of the first start.
+            A Simulation at its start. When a run is resumed, the state of the Simulation is ignored, except that its
+            positions define the shape of bodies named by hand, and must be those of the first start.
         until : int
             Number of the last step.
         progress : callable, optional
@@ -174,12 +174,12 @@ class Run:
         Raises
         ------
         ValueError
-            If the checkpoint is of another System, platform, version, integrator or setting, or a file has become
+            If the checkpoint belongs to another System, platform, version, integrator or setting, or a file has become
             shorter. Nothing is changed in these cases.
         BlockingIOError
             If another process is running in the folder.
         IntegrationError
-            If the integration diverges. The checkpoint is that of the last valid step.
+            If the integration diverges. The checkpoint contains the last valid step.
         OSError
             If a file cannot be written, for example on a full disk. The run can be resumed.
         SystemExit
@@ -217,14 +217,14 @@ class Run:
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other processes out of the folder while a script prepares files there; `advance` does so itself.
+        """Lock the folder while a script prepares files there; `advance` locks it automatically.
 
         Raises
         ------
         BlockingIOError
             If another process is running in the folder.
         FileExistsError, ValueError
-            If another process has started a run in the folder, or has continued this one.
+            If another process has meanwhile started a run in the folder, or continued this one.
         """
         if self._locked:
             yield

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 @contextlib.contextmanager
 def written_whole(file: str | os.PathLike[str], mode: str = "w", part: str = ".part") -> Iterator[IO[Any]]:
-    """Open a file that is created, or replaced, only when its content is complete and on disk.
+    """Open a file that is created or replaced only when its content is complete and on disk.
 
     Parameters
     ----------

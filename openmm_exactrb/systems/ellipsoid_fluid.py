@@ -38,8 +38,8 @@ def ellipsoids(
     """Build uniaxial ellipsoids in a cubic box, with the potential GB(kappa, kappa_prime, 2, 1) of Gay and Berne.
 
     See `openmm_exactrb.potentials.GayBerne` for the formula (doi:10.1063/1.441483). The energies are those of OpenMM's
-    GayBerneForce, whose torques are not consistent with its energies if well depths depend on the direction (OpenMM
-    8.6). Numbers are in the units stated below, or are Quantities.
+    GayBerneForce, whose torques are inconsistent with its energies if well depths depend on the direction (OpenMM 8.6).
+    Numbers are in the units stated below, or are Quantities.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def ellipsoids(
     kappa : float
         Length along the axis as a multiple of the diameter; below 1 for a disc.
     kappa_prime : float
-        Well depth side by side as a multiple of that end to end; below 1 for a disc.
+        Well depth side by side as a multiple of the depth end to end; below 1 for a disc.
     mass : float
         In amu. The moments of inertia are those of a uniform ellipsoid, mass sigma² (1 + kappa²)/20 across the axis
         and mass sigma²/10 about it.
@@ -70,8 +70,7 @@ def ellipsoids(
         One residue ELL per ellipsoid: its sites with mass, and the virtual sites C (centre) and D, a quarter of sigma
         from C along the axis, with a bond between them.
     system : openmm.System
-        Constraints hold the sites together. There are four sites with mass, since three would have the moments of a
-        flat body.
+        Constraints hold the sites together. There are four sites with mass, since three would form a flat body.
     positions : Quantity
         (n_particles, 3) in nm.
 
@@ -83,7 +82,7 @@ def ellipsoids(
 
     Notes
     -----
-    If ellipsoids overlap deeply, the formula would be attractive again. The energy is then nan, and a run ends with a
+    If ellipsoids overlap so deeply that the formula would be attractive, the energy is nan, and a run ends with a
     `NonFiniteError`.
     """
     n, kappa = checks.whole(n, "n"), checks.positive(kappa, "kappa")

@@ -17,13 +17,13 @@ Pair = tuple[int, int]
 def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> int:
     """Exclude all pairs of particles within rigid bodies from the nonbonded forces of a System.
 
-    Forces within a body do not move it, so that forces and torques on the bodies remain the same to roundoff, and so do
-    pressures and barostats: OpenMM scales molecules as a whole. The energy changes by a constant; if it depends on
-    parameters of the Context, as in free energy calculations, this constant does too.
+    Forces within a body do not move it, so the forces and torques on the bodies remain the same to roundoff. Pressures
+    and barostats do not change either, because OpenMM scales molecules as a whole. The energy changes by a constant,
+    which depends on the parameters of the Context if the energy within bodies does, as in free energy calculations.
 
-    Every `NonbondedForce` and `GayBerneForce` gets exceptions of zero, and every `CustomNonbondedForce` exclusions, of
-    the same pairs, because OpenMM requires that exclusions of all forces be equal on GPUs. Exceptions that exist within
-    bodies, and their parameter offsets, become zero. Call this function before the Context is created.
+    Every `NonbondedForce` and `GayBerneForce` gets exceptions with zero parameters, and every `CustomNonbondedForce`
+    exclusions, for the same pairs, because on GPUs OpenMM requires equal exclusions of all forces. Existing exceptions
+    within bodies, and their parameter offsets, become zero. Call this function before the Context is created.
 
     Parameters
     ----------
@@ -31,8 +31,8 @@ def exclude_within(system: openmm.System, bodies: Sequence[Sequence[int]]) -> in
         The System, which is changed.
     bodies : sequence of sequences of int
         Particles of the bodies, as for ``bodies=`` of the integrators. They must move as rigid bodies. The smallest
-        distance between opposite sides of a periodic box must be longer than each body and the cutoff together. Virtual
-        sites that depend on particles of one body alone belong to it.
+        distance between opposite sides of a periodic box must exceed the length of each body plus the cutoff. A virtual
+        site belongs to a body if it depends only on particles of that body.
 
     Returns
     -------

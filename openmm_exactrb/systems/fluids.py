@@ -101,7 +101,7 @@ def dipole_fluid(
     long_range_correction: bool | None = None,
     kernel: str = "auto",
 ) -> tuple[app.Topology, openmm.System, unit.Quantity]:
-    """Build soft dipolar spheres: a droplet, section 3.4 of the paper, or a liquid in a periodic box.
+    """Build soft dipolar spheres: a droplet, as in section 3.4 of the paper, or a liquid in a periodic box.
 
     Numbers are in the units stated below, or are Quantities.
 
@@ -121,17 +121,18 @@ def dipole_fluid(
     attraction : float
         0 for soft spheres, 1 for the attraction of the Lennard-Jones potential: the Stockmayer fluid.
     wca : bool
-        With an attraction, whether the spheres only repel, by the Lennard-Jones potential up to its minimum. No scheme
-        then keeps an order above 2.
+        With an attraction, whether the Lennard-Jones potential ends at its minimum, so that the spheres only repel each
+        other. No scheme keeps an order above 2 in this case.
     spacing : float
         Lattice constant in nm.
     perturbation : float
         Standard deviation of the positions about the lattice, relative to its constant.
     trap : float
-        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap a
-        droplet does not stay together: soft dipoles form chains, which drift apart.
+        Strength k in kJ/mol/nm² of a harmonic trap k r²/2 about the origin, which acts on the centres. Without a trap,
+        a droplet of soft dipoles dissolves into chains, which drift apart.
     boundary : Open, ReactionField or Ewald
-        With one of the last two the spheres fill a cubic box, on a lattice given by `density` instead of `spacing`.
+        With `ReactionField` or `Ewald` the spheres fill a cubic box, on a lattice given by `density` instead of
+        `spacing`.
     density : float, optional
         Spheres per nm³ in the box; by default 0.8/sigma³, a liquid.
     sphere_cutoff, sphere_switch : float, optional
@@ -141,8 +142,8 @@ def dipole_fluid(
     shifted : bool
         Whether the energy of two spheres at their cutoff is subtracted from it.
     long_range_correction : bool, optional
-        Whether energy and pressure have the mean contribution of spheres beyond the cutoff, by a second force. By
-        default they have it, unless the potential is shifted or ends at its minimum (`wca`).
+        Whether a second force adds the mean contribution of spheres beyond the cutoff to energy and pressure. By
+        default it does, unless the potential is shifted or ends at its minimum (`wca`).
     kernel : {"auto", "openmm", "bonds", "compiled"}
         Which force computes the energy; see `soft_dipole_force`. With `Ewald`, "openmm" uses the two forces of
         `openmm_exactrb.potentials.dipole_rod_forces`, which stay on a device and reach a tolerance of 1e-4.
@@ -311,24 +312,24 @@ def rigid_water(
     Parameters
     ----------
     n : int
-        Number of molecules, in a droplet on the innermost sites of a cubic lattice, or in a periodic cube that they
-        fill without vacancies.
+        Number of molecules. A droplet occupies the innermost sites of a cubic lattice; in a periodic cube there are no
+        vacancies.
     seed : int
     model : {"tip3p", "spce", "tip4pew", "tip5p", "tip4p2005"}
         Water model, from a force field file of OpenMM or of this package (TIP4P/2005, doi:10.1063/1.2121687).
     spacing : float or Quantity
         Lattice constant in nm, the cube root of the volume per molecule. By default the density is that of water, 1.000
-        g/cm³, in a periodic box of any number of molecules.
+        g/cm³, for any number of molecules in a periodic box.
     **options
-        For `openmm.app.ForceField.createSystem`, with rigidWater=True and removeCMMotion=False unless given. A
-        periodic nonbondedMethod makes a periodic cube.
+        Arguments of `openmm.app.ForceField.createSystem`, with the defaults rigidWater=True and removeCMMotion=False. A
+        periodic nonbondedMethod creates a periodic cube.
 
     Returns
     -------
     topology : openmm.app.Topology
     system : openmm.System
     positions : Quantity
-        (n_particles, 3) in nm. Minimise their energy before a run.
+        (n_particles, 3) in nm. Minimise the energy before a run.
 
     Raises
     ------

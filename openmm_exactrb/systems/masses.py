@@ -23,10 +23,10 @@ def heavy_hydrogens(
     which allows longer steps.
 
     The dynamics changes: rotation, because the moments of inertia change; vibrations of hydrogen; and, by several
-    percent, diffusion and viscosity. Averages of positions do not depend on masses, neither for rigid molecules nor for
-    atoms without constraints. There is a small exception if several bonds of one atom are constrained, as with HBonds:
-    the angles between these bonds have a weight sqrt(det(J M^-1 J^T)) that depends on the masses. For two bonds of a
-    carbon with hydrogens of 3 amu, it amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
+    percent, diffusion and viscosity. Averages of positions do not depend on masses for rigid molecules or atoms without
+    constraints. If several bonds of one atom are constrained, as with HBonds, the angles between these bonds have a
+    small weight sqrt(det(J M^-1 J^T)) that depends on the masses: for two bonds of a carbon with hydrogens of 3 amu, it
+    amounts to 0.005 kT at 10 degrees from the tetrahedral angle.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ def heavy_hydrogens(
     mass : float or Quantity
         New mass of each hydrogen, in amu if it has no unit.
     water : bool
-        Whether to include the hydrogens of water. Water is a residue of one oxygen and two hydrogens, with or without
-        virtual sites.
+        Whether to include the hydrogens of water: residues of one oxygen and two hydrogens, with or without virtual
+        sites.
 
     Raises
     ------
     ValueError
         If the Topology has no hydrogens, a heavier atom would become lighter than its hydrogens, a hydrogen is not
-        bonded to a heavier atom, or System and Topology do not belong together. In these cases no mass is changed.
+        bonded to a heavier atom, or System and Topology do not match. In these cases no mass is changed.
     """
     if not isinstance(system, openmm.System) or not isinstance(topology, app.Topology):
         raise ValueError(

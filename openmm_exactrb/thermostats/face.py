@@ -51,15 +51,15 @@ class ThermostattedIntegrator(ExactRigidBodyIntegrator):
         self._change(temperature=temperature)
 
     def temperaturesAroundThermostat(self) -> tuple[unit.Quantity, unit.Quantity]:
-        """Return translational and rotational temperatures, means over before and after the last heat exchange.
+        """Return translational and rotational temperatures, averaged over before and after the last heat exchange.
 
-        With "BAOAB" and "ABOBA" the thermostat acts in the middle of a step, where momenta are closer to canonical than
-        at its end. At the end, `temperatures` and the velocities of the Context are biased.
+        With "BAOAB" and "ABOBA" the thermostat acts in the middle of a step, where momenta are closer to canonical. At
+        the end of the step, `temperatures` and the velocities of the Context are biased.
 
         Raises
         ------
         ValueError
-            If the bodies are not in the state after a step of this integrator.
+            If no step has been performed since the bodies were last changed.
         """
         propagator = self._up_to_date()
         if (exchange := propagator.last_exchange) is None:
@@ -91,16 +91,16 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            With friction on the device, which does not add up the heat.
+            With friction on the device, which does not record the heat.
         """
         if self._propagator is not None and self.getEngine() != "host" and self._thermostat.factors is None:
             raise ValueError(NO_BALANCE)
         return variables.get(self, self._thermostat.heat) * unit.kilojoule_per_mole
 
     def effectiveEnergy(self) -> unit.Quantity:
-        """Return the total energy at the last heat exchange minus the heat, which a run conserves.
+        """Return the total energy at the last heat exchange minus the heat, a conserved quantity.
 
-        Its drift and noise are errors of the step, of the order of the scheme. `totalEnergy` is the energy at the end
+        Its drift and noise are integration errors, of the order of the scheme. `totalEnergy` is the energy at the end
         of the step. With a scheme that ends with a drift after the heat exchange, such as the default, momenta lag
         behind positions there, and the total energy fluctuates by an amount proportional to the step size. The
         effective energy also changes with a barostat, with a ``CMMotionRemover``, when positions or velocities are set
@@ -109,6 +109,6 @@ class HeatedIntegrator(ThermostattedIntegrator):
         Raises
         ------
         ValueError
-            With friction on the device, which does not add up the heat.
+            With friction on the device, which does not record the heat.
         """
         return self._energyAtExchange() - self.heat()

@@ -141,10 +141,10 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
     temperature, frictionCoeff
         As in `ExactRigidBodyLangevinIntegrator`; the temperature must be positive.
     stepSize : float or Quantity, optional
-        Duration of a proposal, in ps if it has no unit. Pass either it or ``forceInterval``.
+        Duration of a proposal, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme, rotor, rotationalFriction, flexibleFriction, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
-        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and must not contain a thermostat, such
-        as the default, "S2_2". The number of inner steps is that for one step of the scheme.
+        As in `ExactRigidBodyLangevinIntegrator`; the scheme must be symmetric and contain no thermostat, like the
+        default, "S2_2". The number of inner steps is that of one step of the scheme.
     stepsPerProposal : int, optional
         Number of steps of the scheme in a proposal, each of the size stepSize/stepsPerProposal.
 
@@ -178,7 +178,7 @@ class ExactRigidBodyHybridIntegrator(ExactRigidBodyLangevinIntegrator):
 
     @property
     def forceEvaluationsPerStep(self) -> int:
-        """Force evaluations of a proposal; one more after a rejection, and with schemes that begin with a drift.
+        """Force evaluations per proposal. A rejection, or a scheme that begins with a drift, needs one more.
 
         The potential energy is computed together with the forces.
         """

@@ -170,10 +170,10 @@ def _fading(friction: float | Array, width: Array) -> _Fading:
 class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     """Rigid-body Langevin dynamics: a splitting with an exact Ornstein-Uhlenbeck flow.
 
-    Friction and noise act on linear momenta and on angular momenta in the principal axes of each body, for as many
-    degrees of freedom as a particle or a linear molecule has. Everything else is as in `ExactRigidBodyIntegrator`. A
-    scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow; without friction the trajectory is
-    bit-identical to that of `ExactRigidBodyIntegrator`.
+    Friction and noise act on linear momenta and on angular momenta in the principal axes of each body; linear molecules
+    have two rotational degrees of freedom, and particles none. All other arguments and methods are those of
+    `ExactRigidBodyIntegrator`. A scheme of the catalogue is enclosed by two halves of the Ornstein-Uhlenbeck flow;
+    without friction the trajectory is bit-identical to that of `ExactRigidBodyIntegrator`.
 
     Parameters
     ----------
@@ -182,28 +182,26 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     frictionCoeff : float or Quantity
         Friction of translation, in 1/ps if it has no unit.
     stepSize : float or Quantity, optional
-        Size of a whole step of the scheme, in ps if it has no unit. Pass either it or ``forceInterval``.
+        Size of a whole step of the scheme, in ps if it has no unit. Pass either ``stepSize`` or ``forceInterval``.
     scheme : str or Scheme, optional
         A key of `openmm_exactrb.SCHEMES` without a processor, or of `openmm_exactrb.schemes.WITH_THERMOSTAT`, whose
         schemes contain the thermostat, or a scheme of your own. The default, "BAOA", is the splitting of
         LangevinMiddleIntegrator and evaluates the forces once per step. "W2_3m" evaluates them three times per step;
         with it, the temperatures of translation and rotation of rigid water are within 1 K of each other up to 6 fs per
-        force evaluation (SPC/E, TIP4P/2005; friction 5/ps). Both end a step with a drift after the heat exchange.
-        Bodies with inner steps, whose momenta such a drift would change, end it at the heat exchange.
+        force evaluation (SPC/E, TIP4P/2005; friction 5/ps). Both end a step with a drift after the heat exchange. Since
+        this drift would change the momenta of bodies with inner steps, these bodies end the step at the heat exchange.
     rotor : str or Rotor, optional
         A key of `openmm_exactrb.ROTORS`, or a `Rotor` of your own.
     rotationalFriction : float or Quantity, optional
         Friction of rotation, in 1/ps if it has no unit; by default that of translation.
     flexibleFriction : float or Quantity, optional
         Friction of molecules that consist of more than one body, such as a protein or a flexible molecule, in 1/ps if
-        it has no unit; by default that of all. It holds the temperature of a protein at long steps while water keeps a
-        small friction, and with it its diffusion. Molecules are those of ``Context.getMolecules``.
+        it has no unit; by default that of all bodies. It controls the temperature of a protein at long steps without
+        affecting the diffusion of water. Molecules are those of ``Context.getMolecules``.
     bodies, fast, inner, innerSteps, forceInterval, checkDivergence : optional
         As in `ExactRigidBodyIntegrator`.
     engine : {"auto", "host", "device"}, optional
-        As in `ExactRigidBodyIntegrator`. With the same seed, the device draws different random numbers than the host;
-        there too, the noise of a step depends only on the seed and the number of the step.
-        `temperaturesAroundThermostat` is not available on the device.
+        As in `ExactRigidBodyIntegrator`. `temperaturesAroundThermostat` is not available on the device.
 
     Raises
     ------
@@ -215,7 +213,7 @@ class ExactRigidBodyLangevinIntegrator(HeatedIntegrator):
     -----
     `step` raises a ValueError if the System also has a thermostat, or a barostat of another temperature.
 
-    The noise depends only on the seed and the number of the step: an independent trajectory needs another seed.
+    The noise depends only on the seed and the number of the step: use different seeds for independent trajectories.
     """
 
     _thermostat: Langevin

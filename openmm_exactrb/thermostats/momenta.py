@@ -31,8 +31,8 @@ class CanonicalMomenta:
     Raises
     ------
     ValueError
-        If the temperature is negative or not finite, or the interval or the seed is not a whole number; at the first
-        step, if the integrator is not one of this package or has its own thermostat.
+        If the temperature is negative or not finite, or the interval or the seed is not a whole number. The first step
+        raises it if the integrator is not one of this package or has its own thermostat.
 
     Notes
     -----

@@ -200,20 +200,21 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     Parameters
     ----------
     temperature, collisionFrequency, chainLength, numMTS, numYoshidaSuzuki, together
-        As in `NoseHooverChain`; the three numbers have the same meaning as in OpenMM's NoseHooverIntegrator.
+        As in `NoseHooverChain`; ``chainLength``, ``numMTS`` and ``numYoshidaSuzuki`` have the same meaning as in
+        OpenMM's NoseHooverIntegrator.
     stepSize, scheme, rotor, bodies, fast, inner, innerSteps, forceInterval, checkDivergence
         As in `ExactRigidBodyLangevinIntegrator`.
 
     Notes
     -----
     The default scheme is "BAOAB": a step is symmetric in time, and evaluates forces once. Velocities at the end of a
-    step are half a kick away from those that the chains scale, and `temperatures` is lower than the temperature of the
-    chains by an amount proportional to the square of the step. `temperaturesAroundThermostat` is the temperature of the
-    chains.
+    step differ by half a kick from those that the chains scale, and `temperatures` returns less than the temperature of
+    the chains by an amount proportional to the square of the step. `temperaturesAroundThermostat` returns the
+    temperatures of the chains.
 
-    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. A run continues only
-    from a checkpoint or State of the same chain length. Small or stiff systems may not be ergodic; a harmonic
-    oscillator with a chain of one link, for example, is not.
+    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. Checkpoints and States
+    can be loaded only with the same chain length. Small or stiff systems may not be ergodic; a harmonic oscillator with
+    a chain of one link, for example, is not.
     """
 
     _thermostat: NoseHooverChain
@@ -245,8 +246,8 @@ class ExactRigidBodyNoseHooverIntegrator(ThermostattedIntegrator):
     def conservedEnergy(self) -> unit.Quantity:
         """Return the total energy at the last heat exchange plus that of the chains.
 
-        It is as constant as the total energy of the scheme without a thermostat. It also changes with a barostat, with
-        a ``CMMotionRemover``, and when positions or velocities are set.
+        It is conserved as well as the total energy of the scheme without a thermostat. A barostat or a
+        ``CMMotionRemover`` changes it, and so does setting positions or velocities.
         """
         freedoms = self.degreesOfFreedom()
         values = {name: variables.get(self, name) for name in self._thermostat.own_numbers}

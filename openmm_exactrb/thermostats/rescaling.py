@@ -1,7 +1,7 @@
-"""Stochastic velocity rescaling: the kinetic energy finds its canonical distribution, the motion is hardly disturbed.
+"""Stochastic velocity rescaling: the kinetic energy becomes canonical, and the motion is hardly disturbed.
 
 G. Bussi, D. Donadio and M. Parrinello (2007), doi:10.1063/1.2408420. All momenta are multiplied by one number, drawn
-from the exact law of the kinetic energy a time tau later.
+from the exact distribution of the kinetic energy a time tau later.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class StochasticRescaling(Thermostat):
     temperature : float or Quantity
         In K if it has no unit.
     relaxationTime : float or Quantity
-        Of the kinetic energy, in ps if it has no unit.
+        Relaxation time of the kinetic energy, in ps if it has no unit.
     together : bool, optional
         Whether one number multiplies all momenta; otherwise translation and rotation have one each.
     """
@@ -78,7 +78,7 @@ def rescaling(
 ) -> Exchange:
     """Prepare the exact flow of stochastic velocity rescaling; `time` is the paper's tau.
 
-    The total energy less the heat is the paper's effective energy: it is as constant as the total energy of the
+    The total energy less the heat is the paper's effective energy: it is conserved as well as the total energy of the
     splitting without a thermostat. Momenta that are all zero have no direction and stay zero.
     """
 
@@ -146,7 +146,7 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
     """Rigid-body dynamics at constant temperature with little disturbance: stochastic velocity rescaling.
 
     At every step, all momenta are multiplied by one number, such that the kinetic energy has its canonical distribution
-    (doi:10.1063/1.2408420). Diffusion and time correlations are hardly changed, whereas friction would change them.
+    (doi:10.1063/1.2408420). Unlike friction, this hardly changes diffusion and time correlations.
 
     Parameters
     ----------
@@ -157,9 +157,9 @@ class ExactRigidBodyRescalingIntegrator(HeatedIntegrator):
 
     Notes
     -----
-    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. The degrees of freedom
-    are those of `degreesOfFreedom`. This thermostat preserves a total momentum of zero. If the forces of the System do
-    so too, add a ``CMMotionRemover``, so that three degrees of freedom are subtracted.
+    Momenta that are all zero stay zero: draw initial momenta with `setVelocitiesToTemperature`. This thermostat
+    preserves a total momentum of zero. If the forces of the System do so too, add a ``CMMotionRemover``, so that three
+    of the `degreesOfFreedom` are subtracted.
     """
 
     _thermostat: StochasticRescaling

@@ -66,10 +66,10 @@ def tune(
     The error is the standard deviation of the total energy within an NVE run as long as `horizon`, in kJ/mol per body
     (rigid bodies and single particles). Limits that apply to every scheme are reported first; if the target is clearly
     below them, the remaining work is skipped. Survey runs are as long as `duration`, and their errors are extrapolated
-    from the growth of the variance with the length of the run. The recommended setting is then run over the whole
-    horizon from three starts: the given one, and others of its temperature. The promised error is the largest of the
-    three, increased if the error grows so steeply with the step that another start may differ more. Costs are those of
-    `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
+    to the horizon using the growth of the variance. The recommended setting is then run over the whole horizon from
+    three starts: the given one, and two others at its temperature. The promised error is the largest of the three,
+    increased if the error depends so steeply on the step that another start may have a larger error. Costs are measured
+    as in `Simulation.step`, which calls the integrator every ten steps. If the System has bonds and angles that are not
     constrained, schemes with ``fast="bonded"`` are tried too: those of `schemes`, or `NESTED_CANDIDATES`.
 
     Parameters
@@ -83,9 +83,9 @@ def tune(
         Standard deviation of the total energy to be reached, in kJ/mol per body. Without a target all step sizes are
         measured, and the result provides settings for any error.
     schemes : sequence of str or Scheme, optional
-        By default `CANDIDATES`, or the first of them if the budget allows no more. A scheme of your own needs a name
-        that is not in the catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it
-        fails, the result states the failure.
+        By default `CANDIDATES`, or as many of them as the budget allows. The name of a custom scheme must not be in the
+        catalogue. OpenMM's VerletIntegrator is measured too if constraints hold all bodies; if it fails, the result
+        states the failure.
     velocities : (n, 3) array or Quantity, optional
         With positions, in nm/ps without a unit.
     temperature : float or Quantity, optional
@@ -101,12 +101,12 @@ def tune(
         Length of the production runs for which errors are promised, in ps without a unit; by default ten times
         `duration`, or less if the budget does not allow that.
     budget : float or Quantity, optional
-        Processor time that may be used, in s without a unit, by default two minutes. If it does not suffice for the
-        production runs, the recommendation rests on the survey alone, and the result says so.
+        Processor time that may be used, in s without a unit, by default two minutes. If it is not sufficient for the
+        production runs, the recommendation relies on the survey alone, and the result says so.
     duration : float or Quantity, optional
-        Length of the survey runs, in ps without a unit. By default 100 over the root mean square frequency of the
-        system (1.5 ps for water), or a tenth of a named horizon if that is longer, up to four times this; less if the
-        budget does not allow that.
+        Length of the survey runs, in ps without a unit. By default 100 divided by the root mean square frequency of the
+        system (1.5 ps for water), or a tenth of a given horizon if that is longer, up to four times as long; less if
+        the budget requires it.
     levels : int, optional
         Largest number of step sizes, from the largest stable one downwards by factors of sqrt(2).
     seed : int, optional

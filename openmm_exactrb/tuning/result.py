@@ -98,16 +98,16 @@ class Tuning:
         Parameters
         ----------
         target : float, optional
-            Standard deviation of the total energy in kJ/mol per body within the horizon. By default that of `tune`,
-            whose setting was confirmed by runs over the horizon; for other targets the setting is interpolated between
-            points of the survey.
+            Standard deviation of the total energy in kJ/mol per body within the horizon. By default the target of
+            `tune`, for which the setting was confirmed by runs over the horizon; for other targets the setting is
+            interpolated between points of the survey.
         method : str, optional
             A scheme, or "VerletIntegrator"; by default all schemes.
 
         Raises
         ------
         UnreachableError
-            With the smallest error found.
+            If no measured setting reaches the target; the message states the smallest error found.
         ValueError
             If the method was not measured, or the target is not positive or missing.
         """
@@ -122,8 +122,8 @@ class Tuning:
     def largest_stable_step(self, method: str) -> float:
         """Return the largest step in ps of a scheme with an energy error below a tenth of the kinetic energy.
 
-        Steps were tried up to the first unstable one, at most 42 % above the returned one, or up to the one in which
-        free bodies turn by a radian between two force evaluations.
+        The next step tried, at most 42 % longer, was unstable, unless free bodies turn by more than a radian between
+        two force evaluations at that step.
 
         Raises
         ------
