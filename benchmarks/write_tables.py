@@ -19,12 +19,21 @@ from benchmarks.constraints.small_molecules import small_molecules
 from benchmarks.device import tables as of_device
 from benchmarks.dipoles import tables as of_dipoles
 from benchmarks.proteins import tables as of_proteins
+from benchmarks.proteins.corrected_steps import corrected_steps
 from benchmarks.schemes import tables as of_schemes
 from benchmarks.water import tables as of_water
-from benchmarks.water.averages import averages
 from benchmarks.water.corrected_water import corrected_water, corrected_water_agreement
 from benchmarks.water.droplet_averages import droplet_averages
-from benchmarks.water.equipartition_record import RECORD, over_frictions, over_goals, over_models, over_steps, read
+from benchmarks.water.equipartition_record import (
+    AGAIN,
+    RECORD,
+    over_frictions,
+    over_goals,
+    over_models,
+    over_steps,
+    read,
+)
+from benchmarks.water.tip4p2005 import tip4p2005
 
 #: Records that are shown as they are.
 AS_THEY_ARE = [
@@ -56,7 +65,7 @@ def all_tables() -> dict[str, str]:
         *(of_water.settings_of_forces, of_proteins.peptide_errors),
         *(of_schemes.roundoff_errors, of_schemes.heat_exchanges, of_schemes.small_potentials, small_molecules),
         *(of_schemes.droplets_of_models, of_schemes.droplet_growth, of_schemes.oscillator_errors),
-        *(averages, corrected_water, corrected_water_agreement, droplet_averages),
+        *(of_water.averages, corrected_steps, corrected_water, corrected_water_agreement, droplet_averages, tip4p2005),
         *(of_schemes.rotors_compared, of_dipoles.dipole_costs),
         *(of_dipoles.dipole_errors, of_dipoles.dipole_energies, of_dipoles.stockmayer_constants),
         *(of_dipoles.ferrofluid_constants, of_dipoles.dipole_droplets, of_device.device_costs),
@@ -78,8 +87,8 @@ def _equipartition() -> Iterator[tuple[str, str]]:
         yield f"{model}_energies", over_steps(record, "U", model, "NVT")
         yield f"{model}_densities", over_steps(record, "density", model, "NPT")
         yield f"{model}_frictions", over_frictions(record, model, 6.0)
-        yield f"{model}_goals", over_goals(record, model)
-    yield "equipartition_models", over_models(record)
+        yield f"{model}_goals", over_goals(record, read(AGAIN), model)
+    yield "equipartition_models", over_models(record, read(AGAIN))
 
 
 def pages() -> list[Path]:

@@ -23,7 +23,7 @@ import argparse
 import itertools
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from operator import itemgetter
 from pathlib import Path
@@ -206,21 +206,27 @@ def means_of(
         return dict.fromkeys(MEASURED, math.nan)
 
 
+def bonded(system: openmm.System, kinds: Sequence[type[openmm.Force]]) -> openmm.System:
+    """Return a System of the same particles with some kinds of bonded forces, in groups 1, 2, ..."""
+    own = openmm.System()
+    for i in range(system.getNumParticles()):
+        own.addParticle(system.getParticleMass(i))
+    for group, kind in enumerate(kinds, 1):
+        for force in system.getForces():
+            if isinstance(force, kind):
+                copied = openmm.XmlSerializer.clone(force)
+                copied.setForceGroup(group)
+                own.addForce(copied)
+    return own
+
+
 def looking_at(run: app.Simulation) -> openmm.Context:
     """Return a Context whose bonded forces have a group for each kind, which on a device share one in the run."""
     platform = run.context.getPlatform()
     if platform.getName() == "CPU":
         return run.context
-    system = openmm.System()
-    for i in range(run.system.getNumParticles()):
-        system.addParticle(run.system.getParticleMass(i))
-    for force in run.system.getForces():
-        for group, kind in enumerate(KINDS.values(), 1):
-            if isinstance(force, kind):
-                copied = openmm.XmlSerializer.clone(force)
-                copied.setForceGroup(group)
-                system.addForce(copied)
-    return openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Precision": "mixed"})
+    own = bonded(run.system, [*KINDS.values()])
+    return openmm.Context(own, openmm.VerletIntegrator(0.001), platform, {"Precision": "mixed"})
 
 
 def sampled(

@@ -9,14 +9,12 @@ on; every seed is a run, and one row of the record.
     python benchmarks/water/averages.py --fs 2 4 8 --seeds 1 2
     python benchmarks/water/averages.py --fs 8 --ensemble NPT --offset
     python benchmarks/water/averages.py --models tip4p2005 --masses plain --schemes LangevinMiddle --fs 2 4
-    python benchmarks/water/averages.py --table
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -27,11 +25,9 @@ import openmm
 from openmm import app
 
 import openmm_exactrb as rb
-from benchmarks.common.markdown import markdown, with_error
 from benchmarks.common.records import DOCS, OUT, Record, Row
 from benchmarks.common.reported import reported
 from benchmarks.common.starts import REPEATED
-from benchmarks.water.equipartition_record import NAMES as MODELS
 
 TEMPERATURE, FRICTION, MOLECULES, HEAVY = 298.15, 5.0, 216, 3.0
 FRAME, PART = 0.2, 20.0  # ps between two frames, and between two savings
@@ -116,32 +112,6 @@ def _is_of(row: Row, run: dict[str, Any]) -> bool:
     return all(row[name] == str(run[name]) for name in ("model", "masses", "scheme", "fs"))
 
 
-def averages() -> str:
-    """Return the means over seeds, as they are and corrected, as a table of a page.
-
-    Energies and densities of water with plain hydrogens are left to the longer runs of corrected_water.py.
-    """
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in RECORD.rows().values():
-        groups.setdefault(tuple(row[name] for name in KEY[:-2]), []).append(row)
-    body = []
-    for (model, masses, scheme, fs, ensemble, bar), rows in groups.items():
-        of_run = f"{MODELS[model]}, {masses} hydrogens", f"`{scheme}`, {float(fs):g} fs"
-        held = "constant volume" if ensemble == "NVT" else f"1 bar, barostat at {float(bar):g} bar"
-        length = sum(float(row["ps"]) for row in rows)
-        for name in NAMES:
-            values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in rows])
-            if np.isfinite(values).all() and (masses == "heavy" or name in ("pressure", "enthalpy")):
-                weights = values[:, 2] ** -2.0 / (values[:, 2] ** -2.0).sum()
-                plain, after, _, _ = weights @ values
-                error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
-                digits = max(0, 1 - math.floor(math.log10(error)))
-                cells = with_error(after, error, digits), with_error(after - plain, of_correction, digits)
-                body.append((*of_run, held, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}", *cells, f"{length:g} ps"))
-    head = ("", "a force evaluation every", "", "average", "as it is", "corrected", "correction", "")
-    return markdown([[*head], ["---"] * len(head), *map(list, body)])
-
-
 def main() -> None:
     """Make the runs that the record has not."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -153,13 +123,10 @@ def main() -> None:
     parser.add_argument("--offset", action="store_true", help="set the barostat to 1 bar and the predicted offset")
     parser.add_argument("--ps", type=float, default=400.0, help="of a run; %(default)s")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], help="%(default)s")
-    parser.add_argument("--table", action="store_true", help="print the table of the record only")
     arguments = parser.parse_args()
-    if not arguments.table:
-        for run in runs(arguments):
-            if run not in RECORD:
-                RECORD.add(row_of(run))
-    print(averages())
+    for run in runs(arguments):
+        if run not in RECORD:
+            RECORD.add(row_of(run))
 
 
 if __name__ == "__main__":

@@ -27,20 +27,23 @@ import openmm_exactrb as rb
 from benchmarks.common.markdown import table, with_error
 from benchmarks.common.records import DOCS, Record
 from benchmarks.water import averages, equipartition_record
-from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES
+from benchmarks.water.equipartition_record import AGAIN, FRICTION, LFM, NAMES, WHOLE
+from benchmarks.water.equipartition_record import RECORD as RUNS
 from openmm_exactrb.averages.record import head, read
 from openmm_exactrb.schemes import scheme_for_thermostat, splitting
 from openmm_exactrb.schemes.second_order import second_order
 from openmm_exactrb.schemes.thermostatted import with_thermostat
 
-METHODS, STEPS = (LFM, "BAOAB", "W2_3m"), (0.5, 1.0, 2.0, 4.0, 6.0)
-#: In docs/equipartition.csv, W2_3m has positions at its next kick, not at the end of its step.
-NEXT_KICK = 0.135
+#: In docs/equipartition.csv, W2_3m has positions at its next kick, in later runs at the end of its step.
+NEXT_KICK, AT_END = 0.135, "W2_3m, at the end"
+METHODS, STEPS = (LFM, "BAOAB", "W2_3m", AT_END), (0.5, 1.0, 2.0, 4.0, 6.0)
 #: Quantities of docs/equipartition.csv by ensemble, their names here, and whether they are for a molecule.
 QUANTITIES = {
     "NVT": (("U", "potential energy", True),),
     "NPT": (("U", "potential energy", True), ("density", "density", False)),
 }
+NAMED = ("potential energy", "density", "enthalpy")
+BAR, MOLAR_MASS = 0.1, 18.0154  # kJ/mol of 1 bar in a molar volume of 1 L; g/mol
 HELD = {"NVT": "constant volume", "NPT": "1 bar"}
 COLUMNS = [f"{name}{part}" for name in ("U", "density") for part in ("", " error")]
 RECORD = Record(
@@ -70,11 +73,11 @@ class Corrected(NamedTuple):
 def as_if(file: Path, method: str, fs: float, other: Path) -> None:
     """Write the frames of a LangevinMiddleIntegrator to another file, with the settings of another integrator."""
     lines, settings = file.read_text(encoding="utf-8").splitlines(keepends=True), read(file)[0]
-    own = method == LFM
-    order = second_order(with_thermostat(scheme_for_thermostat("BAOA" if own else method)))
+    own, scheme = method == LFM, "W2_3m" if method == AT_END else method
+    order = second_order(with_thermostat(scheme_for_thermostat("BAOA" if own else scheme)))
     if method == "W2_3m":
         order = order._replace(late=NEXT_KICK)
-    step = 0.001 * fs * (1 if own else splitting(method).forces)
+    step = 0.001 * fs * (1 if own else splitting(scheme).forces)
     changed = replace(
         settings, step=step, alpha=order.alpha, beta=order.beta, slopes=(order.slope, order.alpha), chords=own
     )
@@ -101,13 +104,15 @@ def rows_of(model: str, ensemble: str, ps: float, seed: int) -> Iterator[dict[st
 def points(model: str, ensemble: str, name: str) -> list[Corrected]:
     """Return the averages of a model that have a correction, by method and step."""
     corrections = [row for row in RECORD.rows().values() if (row["model"], row["ensemble"]) == (model, ensemble)]
+    measured = [(point.method, point) for point in equipartition_record.points(equipartition_record.read(RUNS))]
+    again = equipartition_record.points(equipartition_record.read(AGAIN))
+    measured += [(AT_END, point) for point in again if point.method == "W2_3m" and point.ps >= WHOLE]
     found = []
-    for point in equipartition_record.points(equipartition_record.read(equipartition_record.RECORD)):
-        same = point.method, str(point.interval)
-        rows = [row for row in corrections if (row["method"], row["fs"]) == same]
+    for method, point in measured:
+        rows = [row for row in corrections if (row["method"], row["fs"]) == (method, str(point.interval))]
         if (point.model, point.ensemble, point.friction) == (model, ensemble, FRICTION) and rows:
             *correction, _ = agreement([(float(row[name]), float(row[f"{name} error"])) for row in rows])
-            found.append(Corrected(point.method, point.interval, *point.found[name], *correction))
+            found.append(Corrected(method, point.interval, *point.found[name], *correction))
     return sorted(found, key=lambda point: (METHODS.index(point.method), point.fs))
 
 
@@ -117,6 +122,20 @@ def agreement(values: list[tuple[float, float]]) -> tuple[float, float, float]:
     weights = error**-2.0
     common = float(weights @ mean / weights.sum())
     return common, float(weights.sum() ** -0.5), float(weights @ (mean - common) ** 2)
+
+
+def at_small_steps(model: str, ensemble: str, name: str) -> tuple[float, float] | None:
+    """Return an average without an error of the step, the mean of all corrected ones up to 4 fs, and its error.
+
+    Enthalpies (kJ/mol per molecule) are those of averages.py, without the kinetic energy.
+    """
+    quantity = "U" if name in ("potential energy", "enthalpy") else name
+    some = [point.after for point in points(model, ensemble, quantity) if point.fs <= 4.0] if name in NAMED else []
+    if not some:
+        return None
+    mean, error, _ = agreement(some)
+    known = at_small_steps(model, ensemble, "density") if name == "enthalpy" else None
+    return (mean + BAR * MOLAR_MASS / known[0] if known else mean), error
 
 
 def studied() -> list[tuple[str, str, str]]:

@@ -4,7 +4,8 @@ With SETTLE and leapfrog, rigid water is off equipartition at every step above 0
 arXiv:2308.08383. Here OpenMM's LangevinMiddleIntegrator, rigid-body
 BAOAB, W2_3m and W2_4g run the same water at the same time a force
 evaluation, and hybrid Monte Carlo if it is asked for, which has no error of the step (--methods hybrid --intervals 4):
-T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error.
+T_rot - T_tr, the potential energy and, at constant pressure, the density, each with its error. NoseHoover is OpenMM's
+NoseHooverIntegrator, NoseHoover/W2_3m the chains of this package with that scheme.
 
 Of LangevinMiddleIntegrator there are two T_rot: from the velocities as it reports them, and after
 applyVelocityConstraints, which leaves the linear and angular momentum of each molecule and nothing else.
@@ -36,6 +37,7 @@ from benchmarks.common.starts import R, canonical, context_of, masses_of, positi
 from benchmarks.water.equipartition_record import (
     FRICTION,
     GOALS,
+    KELVIN,
     LABELS,
     LFM,
     NAMES,
@@ -48,15 +50,16 @@ from benchmarks.water.equipartition_record import (
 )
 from openmm_exactrb import ensemble
 from openmm_exactrb.ensemble.execution import stored_result
-from openmm_exactrb.schemes import splitting
 
 OUT = Path("out/equipartition")
-TEMPERATURE, PRESSURE = 298.15, 1.0  # K, bar
+PRESSURE = 1.0  # bar
 CUTOFF, SWITCH = 0.85, 0.75  # nm; a switch, so that forces are those of the energy that Metropolis and barostats see
 BAROSTAT = 0.02  # ps between two moves of the barostat: the volume forgets in 1 ps, with 0.1 in four times as long
 LOOKED, SAMPLED = 0.05, 0.1  # ps, at least, between two looks at velocities, and between two samples: a mean of looks
 BURN = 5.0  # ps at the start of each run that are not counted
 EXACT = "hybrid"  # Metropolis over S2_2: no error of the step
+CHAINS = "NoseHoover"
+OPENMM = {LFM: openmm.LangevinMiddleIntegrator, CHAINS: openmm.NoseHooverIntegrator}
 METHODS = (LFM, "BAOAB", "W2_3m", "W2_4g", "BAOA:30")  # with a friction of its own, in 1/ps, behind a colon
 AT_CONSTANT = {"NVT": "constant volume", "NPT": "constant pressure"}
 # Colours that a colour-blind reader can tell apart (Okabe and Ito), with markers of their own.
@@ -73,7 +76,7 @@ STYLES = {
 }
 
 
-def system_of(model: str, n: int, pressure: float | None, every: int):
+def system_of(model: str, n: int, kelvin: float, pressure: float | None, every: int):
     """Return a System of water and its positions."""
     _, system, positions = rb.rigid_water(
         n,
@@ -84,37 +87,50 @@ def system_of(model: str, n: int, pressure: float | None, every: int):
         ewaldErrorTolerance=1e-4,
     )
     if pressure is not None:
-        system.addForce(openmm.MonteCarloBarostat(pressure, TEMPERATURE, every))
+        system.addForce(openmm.MonteCarloBarostat(pressure, kelvin, every))
     return system, positions
 
 
 @cache
-def start_of(model: str, n: int) -> openmm.State:
+def start_of(model: str, n: int, kelvin: float) -> openmm.State:
     """Return water that has forgotten its lattice."""
-    system, positions = system_of(model, n, None, 0)
-    return canonical(context_of(system, thermostat(TEMPERATURE), positions), 10_000)[0]
+    system, positions = system_of(model, n, kelvin, None, 0)
+    return canonical(context_of(system, thermostat(kelvin), positions), 10_000)[0]
 
 
-def integrator_of(method: str, interval: float, friction: float) -> openmm.Integrator:
+def integrator_of(method: str, interval: float, friction: float, kelvin: float) -> openmm.Integrator:
     """Return what makes a force evaluation every `interval` ps."""
-    if method == LFM:
-        return openmm.LangevinMiddleIntegrator(TEMPERATURE, friction, interval)
+    if method in OPENMM:
+        return OPENMM[method](kelvin, friction, interval)
     if method == EXACT:
-        return rb.ExactRigidBodyHybridIntegrator(TEMPERATURE, friction, 2 * interval, scheme="S2_2")
-    forces = splitting(method).forces
-    return rb.ExactRigidBodyLangevinIntegrator(TEMPERATURE, friction, forces * interval, scheme=method)
+        return rb.ExactRigidBodyHybridIntegrator(kelvin, friction, 2 * interval, scheme="S2_2")
+    chains, _, scheme = method.rpartition("/")
+    integrator = rb.ExactRigidBodyNoseHooverIntegrator if chains else rb.ExactRigidBodyLangevinIntegrator
+    return integrator(kelvin, friction, forceInterval=interval, scheme=scheme)
 
 
 def run_of(
-    model: str, method: str, interval: float, pressure: float | None, length: float, seed: int, n: int, friction: float
+    *,
+    model: str,
+    method: str,
+    interval: float,
+    pressure: float | None,
+    length: float,
+    seed: int,
+    n: int,
+    friction: float,
+    kelvin: float,
 ) -> dict:
     """Run water and return samples by name: temperatures in K, energy in kJ/mol per molecule, density in kg/m³."""
-    integrator = integrator_of(method, interval, friction)
-    integrator.setRandomNumberSeed(seed)
+    integrator = integrator_of(method, interval, friction, kelvin)
     h = integrator.getStepSize()._value
-    system, _ = system_of(model, n, pressure, max(1, round(BAROSTAT / h)))
-    context = context_of(system, integrator, start_of(model, n))
-    look = of_openmm(context, n) if method == LFM else of_ours(integrator)
+    system, _ = system_of(model, n, kelvin, pressure, max(1, round(BAROSTAT / h)))
+    if method != CHAINS:
+        integrator.setRandomNumberSeed(seed)
+    context = context_of(system, integrator, start_of(model, n, kelvin))
+    if method.startswith(CHAINS):  # which draw no random numbers of their own
+        context.setVelocitiesToTemperature(kelvin, seed)
+    look = of_openmm(context, n) if method in OPENMM else of_ours(integrator)
     every = max(1, math.ceil(LOOKED / h - 1e-9))
     looks = max(1, round(SAMPLED / (every * h)))
     integrator.step(round(BURN / h))
@@ -131,7 +147,7 @@ def run_of(
 
 
 def of_openmm(context: openmm.Context, n: int):
-    """Return what looks at the velocities that LangevinMiddleIntegrator reports.
+    """Return what looks at the velocities that an integrator of OpenMM reports.
 
     The linear and the angular momentum of each molecule give its translation and rotation as a rigid body, which is
     what applyVelocityConstraints leaves; what the velocities have besides is not a rigid molecule's.
@@ -176,7 +192,7 @@ def energy_and_density(context: openmm.Context, n: int) -> dict[str, float]:
 def gist(method: str, result: dict) -> dict[str, float]:
     """Return the means over a run of what is measured."""
     means = {name: float(np.mean(series)) for name, series in result["samples"].items()}
-    reference = means["T_tr"] if method == LFM else means["T_tr, other"]
+    reference = means["T_tr"] if method in OPENMM else means["T_tr, other"]
     return {
         "T_tr": means["T_tr"],
         "T_rot - T_tr": means["T_rot"] - means["T_tr"],
@@ -198,6 +214,7 @@ def job_of(run: Run) -> ensemble.Job:
         seed=run.seed,
         n=run.molecules,
         friction=run.friction,
+        kelvin=run.kelvin,
     )
 
 
@@ -207,7 +224,7 @@ def main() -> None:
     seeds = range(1, args.runs + 1)
     kinds = itertools.product(args.models, args.ensembles, args.methods, args.intervals, seeds)
     wanted = [
-        Run(model, kind, method, interval, args.molecules, friction or args.friction, args.length, seed)
+        Run(model, kind, method, interval, args.molecules, friction or args.friction, args.kelvin, args.length, seed)
         for model, kind, (method, friction), interval, seed in kinds
     ]
     missing = {run: job_of(run) for run in wanted if run not in record}
@@ -341,13 +358,16 @@ def parse() -> argparse.Namespace:
     add = parser.add_argument
     add("--models", nargs="+", default=["spce", "tip4p2005"], metavar="NAME", help="as rigid_water takes them")
     add("--ensembles", nargs="+", default=["NVT", "NPT"], choices=["NVT", "NPT"])
-    methods = f"{LFM}, BAOAB, a splitting or {EXACT}, as BAOA:30 with a friction of its own"
+    methods = (
+        f"{LFM}, {CHAINS}, BAOAB, a splitting, {CHAINS}/ and one, or {EXACT}; as BAOA:30 with a friction of its own"
+    )
     add("--methods", nargs="+", type=method_of, default=[*map(method_of, METHODS)], metavar="NAME", help=methods)
     add("--intervals", nargs="+", type=float, default=[0.5, 1, 2, 4, 6], metavar="FS", help="time a force evaluation")
     add("--runs", type=int, default=20, help="runs a point, each with its own seed (%(default)s)")
     add("--length", type=float, default=50.0, metavar="PS", help="of a run (%(default)s)")
     add("--molecules", type=int, default=216)
     add("--friction", type=float, default=FRICTION, metavar="1/PS", help="%(default)s")
+    add("--kelvin", type=float, default=KELVIN, metavar="K", help="%(default)s")
     add("--finished", action="store_true", help="run nothing: table and picture of the runs that are there")
     add("--workers", type=int, default=None, help="processes; one for each core unless given")
     add("--out", type=Path, default=OUT, metavar="FOLDER", help="%(default)s")

@@ -1,10 +1,15 @@
-"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, reading_point.py and shadow.py."""
+"""Tables of water: droplet.py, water_boxes.py, energy_balance.py, averages.py, reading_point.py and shadow.py."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from benchmarks.common.markdown import distinct, rows, table, with_error
+from benchmarks.common.records import Row
+from benchmarks.water import corrected_water
+from benchmarks.water.averages import KEY, PARTS, UNITS
 from benchmarks.water.equipartition_record import FRICTION, LFM, NAMES, RECORD, less, read, whole
 
 WINDOWS = ("2", "10", "30")  # ps
@@ -57,6 +62,35 @@ def energy_balances() -> str:
         for (name,) in distinct(found, "integrator")
     ]
     return table(("standard deviation at 2, 1, 0.5 fs per force", "kinetic + potential energy", "balance"), body)
+
+
+def averages() -> str:
+    """Return averages of W2_3m at long steps, the means over seeds, as they are and corrected.
+
+    References are the means over all steps of corrected_water.py.
+    """
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in (row for row in rows("averages") if row["scheme"] == "W2_3m"):
+        groups.setdefault(tuple(row[name] for name in KEY[:-2] if name != "bar"), []).append(row)
+    body = []
+    for (model, masses, _, fs, ensemble), some in groups.items():
+        held = "constant volume" if ensemble == "NVT" else "1 bar, with offset" if masses == "heavy" else "1 bar"
+        of_run = f"{NAMES[model]}, {masses} hydrogens", f"{float(fs):g} fs, {held}"
+        length = sum(float(row["ps"]) for row in some)
+        for name in UNITS:
+            values = np.array([[float(row[f"{name}{part}"]) for part in PARTS] for row in some])
+            if np.isfinite(values).all():
+                weights = values[:, 2] ** -2.0 / (values[:, 2] ** -2.0).sum()
+                plain, after, _, _ = weights @ values
+                error, of_correction = np.sqrt(weights**2 @ values[:, 2:] ** 2)
+                digits = max(0, 1 - math.floor(math.log10(error)))
+                cells = with_error(after - plain, of_correction, digits), with_error(after, error, digits)
+                known = corrected_water.at_small_steps(model, ensemble, name)
+                reference = with_error(*known, digits) if known else ""
+                row = *of_run, f"{name} ({UNITS[name]})", f"{plain:.{digits}f}".replace("-", "−"), *cells, reference
+                body.append((*row, f"{length:g} ps"))
+    head = ("", "", "average", "as it is", "correction", "corrected", "all steps up to 4 fs", "")
+    return table(head, body)
 
 
 def reading_points() -> str:

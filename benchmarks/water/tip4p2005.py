@@ -1,0 +1,119 @@
+"""Density and enthalpy of TIP4P/2005 at 1 bar against the step: a picture and tables of two records.
+
+The runs are those of equipartition.py, 216 molecules at constant pressure: docs/equipartition.csv has them at 298.15 K,
+docs/water_densities.csv at another temperature and with other integrators. The enthalpy is that of a user who adds the
+potential energy, the kinetic energy of the velocities in a State and the work of the pressure. Corrections for the step
+are those of corrected_water.py.
+
+    python benchmarks/water/equipartition.py --models tip4p2005 --ensembles NPT --record docs/water_densities.csv
+    python benchmarks/water/tip4p2005.py
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+
+from benchmarks.common.markdown import table, with_error
+from benchmarks.common.pictures import plt
+from benchmarks.common.records import DOCS
+from benchmarks.common.starts import R
+from benchmarks.water import corrected_water
+from benchmarks.water.corrected_water import BAR, MOLAR_MASS
+from benchmarks.water.equipartition_record import AGAIN, FRICTION, KELVIN, LFM, RECORD, mean_and_error, read
+
+STEPS = (0.5, 1.0, 2.0, 4.0)  # fs per force evaluation
+QUANTITIES = {"density": ("density (kg/m³)", 1), "enthalpy": ("enthalpy (kJ/mol per molecule)", 2)}
+ROWS = {
+    LFM: "`LangevinMiddleIntegrator`",
+    "BAOAB": "BAOAB, at the end of a step",
+    "NoseHoover": "`NoseHooverIntegrator`",
+    "NoseHoover/W2_3m": "Nosé-Hoover chains, `W2_3m`",
+    "W2_3m": "`W2_3m`",
+}
+LINES = {LFM: ("#D55E00", "o"), "BAOAB": ("#009E73", "v"), "W2_3m": ("#0072B2", "D")}
+Found = dict[tuple[float, str, float], dict[str, tuple[float, float]]]
+
+
+def enthalpy(means: dict[str, float]) -> float:
+    """Return the enthalpy of a run (kJ/mol per molecule) with the kinetic energy of the velocities in a State."""
+    kinetic = 1.5 * R * (2.0 * means["T_tr"] + means["T_rot - T_tr"])
+    return means["U"] + kinetic + BAR * MOLAR_MASS / means["density"]
+
+
+def measured() -> Found:
+    """Return density and enthalpy with their errors by temperature, method and time per force evaluation."""
+    groups: dict[tuple[float, str, float], list[dict[str, float]]] = defaultdict(list)
+    newer = read(AGAIN)
+    again = {(run.kelvin, run.method, run.interval) for run in newer}
+    for run, means in {**read(RECORD), **newer}.items():
+        point = run.kelvin, run.method, run.interval
+        if (run.model, run.ensemble) != ("tip4p2005", "NPT") or run.friction not in (FRICTION, 1.0):
+            continue
+        if run in newer or point not in again:
+            groups[point].append({"density": means["density"], "enthalpy": enthalpy(means)})
+    return {
+        point: {name: mean_and_error(np.array([run[name] for run in runs])) for name in QUANTITIES}
+        for point, runs in groups.items()
+        if len(runs) > 1
+    }
+
+
+def corrected(name: str, method: str | None = None) -> tuple[float, float]:
+    """Return density or enthalpy at 298.15 K, corrected for the step: of a method at 4 fs, or of all up to 4 fs."""
+    quantity = "U" if name == "enthalpy" else name
+    some = corrected_water.points("tip4p2005", "NPT", quantity)
+    chosen = [p.after for p in some if (p.fs <= 4.0 if method is None else (p.method, p.fs) == (method, 4.0))]
+    mean, error, _ = corrected_water.agreement(chosen)
+    if name == "enthalpy":
+        mean += 3.0 * R * KELVIN + BAR * MOLAR_MASS / corrected("density")[0]
+    return mean, error
+
+
+def tip4p2005() -> str:
+    """Return densities and enthalpies, a row for each integrator and temperature, as a table of a page."""
+    found, body = measured(), []
+    for name, (label, digits) in QUANTITIES.items():
+        reference = with_error(*corrected(name), digits)
+        body.append([f"**{label}**, 298.15 K, mean of all, corrected", reference, *[""] * (len(STEPS) - 1)])
+        for kelvin in (KELVIN, 277.15):
+            for method, row in ROWS.items():
+                cells = [_cell(found, (kelvin, method, fs), name, digits) for fs in STEPS]
+                if any(cells):
+                    body.append([f"{row}, {kelvin:g} K", *cells])
+    return table(("", *(f"{fs:g} fs" for fs in STEPS)), body)
+
+
+def _cell(found: Found, point: tuple[float, str, float], name: str, digits: int) -> str:
+    return with_error(*found[point][name], digits) if point in found else ""
+
+
+def draw() -> None:
+    """Draw density and enthalpy at 298.15 K against the time per force evaluation."""
+    found = measured()
+    figure, panels = plt.subplots(2, figsize=(5.6, 6.2), sharex=True, layout="constrained")
+    for axes, (name, (label, _)) in zip(panels, QUANTITIES.items(), strict=True):
+        mean, error = corrected(name)
+        axes.axhspan(mean - error, mean + error, color="0.8", lw=0.0, label="all averages, corrected for the step")
+        for shift, (method, (colour, marker)) in enumerate(LINES.items()):
+            x, y, errors = np.array([(fs, *found[KELVIN, method, fs][name]) for fs in STEPS]).T
+            text = ROWS[method].replace("`", "")
+            axes.errorbar(
+                x * 1.02 ** (shift - 1), y, errors, color=colour, marker=marker, capsize=3, lw=1.2, label=text
+            )
+        one = corrected(name, corrected_water.AT_END)
+        axes.errorbar(4.3, *one, color=LINES["W2_3m"][0], marker="D", mfc="white", capsize=3, label="W2_3m, corrected")
+        axes.set_ylabel(label.replace(" (kJ", "\n(kJ"))
+    panels[0].set_title("216 TIP4P/2005 at 298 K and 1 bar, 1 ns each", fontsize=11)
+    panels[1].set_xscale("log", base=2)
+    panels[1].set_xticks(STEPS)
+    panels[1].xaxis.set_major_formatter("{x:g}")
+    panels[1].set_xlabel("time per force evaluation (fs)")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
+    figure.savefig(DOCS / "tip4p2005.png", dpi=150)
+
+
+if __name__ == "__main__":
+    draw()
+    print(tip4p2005())
