@@ -26,7 +26,7 @@ class Settings:
     alpha, beta : float
         Coefficients of the conserved energy; see `openmm_exactrb.schemes.second_order`.
     slopes : (float, float)
-        Coefficients of the negative slope of an observable, for bodies without and with inner steps.
+        Coefficients of minus the slope of an observable, for bodies without and with inner steps.
     temperature : float
         In K.
     kT : float
